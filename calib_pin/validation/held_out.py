@@ -399,13 +399,11 @@ def paired(
         gain = np.nan_to_num(before - after, posinf=np.inf, neginf=-np.inf)
         means = (np.bincount(label, gain) / np.maximum(rows, 1))[rows > 0]
         mean, count = float(means.mean()), len(means)
-        deviation, t = float("nan"), 0.0
-        if count > 1 and np.isfinite(mean):
-            deviation = float(means.std(ddof=1) / np.sqrt(count))
+    deviation, t = float("nan"), 0.0
+    if count > 1 and np.isfinite(mean):
+        deviation = float(means.std(ddof=1) / np.sqrt(count))
     if mean != 0.0 and (count > 1 or np.isinf(mean)):
-        t = np.inf if mean > 0.0 else -np.inf
-        if deviation > 0.0:
-            t = mean / deviation
+        t = mean / deviation if deviation > 0.0 else float(np.copysign(np.inf, mean))
     dof = max(count - 1, 1)
     return count, mean, deviation, student_tail(t, dof), student_tail(-t, dof)
 

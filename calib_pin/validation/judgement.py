@@ -338,25 +338,20 @@ def _unchecked(grounds: Judgement) -> str:
     fitted = grounds.fitted
     values, rank = known_values(fitted.problem), fitted.structure.rank
     known = "values and priors" if len(fitted.problem.further.priors) else "values"
+    more = "; measure more configurations"
     if values < rank:
-        return (
-            f"{values} measured {known} cannot determine {rank} identifiable "
-            "parameters; measure more configurations or estimate fewer parameters"
-        )
+        reason = f"{values} measured {known} cannot determine {rank} identifiable"
+        return f"{reason} parameters{more} or estimate fewer parameters"
     if values <= fitted.rank:
-        return (
-            f"{values} measured {known} for {fitted.rank} estimated parameters leave "
-            "nothing to check the fit with; measure more configurations"
-        )
+        reason = f"{values} measured {known} for {fitted.rank} estimated parameters"
+        return f"{reason} leave nothing to check the fit with{more}"
     left = sum(v.redundancy * v.values for v in fitted.noise)
     sure = all(noise.stated and not noise.contradicted for noise in fitted.noise)
     prior = fitted.problem.setup.prior
     sure |= isinstance(prior, JointPrior) and bool(prior.noise)
     if not sure and left < REDUNDANT:
-        return (
-            f"{left:.1f} redundant values are too few to estimate the noise; measure "
-            "more configurations, or state the standard deviations"
-        )
+        reason = f"{left:.1f} redundant values are too few to estimate the noise"
+        return f"{reason}{more}, or state the standard deviations"
     held = grounds.gains[0].configurations if grounds.gains else 0
     data = fitted.problem.data
     distinct = data.rows(data.weight > 0.0).configurations
@@ -364,10 +359,8 @@ def _unchecked(grounds: Judgement) -> str:
     least = (FEWEST_HELD_OUT, CONFIGURATIONS) if fitted.noise else (1, 1)
     if held >= least[0] and distinct >= least[1]:
         return ""
-    return (
-        f"{held} independent held-out configurations of {distinct} are too few to "
-        "check the fit with; measure more configurations"
-    )
+    reason = f"{held} independent held-out configurations of {distinct} are too few"
+    return f"{reason} to check the fit with{more}"
 
 
 def _disproved(grounds: Judgement) -> str:
@@ -377,19 +370,15 @@ def _disproved(grounds: Judgement) -> str:
     for gain in sorted(grounds.gains, key=lambda gain: gain.quantity not in units):
         if gain.worse < LOSS_CHANCE:
             unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))
-            return (
-                "on held-out measurements the corrected robot is worse than the "
-                f"nominal one: {gain.quantity} errors larger by "
-                f"{-factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
-            )
+            by = f"{-factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
+            worse = "the corrected robot is worse than the nominal one"
+            worse = f"{worse}: {gain.quantity} errors larger by {by}"
+            return f"on held-out measurements {worse}"
     first = grounds.gains[0]
     # Of few configurations the ratio itself is uncertain.
-    limit = MISJUDGED * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations))
-    if first.ratio > limit:
-        return (
-            f"errors on held-out measurements are {first.ratio:.1f} times as large as "
-            "the fit predicts"
-        )
+    if first.ratio > MISJUDGED * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations)):
+        larger = f"{first.ratio:.1f} times as large as the fit predicts"
+        return f"errors on held-out measurements are {larger}"
     return ""
 
 
@@ -409,28 +398,22 @@ def _gain(grounds: Judgement, shown: bool, nothing: bool) -> tuple[str, str]:
     if workspace is None:
         # Exact rows leave no doubt.
         return "good", f"{found} on {held}"
-    nominal, calibrated = (
-        _shown(size[0], "m") for size in (workspace.nominal, workspace.calibrated)
-    )
+    sizes = workspace.nominal.position, workspace.calibrated.position
+    nominal, calibrated = (_shown(size, "m") for size in sizes)
+    expected = f"{calibrated} instead of {nominal} are expected"
+    expected = f"over the workspace{chain} {expected}"
     sure = workspace.better >= SURE
     if shown and sure:
-        return "good", (
-            f"{found} on {held}; over the workspace{chain} {calibrated} instead of "
-            f"{nominal} are expected"
-        )
-    halved = workspace.calibrated[0] < 0.5 * workspace.nominal[0]
-    if not shown and sure and halved:
-        return "unchecked", (
-            f"{held} do not confirm the correction: {found}; measure more "
-            "configurations"
-        )
+        return "good", f"{found} on {held}; {expected}"
+    if not shown and sure and sizes[1] < 0.5 * sizes[0]:
+        reason = f"{held} do not confirm the correction: {found}"
+        return "unchecked", f"{reason}; measure more configurations"
     if nothing or not shown:
         return _no_gain(grounds)
     return "untrusted", (
-        "the corrected robot is better where it was measured, but over the workspace"
-        f"{chain} {calibrated} instead of {nominal} are expected, better with a "
-        f"probability of only {100.0 * workspace.better:.0f} %; measure configurations "
-        "that differ more"
+        f"the corrected robot is better where it was measured, but {expected}, better "
+        f"with a probability of only {100.0 * workspace.better:.0f} %; measure "
+        "configurations that differ more"
     )
 
 

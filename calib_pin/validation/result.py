@@ -140,14 +140,11 @@ class MeasurementErrors:
             model: The calibrated robot.
             count: Number of measurements.
         """
-        joints, (quantities, _) = (
-            model.chains.joints,
-            columns_of(model),
-        )
+        joints, (quantities, _) = model.chains.joints, columns_of(model)
         errors = np.full((count, quantities[-1].columns.stop), np.nan)
-        q = np.zeros((count, len(joints)))
-        values = np.zeros((count, model.only.measurement.width))
-        rows = Measurements(joints, q, values=values, **model.only.key._asdict())
+        term, q = model.only, np.zeros((count, len(joints)))
+        values = np.zeros((count, term.measurement.width))
+        rows = Measurements(joints, q, values=values, **term.key._asdict())
         points, to_base = np.full((count, 3), np.nan), np.full((1, 3, 3), np.nan)
         told = Observations.of(rows), quantities, errors, errors, errors
         return MeasurementErrors(*told, points, to_base, leverage=points[:, 0])
@@ -983,31 +980,8 @@ class Prediction(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class CalibrationResult(Identification, Breakdown):
-    """Everything a calibration found, made by a fit or read from a file.
-
-    Attributes:
-        model: The calibrated robot.
-        reference: The nominal robot about the registered frames and instrument that
-            the values of their parameters deviate from.
-        verdict: `good`, `no-gain`, `unchecked` or `untrusted`.
-        reason: Why, in one sentence with numbers.
-        errors: Accuracy by quantity.
-        validation: How the fit was checked.
-        solver: How the solver ended.
-        statistics: The statistics of the residuals.
-        covariance: Of the parameters, shape (P, P), with their names.
-        fitted: Errors of the fitted measurements.
-        held_out: Errors of the validation measurements; None without a validation.
-        files: Measurement files.
-        model_selection: The model selection, if there was one.
-        urdf: The geometry alone, where the model is more than that.
-        rejected: Name of the residual model that found nothing to correct, if one did.
-        distances: Known distances beside those that were found.
-        findings: Defects of the data or the result.
-        provenance: How it came about.
-        recalibration: How it went on from an older calibration; None where it did not.
-    """
+class Tables(Identification, Breakdown):
+    """A result as arrays with names and as tables, see `CalibrationResult`."""
 
     model: CalibratedModel = field(metadata={"key": None})
     reference: CalibratedModel = field(metadata={"key": None})
@@ -1017,36 +991,6 @@ class CalibrationResult(Identification, Breakdown):
     covariance: NamedArray
     fitted: MeasurementErrors = field(metadata={"key": None})
     held_out: MeasurementErrors | None = field(metadata={"key": None})
-    validation: Validation
-    solver: SolverSummary
-    statistics: Statistics
-    files: tuple[str, ...] = field(default=(), metadata={"key": None})
-    model_selection: ModelSelection | None = field(
-        default=None, metadata={"key": "model_ladder"}
-    )
-    urdf: UrdfResult | None = None
-    rejected: str = field(default="", metadata={"key": "rejected_residual_model"})
-    distances: tuple[FoundDistance, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    provenance: Provenance = field(default_factory=Provenance, metadata={"key": ""})
-    recalibration: Recalibration | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse a verdict that is none."""
-        if self.verdict not in VERDICTS:
-            raise ValueError(f"{self.verdict!r} is no verdict")
-
-    @property
-    def geometry(self) -> CalibratedModel | None:
-        """The geometry that a corrected URDF gets; None where there is none.
-
-        Without a gain the URDF stays as it is.
-        """
-        if self.verdict != "good":
-            return None
-        if self.urdf is None:
-            return self.model
-        return None if self.urdf.reason else self.urdf.model
 
     @property
     def residuals(self) -> NamedArray:
@@ -1136,6 +1080,65 @@ class CalibrationResult(Identification, Breakdown):
         """The figures of the report by name, as matplotlib figures."""
         found: dict[str, Any] = upper("report.figures", "figures", self)
         return found
+
+
+@dataclass(frozen=True, repr=False)
+class CalibrationResult(Tables):
+    """Everything a calibration found, made by a fit or read from a file.
+
+    Attributes:
+        model: The calibrated robot.
+        reference: The nominal robot about the registered frames and instrument that
+            the values of their parameters deviate from.
+        verdict: `good`, `no-gain`, `unchecked` or `untrusted`.
+        reason: Why, in one sentence with numbers.
+        errors: Accuracy by quantity.
+        validation: How the fit was checked.
+        solver: How the solver ended.
+        statistics: The statistics of the residuals.
+        covariance: Of the parameters, shape (P, P), with their names.
+        fitted: Errors of the fitted measurements.
+        held_out: Errors of the validation measurements; None without a validation.
+        files: Measurement files.
+        model_selection: The model selection, if there was one.
+        urdf: The geometry alone, where the model is more than that.
+        rejected: Name of the residual model that found nothing to correct, if one did.
+        distances: Known distances beside those that were found.
+        findings: Defects of the data or the result.
+        provenance: How it came about.
+        recalibration: How it went on from an older calibration; None where it did not.
+    """
+
+    validation: Validation
+    solver: SolverSummary
+    statistics: Statistics
+    files: tuple[str, ...] = field(default=(), metadata={"key": None})
+    model_selection: ModelSelection | None = field(
+        default=None, metadata={"key": "model_ladder"}
+    )
+    urdf: UrdfResult | None = None
+    rejected: str = field(default="", metadata={"key": "rejected_residual_model"})
+    distances: tuple[FoundDistance, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    provenance: Provenance = field(default_factory=Provenance, metadata={"key": ""})
+    recalibration: Recalibration | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a verdict that is none."""
+        if self.verdict not in VERDICTS:
+            raise ValueError(f"{self.verdict!r} is no verdict")
+
+    @property
+    def geometry(self) -> CalibratedModel | None:
+        """The geometry that a corrected URDF gets; None where there is none.
+
+        Without a gain the URDF stays as it is.
+        """
+        if self.verdict != "good":
+            return None
+        if self.urdf is None:
+            return self.model
+        return None if self.urdf.reason else self.urdf.model
 
 
 @dataclass(frozen=True, repr=False)

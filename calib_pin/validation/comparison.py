@@ -38,9 +38,6 @@ from calib_pin.validation.result import (
 )
 from calib_pin.validation.tip_drift import TipDrift, absorbed, tip_drift
 
-RESOLUTION = 1e-9
-"""Least standard deviation of a difference [SI]: of noise-free data only rounding."""
-
 BOUND = 3.0
 """Standard deviations within which estimates agree; one in 370 lies beyond by chance.
 
@@ -71,7 +68,8 @@ SAMPLES = 300
 """Configurations at which displacements of frames are found."""
 
 SAME = 1e-9
-"""Largest difference between places of one nominal robot, or of a frame [m, rad]."""
+"""Largest difference between places of one nominal robot, or of a frame [m, rad], and
+least standard deviation of a difference [SI]: of noise-free data only rounding."""
 
 ENDS = ("chain starts at", "chain ends at", "joints are")
 """Properties by which a chain is the same one, in words."""
@@ -266,7 +264,7 @@ def compare(
     differences = list[Difference]()
     for a, b in ((here[key], there[key]) for key in shared):
         if a.sigma is not None and b.sigma is not None:
-            sigma = max(math.hypot(a.sigma, b.sigma), RESOLUTION)
+            sigma = max(math.hypot(a.sigma, b.sigma), SAME)
             own = a.expression, a.unit, a.value, b.value, sigma
             differences.append(Difference(*own, a.terms if len(a.terms) > 1 else ()))
     left = [[own[key] for key in own if key not in shared] for own in (here, there)]

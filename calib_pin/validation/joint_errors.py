@@ -21,12 +21,6 @@ from calib_pin.validation.result import CalibrationResult
 CONFIGURATIONS = 40
 """Random configurations at which robots are compared."""
 
-STEPS = 20
-"""Most Gauss-Newton steps."""
-
-SMALL = 1e-9
-"""Step that is rounding [rad, m, 1]."""
-
 
 @dataclass(frozen=True)
 class JointErrors:
@@ -110,13 +104,13 @@ def joint_errors(
     moves = [joint != "" for joint in columns.joints]
     free = np.array([*moves, *(joint in gained for joint in columns.joints)])
     x = np.zeros(len(free))
-    for _ in range(STEPS):
+    for _ in range(20):  # A few are enough.
         found = JointErrors(columns, joints, *np.split(x, 2))
         parts = zip(*map(found.equations, fitted), strict=True)
         A, rhs = (np.concatenate(part) for part in parts)
         step = np.linalg.lstsq(A[:, free], rhs, rcond=None)[0]
         x[free] += step
-        if np.abs(step).max(initial=0.0) < SMALL:
+        if np.abs(step).max(initial=0.0) < 1e-9:
             break
     return JointErrors(columns, joints, *np.split(x, 2))
 

@@ -52,9 +52,6 @@ grid has less than 0.4 (UR10 Series A 0.39 and 0.19, the grid of the UR5 0.25, P
 0.29 and 0.20); poses that somebody chose and ordered at will have more than 0.5 (TALOS
 0.56, TIAGo 0.95 and 0.76, UR10 Series B 0.81)."""
 
-BLOCKS = 20
-"""Blocks that a path is cut into where its correlation allows it."""
-
 OUTER = 0.25
 """Part of the measurements in the outer part of the range of a joint."""
 
@@ -315,7 +312,8 @@ def stretches(rows: Observations) -> NDArray[np.int64]:
     lags = np.unique(np.geomspace(1, longest, 24 + count.bit_length() * 4).astype(int))
     unlike = (h for h in lags.tolist()[1:] if _variogram(z, file, h) > 0.63)
     length = next(unlike, longest)
-    length = max(length, min(count // BLOCKS, 2 * length), 1)
+    # Four blocks a fold, where the correlation allows it.
+    length = max(length, min(count // (4 * FOLDS), 2 * length), 1)
     of = np.empty(count, np.int64)
     of[configuration[order]] = _blocks(z, file, length)
     return of[configuration]
@@ -398,21 +396,21 @@ def split(
     """
     if validation is not None and holdout is not None:
         raise OptionError("give validation measurements or a holdout, not both")
-    training, marked = fitted_and_held_out(measurements)
+    training, left = fitted_and_held_out(measurements)
     reason = "no {} is left to fit: all are for validation"
-    _require_fitted(training, marked, reason, column="set")
+    _require_fitted(training, left, reason, column="set")
     if validation is not None:
         if len(validation) == 0:
             raise InputError("there are no measurements to validate with")
         reason = "these cannot be checked: no {} is fitted"
         _require_fitted(training, validation, reason)
         return training, validation, "file"
-    if holdout is not None:
-        mask = _held_out(training, setup, holdout, seed)
-        kept, left = training.rows(~mask), training.rows(mask)
-        _require_fitted(kept, left, "no {} is left to fit: the holdout took all")
-        return kept, left, "holdout"
-    return training, marked if len(marked) else None, "set"
+    if holdout is None:
+        return training, left if len(left) else None, "set"
+    mask = _held_out(training, setup, holdout, seed)
+    kept, left = training.rows(~mask), training.rows(mask)
+    _require_fitted(kept, left, "no {} is left to fit: the holdout took all")
+    return kept, left, "holdout"
 
 
 def _held_out(

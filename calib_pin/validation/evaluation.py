@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedMod
 from calib_pin.validation.findings import explained, find
 from calib_pin.validation.findings.case import Case, Others, some_of
 from calib_pin.validation.judgement import CHECK, told, too_large
-from calib_pin.validation.model_errors import located_names, registered
+from calib_pin.validation.model_errors import Registered, located_names, registered
 from calib_pin.validation.result import Accuracy, Evaluation
 
 MOVED = 0.5
@@ -142,33 +142,13 @@ def _unregistered(
     )
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A robot ready to be compared with measurements.
-
-    Attributes:
-        problem: The problem of these measurements, with all that they name.
-        theta: Its parameter values, shape (P,).
-        registered: Whether base, tool and instrument were fitted to them.
-        reason: Why that must not be trusted; empty where it may.
-        located: Names of stations and references, such as sockets, that were not there
-            before and stand where the measurements put them.
-    """
-
-    problem: Problem
-    theta: Floats
-    registered: bool
-    reason: str
-    located: tuple[str, ...]
-
-
 def prepared(
     robot: Robots | CalibratedModel,
     rows: Observations,
     setup: Setup | None = None,
     *,
     registration: bool = False,
-) -> Prepared:
+) -> Registered:
     """Prepare a robot for measurements, to which its unknown frames are fitted.
 
     Args:
@@ -180,22 +160,22 @@ def prepared(
     Raises:
         InputError: If there are no measurements, or they do not fit the model.
     """
+    model, setup = isinstance(robot, CalibratedModel), setup or Setup()
     if isinstance(robot, CalibratedModel):
         require_conditions(rows, robot.setup, of_robot=True)
         problem, theta = robot.problem(rows), robot.theta
     else:
-        setup = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
-        problem, registration = make_problem(robot, rows, setup), True
+        setup = replace(setup, parameters=(), fixed=(), bounds={}, prior={})
+        problem = make_problem(robot, rows, setup)
         theta = np.zeros(len(problem.parameters))
     if len(rows) == 0:
         raise InputError("there are no measurements to evaluate")
     reason, known = "", located_names(problem)
-    if registration:
-        if isinstance(robot, CalibratedModel):
+    if anew := registration or not model:
+        if model:
             problem, theta = extended(problem, theta, rows)
         problem, result = register(problem, theta)
         theta, reason = result.x, registration_reason(problem, result)
     there = registered(problem, theta, rows)
-    problem, theta = there.problem, there.theta
-    new = tuple(name for name in located_names(problem) if name not in known)
-    return Prepared(problem, theta, registration, reason, new)
+    new = tuple(n for n in located_names(there.problem) if n not in known)
+    return replace(there, registered=anew, reason=reason, located=new)

@@ -196,12 +196,19 @@ class Registered:
         new: Positions of the free parameters of stations and reference objects that
             only these measurements name.
         refitted: Positions of further parameters that were estimated anew from them.
+        registered: Whether base, tool and instrument were fitted to them.
+        reason: Why that must not be trusted; empty where it may.
+        located: Names of stations and references, such as sockets, that were not there
+            before and stand where the measurements put them.
     """
 
     problem: Problem
     theta: Floats
     new: tuple[int, ...] = ()
     refitted: tuple[int, ...] = ()
+    registered: bool = False
+    reason: str = ""
+    located: tuple[str, ...] = ()
 
 
 def registered(

@@ -252,6 +252,12 @@ class Change:
     unit: str = "m"
     size: float = LENGTH_SCALE
 
+    @property
+    def label(self) -> str:
+        """It in words."""
+        word = self.kind if self.kind in FRAMES else "joint"
+        return f"{word} '{self.name}'" if self.name else word
+
 
 def drifts(
     system: Terms, robot: NDArray[np.bool_], sudden: Iterable[Change]
@@ -649,16 +655,15 @@ class Innovations:
     def _sparse(self, kinds: Collection[str]) -> tuple[Sparse, ...]:
         """Causes of some kinds that are there or not, and wrong measurements."""
         counts = Counter(change.kind for change in self.sudden.values())
-        found = list(self.wrong)
-        for name, change in reversed(self.sudden.items()):
+        found = list[Sparse]()
+        for name, change in self.sudden.items():
             if change.kind in kinds:
                 sizes = SIZES["frames" if change.kind in FRAMES else "changes"]
                 chance = CHANCES[change.kind] / counts[change.kind]
                 effects = self.rows @ change.directions
-                found.insert(0, Sparse(name, effects, sizes, chance))
-        if NOISE_GREW in kinds:
-            found.append(Sparse(NOISE_GREW, self.measured, SIZES["noise"]))
-        return tuple(found)
+                found.append(Sparse(name, effects, sizes, chance))
+        noisier = Sparse(NOISE_GREW, self.measured, SIZES["noise"])
+        return *found, *self.wrong, *[noisier] * (NOISE_GREW in kinds)
 
     def _others(
         self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
@@ -684,17 +689,11 @@ class Innovations:
                 beside.append(name)
         return instead, beside
 
-    def _label(self, name: str) -> str:
-        """A change in words."""
-        change = self.sudden[name]
-        word = change.kind if change.kind in FRAMES else "joint"
-        return f"{word} '{change.name}'" if change.name else word
-
     def _jump(self, found: Explanation, cause: Cause, *others: Sequence[str]) -> Jump:
         """A sudden change as the innovations tell it, and what it may be instead."""
         change, parameters = self.sudden[cause.name], self.parameters
         effects, covariance = found.effects(cause)
-        words = (tuple(map(self._label, names)) for names in others)
+        words = (tuple(self.sudden[n].label for n in names) for names in others)
         if change.kind == "offset":
             sigma = change.size * float(covariance[0, 0]) ** 0.5
             sizes = change.unit, change.size * float(effects[0]), sigma, 0.0

@@ -237,22 +237,13 @@ def _ranks(
     """Ranks of a structure, with the singular values s of some configurations."""
     of_terms = [term.frames for term in problem.terms.values()]
     frames = {own.station for own in of_terms} | {own.tool for own in of_terms}
-    return Identifiability(
-        parameters=int(problem.parameters.free.sum()),
-        rank=structure.rank,
-        structural_rank=structure.rank,
-        robot_rank=len(structure.robot),
-        gap=structure.gap,
-        everett=everett_count(problem.chains.revolute, len(frames)),
-        condition=float(s[0] / s[-1]) if len(s) else 0.0,
-        singular_values=tuple(float(value) for value in s),
-        structural_values=tuple(float(value) for value in structure.singular_values),
-        observability=observability(s, configurations),
-        weak=0,
-        revealed=0,
-        correlated=(),
-        scale_observable=structure.scaled,
-    )
+    everett = everett_count(problem.chains.revolute, len(frames))
+    condition = float(s[0] / s[-1]) if len(s) else 0.0
+    free, rank = int(problem.parameters.free.sum()), structure.rank
+    ranks = free, rank, rank, len(structure.robot), structure.gap, everett
+    values = tuple(s.tolist()), tuple(structure.singular_values.tolist())
+    told = *ranks, condition, *values, observability(s, configurations)
+    return Identifiability(*told, scale_observable=structure.scaled)
 
 
 def _correlated(fitted: Fit) -> Iterator[Correlation]:

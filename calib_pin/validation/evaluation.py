@@ -10,7 +10,7 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError
 from calib_pin.estimation.conditions import require_conditions
-from calib_pin.estimation.evidence import Finding, rms
+from calib_pin.estimation.evidence import Finding, Severity, rms
 from calib_pin.estimation.formulation import Stated, fitting, make_problem, setup_of
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem, error_table
@@ -83,17 +83,9 @@ def evaluate(
         CalibratedChain(term.error, ready.theta, plain).outside(data.q).sum()
         for term, data, _, _ in ready.problem.blocks
     )
-    return Evaluation(
-        errors=errors,
-        rows=len(rows),
-        counts=tuple(len(own) for _, _, own in sizes),
-        registered=ready.registered,
-        verdict="untrusted" if reason else "good",
-        reason=reason,
-        outside=int(sum(outside)),
-        located=ready.located,
-        findings=findings,
-    )
+    verdict, counts = "untrusted" if reason else "good", [len(own) for *_, own in sizes]
+    judged = ready.registered, verdict, reason, int(sum(outside)), ready.located
+    return Evaluation(errors, len(rows), *judged, tuple(counts), findings)
 
 
 def error_sizes(problem: Problem, theta: Floats) -> list[tuple[str, str, Floats]]:
@@ -131,15 +123,16 @@ def _unregistered(
     if again.reason or not after < MOVED * before:
         return
     unit, factor = DISPLAY[measured_in]
-    yield Finding(
-        "frames-moved",
-        "error" if before > LARGE * expected_size(measured_in) else "warning",
+    severity: Severity = "warning"
+    if before > LARGE * expected_size(measured_in):
+        severity = "error"
+    said = (
         "base, tool or instrument stand elsewhere than at the calibration: registered "
         f"on these measurements, the {name} errors fall from "
-        f"{factor * before:.3g} to {factor * after:.3g} {unit} rms",
-        {"rms_before": before, "rms_after": after},
-        "evaluate with --register",
+        f"{factor * before:.3g} to {factor * after:.3g} {unit} rms"
     )
+    sizes = {"rms_before": before, "rms_after": after}
+    yield Finding("frames-moved", severity, said, sizes, "evaluate with --register")
 
 
 def prepared(

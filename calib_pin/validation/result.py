@@ -51,13 +51,10 @@ class Accuracy:
     @staticmethod
     def of(sizes: Floats) -> Accuracy:
         """Accuracy of the error sizes of measurements, shape (N,)."""
-        return Accuracy(
-            float(sizes.mean()),
-            float(np.sqrt(np.mean(sizes**2))),
-            # No interpolation: where a row cannot be predicted its size is infinite.
-            float(np.quantile(sizes, 0.95, method="inverted_cdf")),
-            float(sizes.max()),
-        )
+        # No interpolation: where a row cannot be predicted its size is infinite.
+        p95 = np.quantile(sizes, 0.95, method="inverted_cdf")
+        found = sizes.mean(), np.sqrt(np.mean(sizes**2)), p95, sizes.max()
+        return Accuracy(*map(float, found))
 
 
 @dataclass(frozen=True)
@@ -914,9 +911,9 @@ class Identifiability:
         metadata={"key": "structural_singular_values"}
     )
     observability: dict[str, float]
-    weak: int
-    revealed: int
-    correlated: tuple[Correlation, ...]
+    weak: int = 0
+    revealed: int = 0
+    correlated: tuple[Correlation, ...] = ()
     scale_observable: bool = True
 
 

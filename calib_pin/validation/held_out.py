@@ -163,10 +163,11 @@ def left_out(
     Returns:
         The errors; None where it takes a fit of the others to tell.
     """
-    fit, learned, result = model.fit, model.learned, list[ModelErrors | None]()
+    fit, learned = model.fit, model.learned
+    result: list[ModelErrors | None] = [None] * len(masks)
     if not masks or fit.problem.own_of_stations:
         # The elimination of stations is no sum over groups.
-        return [None] * len(masks)
+        return result
     robots, found = Linear.of(fit), dict[int, tuple[Rest, Rest]]()
     for k, mask in enumerate(masks):
         before, after = (without(robot, mask) for robot in robots)
@@ -176,17 +177,13 @@ def left_out(
     effects, anew = None, dict[int, LearnedCorrection]()
     if learned is not None:
         about, rng = fit.problem.rebased(fit.theta), np.random.default_rng(seed)
-        given = *about, [masks[k] for k in found], rng
-        taught = learning.left_out(learned, fit, *given)
+        parts = [masks[k] for k in found]
+        taught = learning.left_out(learned, fit, *about, parts, rng)
         anew = dict(zip(found, taught, strict=True))
     elif not fit.problem.many:
         effects = effect_rows(fit)
-    for k, mask in enumerate(masks):
-        if k not in found:
-            result.append(None)
-            continue
-        before, after = found[k]
-        rows, theta = fit.problem.data.rows(mask), after.theta
+    for k, (nominal, fitted) in found.items():
+        rows, theta = fit.problem.data.rows(masks[k]), fitted.theta
         problem, deviations = fit.problem, fit.posterior
         if k in anew:
             of_error = np.concatenate([t.of_error for t in problem.terms.values()])
@@ -197,12 +194,12 @@ def left_out(
             problem = learning.with_learned(model.problem, correction)
             theta = model.theta + step
         elif not problem.many:
-            deviations = _deviations(fit, robots[1], after, mask, effects)
-        nominal = Registered(replace(fit.problem, data=rows), before.theta)
-        calibrated = Registered(replace(problem, data=rows), theta, after.alone)
-        pair, positions = (nominal, calibrated), np.flatnonzero(mask)
-        errors = errors_of_registered(model, *pair, positions, deviations)
-        result.append(replace(errors, reason=unusable(fit)))
+            deviations = _deviations(fit, robots[1], fitted, masks[k], effects)
+        known = Registered(replace(fit.problem, data=rows), nominal.theta)
+        there = Registered(replace(problem, data=rows), theta, fitted.alone)
+        given = np.flatnonzero(masks[k]), deviations
+        errors = errors_of_registered(model, known, there, *given)
+        result[k] = replace(errors, reason=unusable(fit))
     return result
 
 

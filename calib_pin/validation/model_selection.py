@@ -328,9 +328,8 @@ class _Candidates:
                 judge(frozenset(rest))
                 judge(frozenset(rest | {kind}))
             found = {key: one for key, one in tried.items() if one.candidate.helps}
-            best = min(
-                found, key=lambda k: mean_score(found[k], self.use), default=best
-            )
+            scores = {key: mean_score(one, self.use) for key, one in found.items()}
+            best = min(scores, key=scores.__getitem__, default=best)
 
     def _judge(self, candidate: Candidate, progress: Progress | None) -> Judged:
         """Fit a candidate to all measurements, and leave parts of them out."""

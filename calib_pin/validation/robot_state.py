@@ -286,8 +286,9 @@ def changes(system: Terms, robot: NDArray[np.bool_]) -> dict[str, Change]:
         system: The robot.
         robot: The errors of the robot among its parameters, shape (P,).
     """
-    found = {f"offset {one.name}": one for one in _offsets(system, robot)}
-    every = np.eye(len(robot))
+    found, every = dict[str, Change](), np.eye(len(robot))
+    for one in _offsets(system, robot):
+        found.setdefault(f"offset {one.name}", one)
     for joint in system.chains.joints:
         own = robot & _of(system, joint)
         if own.sum() > 1:
@@ -304,7 +305,6 @@ def _of(system: Terms, joint: str) -> NDArray[np.bool_]:
 
 def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
     """Offsets of the joints whose motion the errors of the robot hold."""
-    found = set[str]()
     for term in system.terms.values():
         chain = term.error.chain
         behind = [*chain.placements, chain.tip_placement]
@@ -318,12 +318,10 @@ def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
                     T[:, k] += twist * screw.parameter.scale
             motion = chain.motions[frame - 1]
             along = np.linalg.lstsq(T, motion, rcond=1e-9)[0]
-            if joint in found or np.abs(T @ along - motion).max() > 1e-9:
-                continue
-            found.add(joint)
-            unit = "rad" if chain.revolute[frame - 1] else "m"
-            size = expected_size(unit)
-            yield Change(joint, "offset", size * along[:, None], unit, size)
+            if np.abs(T @ along - motion).max() <= 1e-9:
+                unit = "rad" if chain.revolute[frame - 1] else "m"
+                size = expected_size(unit)
+                yield Change(joint, "offset", size * along[:, None], unit, size)
 
 
 @serial_blas

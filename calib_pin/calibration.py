@@ -52,12 +52,11 @@ from calib_pin.validation.judgement import (
     quantity_errors,
     unexplained,
 )
-from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import USES, select_model
-from calib_pin.validation.recalibration import started
 from calib_pin.validation.result import (
     CalibrationResult,
+    MeasurementErrors,
     ModelSelection,
     NamedArray,
     Recalibration,
@@ -66,6 +65,7 @@ from calib_pin.validation.result import (
     UrdfResult,
     Validation,
 )
+from calib_pin.validation.robot_state import started
 from calib_pin.validation.shared import breakdown
 from calib_pin.validation.splits import FOLDS, split
 from calib_pin.workers import SERIAL, Workers
@@ -111,7 +111,7 @@ def calibrate(
         others: Other robots that may have been measured.
         workers: Who fits folds and candidates; the result is the same.
         start: An older calibration of the robot to go on from, with the same
-            parameters; see `validation.recalibration`.
+            parameters; see `validation.robot_state`.
         process_noise: How far each error of the geometry may have drifted since then,
             standard deviation [m, rad]; default as the measurements show it.
 

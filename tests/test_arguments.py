@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin import Measurements, Observations, Setup
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.setup import FrameSetup, Payload, ReadingSetup, SolverSetup
+from calib_pin.observations.blocks import Observations
+from calib_pin.observations.measurements import Measurements
+from calib_pin.setup import FrameSetup, Payload, ReadingSetup, Setup, SolverSetup
 
 OFFSETS = Setup(parameters=("joint-offset",), tip="tool")
 

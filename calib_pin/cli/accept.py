@@ -71,8 +71,7 @@ def accept(asked: Accept) -> int:
     from calib_pin.report.html import acceptance_page
     from calib_pin.report.pdf import MISSING, can_write_pdf, pdf_report
     from calib_pin.setup import LimitSetup, ReportSetup
-    from calib_pin.validation.acceptance import judged
-    from calib_pin.validation.pose_tests import tested
+    from calib_pin.validation.acceptance import judged, tested
 
     stated, robot, measurements = asked.stated(), asked.robot, asked.measurements
     output, path = asked.output, asked.path

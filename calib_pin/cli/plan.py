@@ -150,7 +150,7 @@ def _opened(
 
     from calib_pin.io.measurements import encode_configurations
     from calib_pin.observations import fitted_and_held_out
-    from calib_pin.validation.recalibration import expected_setup
+    from calib_pin.validation.robot_state import expected_setup
 
     rows = None
     if asked.to:

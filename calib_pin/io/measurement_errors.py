@@ -22,8 +22,12 @@ from calib_pin.measurement_models import declared
 from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.measurement_errors import AXES, MeasurementErrors, columns_of
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.result import (
+    AXES,
+    CalibrationResult,
+    MeasurementErrors,
+    columns_of,
+)
 
 MEASUREMENTS = "measurements.csv"
 """Name of the file."""

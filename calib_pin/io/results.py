@@ -55,9 +55,9 @@ from calib_pin.residual_models.documents import numbers
 from calib_pin.setup import FrameSetup
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import (
     CalibrationResult,
+    MeasurementErrors,
     NamedArray,
     Provenance,
     UrdfResult,

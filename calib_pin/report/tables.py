@@ -7,12 +7,13 @@ from collections.abc import Iterator, Sequence
 
 from calib_pin.report.blocks import Block, Cell, Line, Names, Table, table
 from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.result import (
+    Accuracy,
     CalibrationResult,
     FoundDistance,
     ModelSelection,
     ParameterEstimate,
+    QuantityErrors,
 )
 
 UNIT = "unit|word"

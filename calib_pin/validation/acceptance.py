@@ -25,25 +25,45 @@ square of what no motion takes away, `|(I - B B^+) d| / sqrt(K)`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, repeat
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib_pin.errors import InputError
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import InputError, enumerated
+from calib_pin.estimation.formulation import make_problem, with_parameters
+from calib_pin.estimation.identifiability import column_space
+from calib_pin.estimation.nominal import register
+from calib_pin.estimation.problem import Problem, error_table
+from calib_pin.estimation.registration import extended, registered, relocated
+from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
+    f_tail,
     student_quantile,
 )
+from calib_pin.estimation.terms import FRAME
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Indices
-from calib_pin.setup import LimitSetup
+from calib_pin.observations import Indices, Observations
+from calib_pin.setup import LimitSetup, Setup
 from calib_pin.units import DISPLAY
+from calib_pin.validation import model_errors
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.result import CalibrationResult
+
+MODELS = ("position", "pose")
+"""Measurement models that tell where a point is."""
 
 LEVEL = 0.95
 """Probability that an interval holds the true value."""
+
+CHANCE = 0.01
+"""Probability with which a test without any fault is told to have one of a kind."""
 
 DRAWS = 4000
 """Simulated tests from which intervals of AP and RP are taken."""
@@ -51,14 +71,19 @@ DRAWS = 4000
 LEAST = 3
 """Visits of a pose from which it has a repeatability."""
 
-STEPS = 60
-"""Steps of a bisection."""
+RESOLUTION = 1e-6
+"""Scatter of visits that no instrument resolves [m]."""
 
-NOTHING = 1e-4
-"""Part of the largest motion by a meter or radian of a frame that moves nothing."""
+DEGREES = (2, 4)
+"""Degrees of the drift beside which a move is sought, and of that which it beats."""
 
-ENDLESS = 1e6
-"""Degrees of freedom of a size that is known."""
+ELSEWHERE = "the station is not where it was at the calibration; --register fits it"
+
+NOW = "calibrated"
+"""The robot that is tested, of a calibration."""
+
+Names = Mapping[str, Mapping[tuple[str, int], int]]
+"""Numbers in the columns `pose` and `cycle` by file and line."""
 
 
 class Interval(NamedTuple):
@@ -79,8 +104,7 @@ UNTESTABLE = Interval(np.nan, 0.0, np.inf)
 """The interval of what a test does not tell."""
 
 
-@dataclass(frozen=True)
-class FrameErrors:
+class FrameErrors(NamedTuple):
     """How far commanded poses may be off, as base and tool are known.
 
     Attributes:
@@ -193,10 +217,9 @@ def acceptance(
         InputError: If no pose was visited often enough.
     """
     pose, first = ranked(group)
-    called = np.arange(1, len(first) + 1) if numbers is None else numbers[first]
+    called = pose[first] + 1 if numbers is None else numbers[first]
     cycles = cycles_in_order(pose) if cycles is None else cycles
-    errors = attained - commanded
-    errors = errors if angles is None else np.hstack([errors, angles])
+    errors = np.hstack([attained - commanded, *([] if angles is None else [angles])])
     frames = frames or FrameErrors(np.zeros((*errors.shape, 0)))
     visits = [np.flatnonzero(pose == k) for k in range(len(first))]
     kept = [k for k in np.argsort(called) if len(visits[k]) >= LEAST]
@@ -209,16 +232,15 @@ def acceptance(
     poses, distances = [], []
     for k in kept:
         own, effects = errors[visits[k]], frames.effects[first[k]]
-        means = tuple(map(mean, own.T, effects, repeat(frames.dof)))
+        means = tuple(map(_mean, own.T, effects, repeat(frames.dof)))
         place, accuracy, turns = own[:, :3], UNTESTABLE, means[3:]
         if frames.fitted:
             turns = (UNTESTABLE,) * len(turns)
         else:
-            accuracy = mean_distance(place, rng, effects[:3], frames.dof)
+            accuracy = _mean_length(place, effects[:3], frames.dof, rng)
         positions = accuracy, means[:3], repeatability(place, rng)
-        angles_of = turns, tuple(map(three_sigma, own.T[3:]))
         ways = _directions(place, before[visits[k]])
-        found = *positions, *angles_of, ways
+        found = *positions, turns, tuple(map(_three_sigma, own.T[3:])), ways
         poses.append(PoseTest(int(called[k]), len(own), *found))
     for k, m in combinations(kept, 2):
         turns_of = cycles[visits[k]], cycles[visits[m]]
@@ -230,9 +252,9 @@ def acceptance(
         D_c = np.linalg.norm(apart, axis=1)
         D = np.linalg.norm(attained[one] - attained[other], axis=1)
         effect = frames.effects[one[0], :3] - frames.effects[other[0], :3]
-        accuracy = mean(D - D_c, apart[0] @ effect / (D_c[0] or 1.0), frames.dof)
-        pair, distance = (int(called[k]), int(called[m])), float(D_c.mean())
-        distances.append(DistanceTest(pair, len(D), distance, accuracy, three_sigma(D)))
+        accuracy = _mean(D - D_c, apart[0] @ effect / (D_c[0] or 1.0), frames.dof)
+        pair = (int(called[k]), int(called[m])), len(D), float(D_c.mean())
+        distances.append(DistanceTest(*pair, accuracy, _three_sigma(D)))
     deviations = [errors[visits[k], :3] for k in kept]
     test = Acceptance(tuple(poses), tuple(distances), _drift(deviations))
     if not frames.fitted:
@@ -275,7 +297,8 @@ def _bound(
     """
     values, count = 3 * len(motions), int(motions.any(axis=(0, 1)).sum())
     U, s, _ = np.linalg.svd(motions.reshape(values, -1), full_matrices=False)
-    U = U[:, s > NOTHING * s.max(initial=0.0)]
+    # What moves a ten-thousandth as far as others by a meter or radian moves nothing.
+    U = U[:, s > 1e-4 * s.max(initial=0.0)]
     left, said = values - U.shape[1], f"{U.shape[1]} unknowns of {values} values"
     if left == 0:
         return UNTESTABLE, f"{said}; from {count // 3 + 1} poses on AP has a bound"
@@ -293,17 +316,16 @@ def _directions(deviations: Floats, before: Indices) -> float | None:
     """Largest distance of the means of approaches from different poses."""
     origins, counts = np.unique(before, return_counts=True)
     means = [deviations[before == o].mean(axis=0) for o in origins[counts >= LEAST]]
-    if len(means) < 2:
-        return None
-    return max(float(np.linalg.norm(a - b)) for a, b in combinations(means, 2))
+    apart = [float(np.linalg.norm(a - b)) for a, b in combinations(means, 2)]
+    return max(apart, default=None)
 
 
 def _drift(deviations: Sequence[Floats]) -> tuple[float, float] | None:
     """Largest change of AP and of RP from the first to the last third of the visits."""
     thirds = [np.array_split(d, 3) for d in deviations if len(d) >= 3 * LEAST]
-    ends = [(_sizes(first), _sizes(last)) for first, _, last in thirds]
-    if not ends:
+    if not thirds:
         return None
+    ends = [(_sizes(first), _sizes(last)) for first, _, last in thirds]
     accuracy, scatter = np.abs(np.diff(ends, axis=1)[:, 0]).max(axis=0).tolist()
     return accuracy, scatter
 
@@ -315,7 +337,12 @@ def _sizes(deviations: Floats) -> tuple[float, float]:
     return float(np.linalg.norm(m)), float(away.mean() + 3.0 * away.std(ddof=1))
 
 
-def mean(values: Floats, effect: Floats | None = None, dof: float = np.inf) -> Interval:
+def student(dof: float) -> float:
+    """Standard deviations of Student's t to either side that hold `LEVEL`."""
+    return student_quantile(dof, 0.5 - 0.5 * LEVEL)
+
+
+def _mean(values: Floats, effect: Floats, dof: float) -> Interval:
     """A mean with Student's interval, of shape (n,).
 
     Args:
@@ -324,29 +351,20 @@ def mean(values: Floats, effect: Floats | None = None, dof: float = np.inf) -> I
         dof: Degrees of freedom that tell the size of these.
     """
     n, m = len(values), float(values.mean())
-    common = 0.0 if effect is None else np.linalg.norm(effect)
-    few, many = student(n - 1), student(dof)
-    half = float(np.hypot(few * values.std(ddof=1) / n**0.5, many * common))
+    few, many = values.std(ddof=1) / n**0.5, np.linalg.norm(effect)
+    half = float(np.hypot(student(n - 1) * few, student(dof) * many))
     return Interval(m, m - half, m + half)
 
 
-def student(dof: float) -> float:
-    """Standard deviations of Student's t to either side that hold `LEVEL`."""
-    return student_quantile(dof, 0.5 - 0.5 * LEVEL)
-
-
-def three_sigma(values: Floats) -> Interval:
+def _three_sigma(values: Floats) -> Interval:
     """Three standard deviations with the chi-square interval, of shape (n,)."""
     dof, s = len(values) - 1, 3.0 * float(values.std(ddof=1))
     few, many = (chi_square_quantile(dof, 0.5 + k * LEVEL) for k in (0.5, -0.5))
     return Interval(s, s * (dof / many) ** 0.5, s * (dof / few) ** 0.5)
 
 
-def mean_distance(
-    deviations: Floats,
-    rng: np.random.Generator,
-    effects: Floats | None = None,
-    dof: float = np.inf,
+def _mean_length(
+    deviations: Floats, effects: Floats, dof: float, rng: np.random.Generator
 ) -> Interval:
     """AP: the length of a mean, shape (n, 3).
 
@@ -354,7 +372,7 @@ def mean_distance(
     visits, and so have the effects of frames, (3, r), by what tells their size.
     """
     noise = _of_mean(deviations, rng)
-    if effects is not None and effects.size:
+    if effects.size:
         common = rng.standard_normal((DRAWS, effects.shape[1])) @ effects.T
         noise += common / _chi(dof, rng)
     return _length(deviations.mean(axis=0), noise)
@@ -369,34 +387,34 @@ def _of_mean(deviations: Floats, rng: np.random.Generator) -> Floats:
 
 def _chi(dof: float, rng: np.random.Generator) -> Floats:
     """Simulated standard deviations of true ones, shape (DRAWS, 1)."""
-    known = min(dof, ENDLESS)
-    return np.sqrt(rng.chisquare(known, (DRAWS, 1)) / known)
+    dof = min(dof, 1e6)  # As good as known.
+    return np.sqrt(rng.chisquare(dof, (DRAWS, 1)) / dof)
+
+
+def _root(C: Floats) -> Floats:
+    """A square root of a covariance that may be singular."""
+    s, V = np.linalg.eigh(C)
+    return np.asarray(V * np.sqrt(np.maximum(s, 0.0)))
 
 
 def _length(m: Floats, noise: Floats) -> Interval:
     """The length of a vector, shape (d,), with simulated errors of it, (DRAWS, d).
 
     The true length is one with which the simulated length is neither below nor above
-    the one found in all but a small part of the tests.
+    the one found in all but a small part of the tests; it is bisected.
     """
     found = float(np.linalg.norm(m))
     along = m / found if found > 0.0 else np.eye(len(m))[0]
     longest = found + 10.0 * float(np.linalg.norm(noise, axis=1).max())
-
-    def least(part: float) -> float:
-        """The true length of which a part of the tests finds less than was found."""
+    ends = []
+    for part in (0.5 + 0.5 * LEVEL, 0.5 - 0.5 * LEVEL):
         low, high = 0.0, longest
-        for _ in range(STEPS):
+        for _ in range(60):
             middle = 0.5 * (low + high)
-            lengths = np.linalg.norm(middle * along + noise, axis=1)
-            if np.mean(lengths < found) > part:
-                low = middle
-            else:
-                high = middle
-        return high if high > longest * 2.0**-STEPS * 4.0 else 0.0
-
-    tail = 0.5 - 0.5 * LEVEL
-    return Interval(found, least(1.0 - tail), least(tail))
+            below = np.linalg.norm(middle * along + noise, axis=1) < found
+            low, high = (middle, high) if below.mean() > part else (low, middle)
+        ends.append(high if low > 0.0 else 0.0)
+    return Interval(found, *ends)
 
 
 def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
@@ -405,20 +423,13 @@ def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
     if not found > 0.0:
         return Interval(0.0, 0.0, 0.0)
     L = _root(np.cov(deviations.T))
-    many = rng.standard_normal((20 * DRAWS, 3)) @ L.T
-    lengths = np.linalg.norm(many, axis=1)
+    lengths = np.linalg.norm(rng.standard_normal((20 * DRAWS, 3)) @ L.T, axis=1)
     true = float(lengths.mean() + 3.0 * lengths.std())
     tests = rng.standard_normal((DRAWS, n, 3)) @ L.T
     away = np.linalg.norm(tests - tests.mean(axis=1, keepdims=True), axis=2)
     ratios = (away.mean(axis=1) + 3.0 * away.std(axis=1, ddof=1)) / true
     low, high = np.quantile(ratios, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
     return Interval(found, found / float(high), found / float(low))
-
-
-def _root(C: Floats) -> Floats:
-    """A square root of a covariance that may be singular."""
-    s, V = np.linalg.eigh(C)
-    return np.asarray(V * np.sqrt(np.maximum(s, 0.0)))
 
 
 def judged(
@@ -455,9 +466,16 @@ def measured(test: Acceptance) -> dict[str, tuple[list[Interval], str]]:
     return {name: both for name, both in found.items() if both[0]}
 
 
+def _away(interval: Interval) -> Interval:
+    """The interval of an absolute value."""
+    value, *ends = map(abs, interval)
+    low = 0.0 if interval.low * interval.high < 0.0 else min(ends)
+    return Interval(value, low, max(ends))
+
+
 def worst(intervals: Sequence[Interval]) -> Interval:
     """The largest value, and the largest ends: those that decide."""
-    return Interval(*(max(ends) for ends in zip(*intervals, strict=True)))
+    return Interval(*map(max, zip(*intervals, strict=True)))
 
 
 def told(length: float) -> str:
@@ -466,8 +484,366 @@ def told(length: float) -> str:
     return f"{factor * length:.3g} {unit}"
 
 
-def _away(interval: Interval) -> Interval:
-    """The interval of an absolute value."""
-    ends = abs(interval.low), abs(interval.high)
-    low = 0.0 if interval.low * interval.high < 0.0 else min(ends)
-    return Interval(abs(interval.value), low, max(ends))
+@dataclass(frozen=True)
+class Tested:
+    """An acceptance test.
+
+    Attributes:
+        tests: The test by the robot that the commanded poses are of, `nominal` before
+            `calibrated`.
+        about: The robot, the poses and the frames, in a sentence.
+    """
+
+    tests: Mapping[str, Acceptance]
+    about: str
+
+    def table(self) -> dict[str, Sequence[object]]:
+        """A table by robot and pose, in SI units."""
+        poses = [(name, pose) for name, t in self.tests.items() for pose in t.poses]
+        found: dict[str, Sequence[object]] = {
+            "robot": [name for name, _ in poses],
+            "pose": [pose.pose for _, pose in poses],
+            "visits": [pose.visits for _, pose in poses],
+        }
+        for title, of in (("AP", "accuracy"), ("RP", "repeatability")):
+            ends = zip(*(getattr(pose, of) for _, pose in poses), strict=True)
+            for end, values in zip(("", "_low", "_high"), ends, strict=True):
+                found[f"{title}{end} [m]"] = values
+        known = (pose.directions for _, pose in poses)
+        return found | {"vAP [m]": ["" if size is None else size for size in known]}
+
+
+@serial_blas
+def tested(
+    robot: Chains | CalibrationResult,
+    rows: Observations,
+    setup: Setup,
+    *,
+    registration: bool = False,
+    named: Names | None = None,
+    doubts: Sequence[str] = (),
+) -> Tested:
+    """Test a robot on repeated visits of poses.
+
+    Args:
+        robot: A robot, whose base and tool the setup states, or a calibration, beside
+            which the nominal robot is told.
+        rows: The visits, of positions or poses. Where some are marked for validation,
+            these alone; base and tool, or the station of a calibration, are registered
+            on the others. What nothing tells is fitted to the visits: they have no AP.
+        setup: Known quantities of frames and instrument, for a robot.
+        registration: Whether a calibrated robot stands before another station.
+        named: What files name every visit, read or not, by file and line: its `pose`
+            and its `cycle`, each as far as there are such.
+        doubts: Why no limit passes whatever the visits are, in sentences.
+
+    Raises:
+        InputError: If they are of something else, no pose was visited often enough, or
+            names contradict each other.
+    """
+    if len(rows.blocks) != 1 or rows.blocks[0].model not in MODELS:
+        listed = ", ".join(dict.fromkeys(block.model for block in rows.blocks))
+        reason = "an acceptance test needs positions or poses from one station"
+        raise InputError(reason, value=listed, allowed=" or ".join(MODELS))
+    visits, others = rows, None
+    if rows.validate.any() and not rows.validate.all():
+        visits, others = rows.rows(rows.validate), rows.rows(~rows.validate)
+    time = visits.conditions.time if len(visits.conditions.time) else visits.lines
+    order = np.lexsort((visits.lines, time, visits.files.codes))
+    visits = Observations((visits.only.rows(order),))
+    group, _ = ranked(visits.groups())
+    number, cycle, missing = _named(visits, group, named or {})
+    x = visits.only.values[:, :3]
+    good = ~np.isin(np.arange(len(x)), bad_visits(x, group))
+    places = [f"{visits.source(k)} (P{p})" for k, p in enumerate(number)]
+    doubts = [*doubts, *missing, *_misplaced(x, number, good, places)]
+    visits, x, group = visits.rows(good), x[good], group[good]
+    moved = moved_after(x, group)
+    if moved is not None:
+        at = places[np.flatnonzero(good)[moved]]
+        doubts += [f"the instrument was moved before {at}; test both parts alone"]
+    frames, fitted, how, more = _frames(robot, visits, others, setup, registration)
+    tests = {}
+    for name, fit in frames.items():
+        there = model_errors.registered(fit.problem, fit.theta, visits)
+        errors = error_table(there.problem, there.theta)
+        effects = _derivatives(there.problem, there.theta) @ fit.known
+        angles = -errors[:, 3:6] if errors.shape[1] > 3 else None
+        visited = group, angles, number[good], cycle[good]
+        off = FrameErrors(effects, fit.dof or np.inf, fitted)
+        test = acceptance(x, x + errors[:, :3], *visited, off)
+        said = *doubts, *more
+        tests[name] = replace(test, moved=moved is not None, doubts=said)
+    name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
+    about = f"{name}: {len(x)} visits of {len(test.poses)} poses; {how}."
+    return Tested(tests, about)
+
+
+def _frames(
+    robot: Chains | CalibrationResult,
+    visits: Observations,
+    others: Observations | None,
+    setup: Setup,
+    registration: bool,
+) -> tuple[dict[str, FrameFit], str, str, list[str]]:
+    """Robots, what of them was fitted to the visits, where frames are of, and doubts.
+
+    Registered frames come before stated ones.
+    """
+    on, own, doubts = visits, "fitted to these visits", list[str]()
+    alone = others is None
+    if others is not None:
+        on, own = others, f"registered on {len(others)} other measurements"
+    if isinstance(robot, Chains):
+        fit = _as_stated(robot, on, setup)
+        what, how = "base and tool were", "base and tool as stated"
+        if not alone or not np.isfinite(fit.known).all():
+            problem, found = register(fit.problem, fit.theta)
+            nuisance = problem.parameters.free & problem.parameters.nuisance
+            fit = _fitted(problem, found.x, nuisance, alone)
+            how = f"base and tool {own}"
+        return {"robot": fit}, "" if fit.dof else f"{what} {own}", how, doubts
+    models = {"nominal": robot.reference, NOW: robot.model}
+    fits = {name: _at_station(model, on, alone) for name, model in models.items()}
+    if registration or not alone or visits.keys[0] not in robot.model.terms:
+        said, unlikely = _misfit(robot, fits[NOW])
+        doubts += [said] * unlikely
+        how = f"tool as calibrated, station {own}; {said}"
+    else:
+        again, none = fits[NOW], np.zeros((len(robot.model.theta), 0))
+        for name, model in models.items():
+            fits[name] = FrameFit(model.problem(visits), model.theta, none)
+        sizes = [np.linalg.norm(error_table(*f[:2])) for f in (fits[NOW], again)]
+        # Five times the errors with another station.
+        if sizes[0] > 5.0 * sizes[1]:
+            doubts.append(ELSEWHERE)
+        how = "base and tool as calibrated"
+    how += " (nominal robot: as registered on the calibration's measurements)"
+    fitted = "" if fits[NOW].dof else f"the station was {own}"
+    return fits, fitted, how, doubts
+
+
+def _named(
+    visits: Observations, group: Indices, named: Names
+) -> tuple[Indices, Indices, list[str]]:
+    """Number of the pose and cycle of each visit in their order, and what is missing.
+
+    Raises:
+        InputError: If a configuration has two names, or a name two configurations, or a
+            pose has two visits in a cycle.
+    """
+    places = [*zip(visits.files, visits.lines.tolist(), strict=True)]
+    given = (named.get(column, {}) for column in ("pose", "cycle"))
+    pose, turn = (of if all(p in of for p in places) else {} for of in given)
+    number = np.array([pose[p] for p in places]) if pose else group + 1
+    cycle = np.array([turn[p] for p in places]) if turn else cycles_in_order(group)
+    poses, cycles = {*number, *pose.values()}, {*cycle, *turn.values()}
+    if max(poses) <= 2 * len(poses):
+        poses |= {*range(1, max(poses))}
+    seen: dict[tuple[object, ...], tuple[int, int]] = {}
+    for row, (g, p, c) in enumerate(zip(group, number, cycle, strict=True)):
+        for column, key, value, said in (
+            ("pose", (g,), p, f"the configuration of P{p} has another name"),
+            ("pose", (p, "P"), g, f"P{p} has another configuration"),
+            ("cycle", (g, c, visits.files[row]), row, f"cycle {c} has had P{p}"),
+        ):
+            first, there = seen.setdefault((column, *key), (int(value), row))
+            if first != value:
+                reason = f"{said} in line {visits.lines[there]}"
+                raise visits.error(row, reason, column=column)
+    if len({*zip(group, cycle, strict=True)}) < len(cycle):
+        # Every file counts its own cycles.
+        cycle = cycle + visits.files.codes * int(cycle.max())
+        cycles = {*cycle}
+    missing = [
+        f"P{p} lacks {len(gone)} of {len(cycles)} cycles: {enumerated(map(str, gone))}"
+        for p in sorted(poses)
+        if (gone := sorted(cycles - {*cycle[number == p]}))
+    ]
+    return number, cycle, missing
+
+
+def _misplaced(
+    attained: Floats, number: Indices, good: NDArray[np.bool_], places: Sequence[str]
+) -> Iterator[str]:
+    """Which visits are left out, and why, in sentences."""
+    means = {p: attained[good & (number == p)].mean(axis=0) for p in set(number[good])}
+    for k in np.flatnonzero(~good).tolist():
+        away = {p: float(np.linalg.norm(attained[k] - m)) for p, m in means.items()}
+        near, own = min(away, key=away.__getitem__), away[number[k]]
+        # A tenth of the distance from its own pose is at the other one.
+        other = f", where P{near} is" if away[near] < 0.1 * own else ""
+        said = f"{told(own)} from the other visits of its pose{other}"
+        yield f"{places[k]} is left out: {said}"
+
+
+class FrameFit(NamedTuple):
+    """A robot with base and tool, as far as anything tells them.
+
+    Attributes:
+        problem: The problem of the measurements that tell them.
+        theta: Parameter values, shape (P,).
+        known: Deviations of the parameters by independent ones of size one, (P, r); a
+            meter and a radian each where nothing tells by how much they are off.
+        dof: Degrees of freedom that tell the size of deviations; zero there.
+    """
+
+    problem: Problem
+    theta: Floats
+    known: Floats
+    dof: float = np.inf
+
+
+def _as_stated(chains: Chains, rows: Observations, setup: Setup) -> FrameFit:
+    """The nominal robot with frames as a setup states them, and their priors."""
+    plain = replace(setup, learned=None, bounds={}, prior=setup.prior_by_glob)
+    problem = make_problem(chains, rows, with_parameters(chains, rows, plain, ()))
+    theta, parameters = np.zeros(len(problem.parameters)), problem.parameters
+    known = np.diag(parameters.priors)[:, parameters.free]
+    return FrameFit(registered(problem, theta), theta, known)
+
+
+def _at_station(
+    model: CalibratedModel, rows: Observations, alone: bool = True
+) -> FrameFit:
+    """A robot with its tool, whose station is fitted to measurements of one block."""
+    problem, theta = extended(model.problem(rows), model.theta, rows)
+    term = problem.terms[rows.only.key]
+    problem = relocated(problem, theta, term.frames.station)
+    free = np.isin(np.arange(len(theta)), term.index[:FRAME])
+    basis = np.diag(problem.parameters.scales)[:, free]
+    return _fitted(problem, least_squares(problem, theta, basis).x, free, alone)
+
+
+def _derivatives(problem: Problem, theta: Floats) -> Floats:
+    """Derivatives of the errors of one block by all parameters, shape (N, D, P)."""
+    sigma = problem.sigma
+    J = problem.linearize_rows(theta)[1][: len(sigma)] * sigma[:, None]
+    return np.asarray(J.reshape(len(problem.data), -1, len(theta)))
+
+
+def _fitted(
+    problem: Problem, theta: Floats, free: NDArray[np.bool_], alone: bool
+) -> FrameFit:
+    """Free parameters that were fitted to measurements, and how surely.
+
+    Those of one configuration have the errors of the robot in common, and count as one.
+    Where these alone are measured, they are tested and tell nothing of it.
+    """
+    r, J = problem.linearize_rows(theta)
+    count, scales = len(problem.sigma), problem.parameters.scales[free]
+    A = J[:count, free] * scales
+    share = problem.data.configurations / len(problem.data)
+    dof = round(share * count) - int(np.linalg.matrix_rank(A, 1e-6 * len(A) ** 0.5))
+    back = np.diag(problem.parameters.scales)[:, free]
+    if alone or dof <= 0:
+        return FrameFit(problem, theta, back, 0)
+    square = max(float(r[:count] @ r[:count]) * share / dof, 1e-12)
+    # What nothing tells is known to a meter and a radian.
+    prior = np.maximum(scales / problem.parameters.priors[free], 1.0)
+    C = np.linalg.inv(A.T @ A * (share / square) + np.diag(prior**2))
+    return FrameFit(problem, theta, back @ np.linalg.cholesky(C), dof)
+
+
+def _misfit(calibration: CalibrationResult, fit: FrameFit) -> tuple[str, bool]:
+    """The misfit of a fitted station beside that to expect, in words.
+
+    And whether chance does not explain it.
+
+    Args:
+        calibration: The calibration, which knows its covariance and its noise.
+        fit: Its station by measurements of one block.
+    """
+    problem, C = fit.problem, np.asarray(calibration.covariance)
+    noise = [n for n in calibration.statistics.noise if n.quantity == "position"]
+    if not np.isfinite(C).all() or not noise:
+        return "which misfit to expect the calibration does not say", False
+    _, first = ranked(problem.data.groups())
+    d = error_table(problem, fit.theta)[first, :3].reshape(-1)
+    J = _derivatives(problem, fit.theta)[first, :3].reshape(len(d), -1)
+    # Another station has parameters beside those of the calibration, in their order.
+    own = np.isin(problem.parameters.names, calibration.covariance.rows)
+    S = J[:, own] @ C @ J[:, own].T
+    S += noise[0].estimate ** 2 * np.eye(len(d))
+    Q = np.linalg.qr(J[:, problem.terms[problem.data.only.key].index[:FRAME]])[0]
+    left = np.eye(len(d)) - Q @ Q.T
+    squares = np.maximum(np.linalg.eigvalsh(left @ S @ left), 0.0)
+    draws = np.random.default_rng(0).standard_normal((DRAWS, len(d))) ** 2 @ squares
+    found = float(np.sum((left @ d) ** 2))
+    sizes = [told((square / len(first)) ** 0.5) for square in (found, squares.sum())]
+    said = f"the misfit of the station is {sizes[0]} where {sizes[1]} is expected"
+    return said, float(np.mean(draws >= found)) < CHANCE
+
+
+def bad_visits(attained: Floats, pose: Indices) -> list[int]:
+    """Visits that do not belong to the others of their pose.
+
+    Args:
+        attained: Measured positions, shape (N, 3) [m].
+        pose: Pose of each visit from 0, shape (N,).
+    """
+    count, found = int(pose.max()) + 1, list[int]()
+    for k in range(count):
+        left, gone, last = np.flatnonzero(pose == k).tolist(), list[int](), 0
+        most = len(left) // 5  # Of so many visits of a pose one is bad at most.
+        while len(gone) < most and (n := len(left)) > 4:
+            d = attained[left] - attained[left].mean(axis=0)
+            C = d.T @ d / (n - 1) + RESOLUTION**2 * np.eye(3)
+            squares = np.einsum("ni,ij,nj->n", d, np.linalg.inv(C), d)
+            worst = int(np.argmax(squares))
+            gone.append(left.pop(worst))
+            # The part that one of n visits has of their scatter.
+            part = n * squares[worst] / (n - 1) ** 2
+            ratio = part / max(1.0 - part, np.finfo(float).eps) * (n - 4) / 3.0
+            if n * count * f_tail(ratio, 3, n - 4) < CHANCE:
+                last = len(gone)
+        found += gone[:last]
+    return sorted(found)
+
+
+def moved_after(attained: Floats, pose: Indices) -> int | None:
+    """The first visit after which the instrument was moved; None where it was not.
+
+    Args:
+        attained: Measured positions in their order, shape (N, 3) [m].
+        pose: Pose of each visit from 0, shape (N,).
+    """
+    n, K = len(pose), int(pose.max()) + 1
+    x = np.array([attained[pose == k].mean(axis=0) for k in range(K)])
+    d, centered = attained - x[pose], (x - x.mean(axis=0))[pose]
+    # In standard deviations of a visit, which no drift and no move makes larger.
+    steps = [np.diff(d[pose == k], axis=0) for k in range(K)]
+    every = np.concatenate(steps)
+    # The scatter of all counts as much as six visits of each.
+    shared = 6 * (every.T @ every) / max(len(every), 1)
+    scatter = np.array([(s.T @ s + shared) / (len(s) + 6) for s in steps])
+    W = np.linalg.inv(np.linalg.cholesky(scatter + RESOLUTION**2 * np.eye(3)))[pose]
+    turns = np.cross(np.eye(3), centered[:, None]).transpose(0, 2, 1)
+    rigid = W @ np.concatenate([np.tile(np.eye(3), (n, 1, 1)), turns], axis=2)
+    own = np.einsum("nk,ij->nikj", np.eye(K)[pose], np.eye(3)).reshape(3 * n, -1)
+    values = (W @ d[:, :, None]).reshape(-1)
+
+    def smooth(degree: int) -> tuple[Floats, Floats]:
+        """Orthonormal poses' own means and a drift, and what they leave."""
+        time = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), degree)
+        drift = np.einsum("np,nij->nipj", time[:, 1:], rigid).reshape(3 * n, -1)
+        Q = column_space(np.column_stack([own, drift]))
+        return Q, values - Q @ (Q.T @ values)
+
+    def gain(k: int) -> float:
+        Z = np.where(np.arange(n)[:, None, None] >= k, rigid, 0.0).reshape(3 * n, 6)
+        return float(np.sum((column_space(Z - few @ (few.T @ Z)).T @ r) ** 2))
+
+    (few, r), (many, rest) = map(smooth, DEGREES)
+    least = max(2 * K, n // 10)
+    places = np.unique(np.linspace(least, n - least, 200).astype(int))
+    free = 3 * n - few.shape[1] - 6
+    if free <= 0 or least > n - least:
+        return None
+    place = max(places.tolist(), key=gain)
+    best = gain(place)
+    # No scatter is that of rounding.
+    left = max((float(r @ r) - best) / free, 1e-3)
+    beaten = left * (3 * n - many.shape[1]) < float(rest @ rest)
+    sure = n * f_tail(best / 6.0 / left, 6, free) < CHANCE
+    return place if beaten and sure else None

@@ -146,22 +146,21 @@ def estimates(
         fitted: The estimates, if there are any; otherwise values are zero.
     """
     groups, member = list[CoupledGroup](), defaultdict[int, list[int]](list)
-    alone, weak = dict[int, tuple[float | None, bool]](), set[int]()
+    alone, weak, names = dict[int, bool](), set[int](), parameters.names
+    sigmas = dict[int, float | None]()
     for combination in structure.combinations:
-        row = combination.row(len(parameters))
-        value, sigma, told = _estimate(row, parameters, fitted)
+        value, sigma, told = _estimate(combination, parameters, fitted)
         if len(combination.terms) == 1:
-            alone[combination.terms[0][0]] = sigma, told
+            lead = combination.terms[0][0]
+            alone[lead], sigmas[lead] = told, sigma
             continue
         number = len(groups) + 1
         weak |= set() if told else {number}
         for position, _ in combination.terms:
             member[position].append(number)
-        terms = tuple(Coefficient(parameters[k].name, c) for k, c in combination.terms)
-        formula = combination.expression(parameters.names)
-        known = value, sigma, terms
-        groups.append(CoupledGroup(number, formula, combination.unit, *known))
-    sigmas = {k: sigma for k, (sigma, _) in alone.items()}
+        terms = tuple(Coefficient(names[k], c) for k, c in combination.terms)
+        known = combination.expression(names), combination.unit, value, sigma, terms
+        groups.append(CoupledGroup(number, *known))
     for k, other in structure.alike.items():
         if fitted is not None and sigmas.get(other) is not None:
             sigmas[k] = float(fitted.covariance[k, k] ** 0.5)
@@ -175,32 +174,30 @@ def estimates(
             moved = fitted is not None and fitted.directions.hidden[k].any()
             return "weak" if moved else "unidentifiable"
         if k in alone:
-            return "identifiable" if alone[k][1] else "weak"
+            return "identifiable" if alone[k] else "weak"
         return "weak" if weak.issuperset(member[k]) else "coupled"
 
-    found = []
-    for k, p in enumerate(parameters):
-        value = 0.0 if fitted is None else float(fitted.theta[k])
-        told_by = tuple(member.get(k, ()))
-        own = ParameterEstimate(
-            p.name, p.unit, value, sigmas.get(k), status(k), told_by
-        )
-        found.append(own)
+    theta = np.zeros(len(parameters)) if fitted is None else fitted.theta
+    found = list[ParameterEstimate]()
+    for k, (p, value) in enumerate(zip(parameters, theta.tolist(), strict=True)):
+        own = value, sigmas.get(k), status(k), tuple(member.get(k, ()))
+        found.append(ParameterEstimate(p.name, p.unit, *own))
     return tuple(found), tuple(groups)
 
 
 def _estimate(
-    row: Floats, parameters: ParameterSet, fitted: Estimated | None
+    combination: Combination, parameters: ParameterSet, fitted: Estimated | None
 ) -> tuple[float, float | None, bool]:
     """Value and deviation of a sum of parameters, and whether measurements tell it.
 
     Args:
-        row: Its coefficients, shape (P,).
+        combination: The sum.
         parameters: The parameters.
         fitted: The estimates, if there are any; otherwise the value is zero.
     """
     if fitted is None:
         return 0.0, None, True
+    row = combination.row(len(parameters))
     told = fitted.directions.weak_part(row, parameters) <= WEAK_PART
     sigma = float(np.sqrt(max(float(row @ fitted.covariance @ row), 0.0)))
     known = told and np.isfinite(sigma)
@@ -240,38 +237,24 @@ def _ranks(
     """Ranks of a structure, with the singular values s of some configurations."""
     of_terms = [term.frames for term in problem.terms.values()]
     frames = {own.station for own in of_terms} | {own.tool for own in of_terms}
-    return Identifiability(
-        parameters=int(problem.parameters.free.sum()),
-        rank=structure.rank,
-        structural_rank=structure.rank,
-        robot_rank=len(structure.robot),
-        gap=structure.gap,
-        everett=everett_count(problem.chains.revolute, len(frames)),
-        condition=float(s[0] / s[-1]) if len(s) else 0.0,
-        singular_values=tuple(float(value) for value in s),
-        structural_values=tuple(float(value) for value in structure.singular_values),
-        observability=observability(s, configurations),
-        weak=0,
-        revealed=0,
-        correlated=(),
-        scale_observable=structure.scaled,
-    )
+    everett = everett_count(problem.chains.revolute, len(frames))
+    condition = float(s[0] / s[-1]) if len(s) else 0.0
+    free, rank = int(problem.parameters.free.sum()), structure.rank
+    ranks = free, rank, rank, len(structure.robot), structure.gap, everett
+    values = tuple(s.tolist()), tuple(structure.singular_values.tolist())
+    told = *ranks, condition, *values, observability(s, configurations)
+    return Identifiability(*told, scale_observable=structure.scaled)
 
 
 def _correlated(fitted: Fit) -> Iterator[Correlation]:
     """Pairs of identifiable sums of the robot whose estimates move together."""
-    parameters = fitted.problem.parameters
-    rows, names = [], []
-    for combination in fitted.structure.combinations:
-        row = combination.row(len(parameters))
-        if parameters[combination.terms[0][0]].nuisance:
-            continue
-        if _estimate(row, parameters, fitted)[2]:
-            rows.append(row)
-            names.append(combination.expression(parameters.names))
-    if not rows or not np.isfinite(fitted.covariance).all():
+    parameters, every = fitted.problem.parameters, fitted.structure.combinations
+    own = [c for c in every if not parameters[c.terms[0][0]].nuisance]
+    own = [c for c in own if _estimate(c, parameters, fitted)[2]]
+    if not own or not np.isfinite(fitted.covariance).all():
         return
-    C = np.array(rows)
+    names = [combination.expression(parameters.names) for combination in own]
+    C = np.array([combination.row(len(parameters)) for combination in own])
     covariance = C @ fitted.covariance @ C.T
     sigma = np.sqrt(np.diag(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -338,28 +321,27 @@ def _error(
     fitted: Estimated | None,
 ) -> RobotError:
     """An identifiable error by its coefficients in the named directions, (P,)."""
-    label = columns.labels[lead]
-    row = columns.turned @ full
-    value, sigma, told = _estimate(row, parameters, fitted)
+    label, unit, row = (
+        columns.labels[lead],
+        parameters[lead].unit,
+        columns.turned @ full,
+    )
+    terms = [(k, float(row[k])) for k in np.flatnonzero(row).tolist()]
+    value, sigma, told = _estimate(Combination((*terms,), unit), parameters, fitted)
     sizes = np.array([expected_size(p.unit) for p in parameters])
-    least = max(sigma or 0.0, float(SMALL * sizes[lead]))
     # A minus where the axis points the other way; what comes first says so.
     signs: dict[str, str] = {}
     for k in columns.order:
         if columns.labels[k].kind == label.kind and abs(abs(full[k]) - 1.0) < EQUAL:
             signs.setdefault(columns.labels[k].of, "-" if full[k] < 0.0 else "")
-    kept = np.abs(row) * sizes >= least
-    if not kept.any():
-        kept = np.abs(row) * sizes >= 0.5 * sizes[lead]
-    terms = tuple(
-        (k, float(row[k])) for k in np.flatnonzero(kept & (row != 0.0)).tolist()
-    )
-    unit, names = parameters[lead].unit, parameters.names
     of = tuple(f"{sign}{of}" for of, sign in signs.items())
-    known = value, sigma, "identifiable" if told else "weak"
-    expression = Combination(terms, unit).expression(names)
-    coefficients = tuple(Coefficient(names[k], c) for k, c in terms)
-    return RobotError(label.kind, of, unit, *known, (), expression, coefficients)
+    for least in (max(sigma or 0.0, float(SMALL * sizes[lead])), 0.5 * sizes[lead]):
+        if kept := tuple((k, c) for k, c in terms if abs(c) * sizes[k] >= least):
+            break
+    expression = Combination(kept, unit).expression(parameters.names)
+    named = tuple(Coefficient(parameters.names[k], c) for k, c in kept)
+    known = value, sigma, "identifiable" if told else "weak", ()
+    return RobotError(label.kind, of, unit, *known, expression, named)
 
 
 def _absorbed(

@@ -38,9 +38,6 @@ from calib_pin.validation.result import (
 )
 from calib_pin.validation.tip_drift import TipDrift, absorbed, tip_drift
 
-RESOLUTION = 1e-9
-"""Least standard deviation of a difference [SI]: of noise-free data only rounding."""
-
 BOUND = 3.0
 """Standard deviations within which estimates agree; one in 370 lies beyond by chance.
 
@@ -70,11 +67,9 @@ ORIENTED = ("orientation", "pixel")
 SAMPLES = 300
 """Configurations at which displacements of frames are found."""
 
-SEEN = 1e-6
-"""Part of the largest deviation below which nothing is known of a direction."""
-
 SAME = 1e-9
-"""Largest difference between places of one nominal robot, or of a frame [m, rad]."""
+"""Largest difference between places of one nominal robot, or of a frame [m, rad], and
+least standard deviation of a difference [SI]: of noise-free data only rounding."""
 
 ENDS = ("chain starts at", "chain ends at", "joints are")
 """Properties by which a chain is the same one, in words."""
@@ -269,7 +264,7 @@ def compare(
     differences = list[Difference]()
     for a, b in ((here[key], there[key]) for key in shared):
         if a.sigma is not None and b.sigma is not None:
-            sigma = max(math.hypot(a.sigma, b.sigma), RESOLUTION)
+            sigma = max(math.hypot(a.sigma, b.sigma), SAME)
             own = a.expression, a.unit, a.value, b.value, sigma
             differences.append(Difference(*own, a.terms if len(a.terms) > 1 else ()))
     left = [[own[key] for key in own if key not in shared] for own in (here, there)]
@@ -409,19 +404,18 @@ def _free(
 def _displacements(found: Comparison, seed: int) -> list[Displacement]:
     """How far the frames that two calibrations have stand from where they stood."""
     first, second = found.first.model, found.second.model
-    moved: dict[tuple[bool, str], Displacement] = {}
-    chains = partners(first, second)
+    chains, moved = partners(first, second), dict[tuple[bool, str], Displacement]()
     for term, other in product(first.terms.values(), second.terms.values()):
-        mine, theirs = term.frames, other.frames
-        places = [(False, _owner(mine.station))] * (mine.station == theirs.station)
-        places += [(True, _owner(mine.tool))] * (mine.tool == theirs.tool)
-        same = chains.get(term.key.chain, term.key.chain) == other.key.chain
-        if same and term.error.chain.joints and not set(places) <= set(moved):
-            pair = zip(
-                (False, True), _moved(found, term.key, other.key, seed), strict=True
-            )
-            own = {(end, one.frame): one for end, one in pair}
-            moved = {place: own[place] for place in places} | moved
+        chain, mine, theirs = term.key.chain, term.frames, other.frames
+        pairs = zip(
+            (mine.station, mine.tool), (theirs.station, theirs.tool), strict=True
+        )
+        places = {(k == 1, _owner(a)) for k, (a, b) in enumerate(pairs) if a == b}
+        same = chains.get(chain, chain) == other.key.chain
+        if same and term.error.chain.joints and not places <= moved.keys():
+            for one in _moved(found, term.key, other.key, seed):
+                if (place := (one.of_tool, one.frame)) in places:
+                    moved.setdefault(place, one)
     far = (d for d in moved.values() if max(d.shift, d.turn or 0.0) > SAME)
     return sorted(far, key=lambda d: (d.of_tool, d.frame))
 
@@ -482,5 +476,6 @@ def _chance(twist: Floats, C: Floats) -> float:
     """Probability that noise of a covariance alone brings as large a twist."""
     if not np.isfinite(C).all():
         return float("nan")
-    least = SEEN**2 * float(np.linalg.norm(C, 2))
+    # A millionth of the largest deviation; below, nothing is known of a direction.
+    least = 1e-12 * float(np.linalg.norm(C, 2))
     return chance_of(twist, C, least) if least else float(not twist.any())

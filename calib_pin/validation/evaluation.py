@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.estimation.evidence import Finding, rms
+from calib_pin.estimation.evidence import Finding, Severity, rms
 from calib_pin.estimation.formulation import (
     Stated,
     fitting,
@@ -27,14 +27,13 @@ from calib_pin.observations import Measurements, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.findings import explained, find
 from calib_pin.validation.findings.case import Case, Others, some_of
 from calib_pin.validation.judgement import CHECK, told, too_large
-from calib_pin.validation.model_errors import located_names, registered
-from calib_pin.validation.result import Evaluation
+from calib_pin.validation.model_errors import Registered, located_names, registered
+from calib_pin.validation.result import Accuracy, Evaluation
 
 MOVED = 0.5
 """Part of the errors that a registration may leave to be worth a word."""
@@ -89,17 +88,9 @@ def evaluate(
         CalibratedChain(term.error, ready.theta, plain).outside(data.q).sum()
         for term, data, _, _ in ready.problem.blocks
     )
-    return Evaluation(
-        errors=errors,
-        rows=len(rows),
-        counts=tuple(len(own) for _, _, own in sizes),
-        registered=ready.registered,
-        verdict="untrusted" if reason else "good",
-        reason=reason,
-        outside=int(sum(outside)),
-        located=ready.located,
-        findings=findings,
-    )
+    verdict, counts = "untrusted" if reason else "good", [len(own) for *_, own in sizes]
+    judged = ready.registered, verdict, reason, int(sum(outside)), ready.located
+    return Evaluation(errors, len(rows), *judged, tuple(counts), findings)
 
 
 def error_sizes(problem: Problem, theta: Floats) -> list[tuple[str, str, Floats]]:
@@ -137,35 +128,16 @@ def _unregistered(
     if again.reason or not after < MOVED * before:
         return
     unit, factor = DISPLAY[measured_in]
-    yield Finding(
-        "frames-moved",
-        "error" if before > LARGE * expected_size(measured_in) else "warning",
+    severity: Severity = "warning"
+    if before > LARGE * expected_size(measured_in):
+        severity = "error"
+    said = (
         "base, tool or instrument stand elsewhere than at the calibration: registered "
         f"on these measurements, the {name} errors fall from "
-        f"{factor * before:.3g} to {factor * after:.3g} {unit} rms",
-        {"rms_before": before, "rms_after": after},
-        "evaluate with --register",
+        f"{factor * before:.3g} to {factor * after:.3g} {unit} rms"
     )
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """A robot ready to be compared with measurements.
-
-    Attributes:
-        problem: The problem of these measurements, with all that they name.
-        theta: Its parameter values, shape (P,).
-        registered: Whether base, tool and instrument were fitted to them.
-        reason: Why that must not be trusted; empty where it may.
-        located: Names of stations and references, such as sockets, that were not there
-            before and stand where the measurements put them.
-    """
-
-    problem: Problem
-    theta: Floats
-    registered: bool
-    reason: str
-    located: tuple[str, ...]
+    sizes = {"rms_before": before, "rms_after": after}
+    yield Finding("frames-moved", severity, said, sizes, "evaluate with --register")
 
 
 def prepared(
@@ -174,7 +146,7 @@ def prepared(
     setup: Setup | None = None,
     *,
     registration: bool = False,
-) -> Prepared:
+) -> Registered:
     """Prepare a robot for measurements, to which its unknown frames are fitted.
 
     Args:
@@ -186,22 +158,22 @@ def prepared(
     Raises:
         InputError: If there are no measurements, or they do not fit the model.
     """
+    model, setup = isinstance(robot, CalibratedModel), setup or Setup()
     if isinstance(robot, CalibratedModel):
         require_conditions(rows, robot.setup, of_robot=True)
         problem, theta = robot.problem(rows), robot.theta
     else:
-        setup = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
-        problem, registration = make_problem(robot, rows, setup), True
+        setup = replace(setup, parameters=(), fixed=(), bounds={}, prior={})
+        problem = make_problem(robot, rows, setup)
         theta = np.zeros(len(problem.parameters))
     if len(rows) == 0:
         raise InputError("there are no measurements to evaluate")
     reason, known = "", located_names(problem)
-    if registration:
-        if isinstance(robot, CalibratedModel):
+    if anew := registration or not model:
+        if model:
             problem, theta = extended(problem, theta, rows)
         problem, result = register(problem, theta)
         theta, reason = result.x, registration_reason(problem, result)
     there = registered(problem, theta, rows)
-    problem, theta = there.problem, there.theta
-    new = tuple(name for name in located_names(problem) if name not in known)
-    return Prepared(problem, theta, registration, reason, new)
+    new = tuple(n for n in located_names(there.problem) if n not in known)
+    return replace(there, registered=anew, reason=reason, located=new)

@@ -136,8 +136,7 @@ def fleet_row(
         date: Day of the measurements; default that of the setup.
     """
     error, about = result.errors[0], result.model.setup.report
-    before = error.validation_before or error.before
-    after = error.validation_after or error.after
+    before, after = error.shown
     known = [a.workspace for a in result.accuracies.values() if a.workspace]
     worst = max(known, key=lambda one: one.calibrated.position, default=None)
     sizes = (worst.nominal, worst.calibrated, worst.bound) if worst else ()

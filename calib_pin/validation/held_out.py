@@ -10,23 +10,399 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
+from calib_pin.estimation import learning
 from calib_pin.estimation.evidence import Finding, Gain
 from calib_pin.estimation.fit import FittedModel, fit_model
+from calib_pin.estimation.fitted import (
+    Fit,
+    Posterior,
+    by_configuration,
+    effect_rows,
+    shared_variances,
+)
+from calib_pin.estimation.identifiability import half_covariance, visible_nuisances
+from calib_pin.estimation.problem import EXACT, Problem, known_count
 from calib_pin.estimation.registration import extended
+from calib_pin.estimation.robust import by_size, spectrum
+from calib_pin.estimation.statistics.distributions import student_tail
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages
+from calib_pin.residual_models import LearnedCorrection
 from calib_pin.validation.findings.moved_instrument import registered_if_moved
-from calib_pin.validation.gains import PRESS, gains
-from calib_pin.validation.left_out import left_out, press_check, unusable
-from calib_pin.validation.model_errors import ModelErrors, both, model_errors
-from calib_pin.validation.splits import FEWEST_HELD_OUT, Grouping, folds
+from calib_pin.validation.model_errors import (
+    ModelErrors,
+    Registered,
+    both,
+    errors_of_registered,
+    model_errors,
+)
+from calib_pin.validation.splits import FEWEST_HELD_OUT, FOLDS, MOST, Grouping, folds
 from calib_pin.workers import SERIAL, Workers
+
+ALONE = 1e-6
+"""Part of a group that the others predict, below which it holds all that is known of
+something."""
+
+BENT, STEPS = 0.1, 3
+"""Length of a further step of a fit without a group, in standard deviations, from which
+the problem is not linear enough, and most steps."""
+
+ALL, PRESS = "all", "press"
+"""The quantity that stands for all of them, whitened, and the check by the hat
+matrix."""
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A solution with the residual rows linearized about it.
+
+    Attributes:
+        problem: The problem.
+        theta: The solution, shape (P,).
+        fun: Whitened residual, the M components of the N measurements first, (M',).
+        jac: Its Jacobian J, shape (M', P).
+        factor: F of `N^-1 = F F^T`, shape (P, k).
+        columns: `J F`, shape (M', k).
+        unit: Standard deviation of unit weight.
+    """
+
+    problem: Problem
+    theta: Floats
+    fun: Floats
+    jac: Floats
+    factor: Floats
+    columns: Floats
+    unit: float
+
+    @classmethod
+    def of(cls, fitted: Fit) -> tuple[Linear, Linear]:
+        """The nominal robot, its frames registered, and the fitted one."""
+        problem, parameters = fitted.problem, fitted.problem.parameters
+        fun, J = fitted.registered
+        F = half_covariance(J, visible_nuisances(J, parameters), parameters)
+        unit = float(np.sqrt(fun @ fun / max(known_count(problem) - F.shape[1], 1)))
+        nominal = cls(problem, fitted.before, fun, J, F, J @ F, unit)
+        problem, held, moved = fitted.held
+        J, F = held.jac, half_covariance(held.jac, moved, parameters)
+        return nominal, cls(problem, held.x, held.fun, J, F, J @ F, fitted.unit)
+
+
+def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
+    """Errors of each of many small groups, as far as the problem is linear.
+
+    Args:
+        fitted: The fit of all measurements.
+        labels: Group of each, shape (N,).
+    """
+    problem = fitted.problem
+    every = np.arange(count := len(problem.data))
+    if problem.many:
+        # Among so many, no group has a say, and some of them tell the errors.
+        every = np.arange(0, count, max(1, count // (FOLDS * MOST)))
+        problem = replace(problem, data=problem.data.rows(every))
+        before, after = (problem.errors(at) for at in (fitted.before, fitted.theta))
+        variance = problem.sigma**2
+    else:
+        nominal, calibrated = Linear.of(fitted)
+        before, _ = press(nominal, labels)
+        after, variance = press(calibrated, labels)
+    # What cannot be predicted is infinitely wrong.
+    before, after = (np.where(np.isnan(e), np.inf, e) for e in (before, after))
+    first, second, spread = (
+        problem.layout.table(values, len(every))
+        for values in (before, after, fitted.unit**2 * variance)
+    )
+    return ModelErrors(every, first, second, spread)
+
+
+@serial_blas
+def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Errors of each group of measurements by the first step of a fit of the others.
+
+    Args:
+        robot: The solution.
+        labels: Group of each measurement, shape (N,).
+
+    Returns:
+        Errors and, for noise of unit weight, their variances, shape (M,) each.
+    """
+    problem, label = robot.problem, labels[robot.problem.layout.row]
+    count = len(label)
+    whitened, variance = robot.fun[:count].copy(), np.ones(count)
+    for at in by_size(label):
+        U, squares = spectrum(robot.columns[at])
+        left = 1.0 - squares
+        known = left > 1e-9  # Below, the others do not predict it: rounding.
+        gain = np.where(known, 1.0 / np.where(known, left, 1.0), 0.0) - 1.0
+        along = gain * np.einsum("gms,gm->gs", U, whitened[at])
+        whitened[at] += np.einsum("gms,gs->gm", U, along)
+        variance[at] += np.einsum("gms,gs->gm", U**2, gain)
+    with np.errstate(invalid="ignore"):  # Of those that are set aside.
+        return whitened * problem.sigma, variance * problem.sigma**2
+
+
+@serial_blas
+def left_out(
+    model: FittedModel, masks: Sequence[NDArray[np.bool_]], seed: int = 0
+) -> list[ModelErrors | None]:
+    """Errors of each of some groups of measurements by what the others tell.
+
+    Args:
+        model: The model of all measurements.
+        masks: The groups, shape (N,) each.
+        seed: Seed of whatever is learned anew.
+
+    Returns:
+        The errors; None where it takes a fit of the others to tell.
+    """
+    fit, learned = model.fit, model.learned
+    result: list[ModelErrors | None] = [None] * len(masks)
+    if not masks or fit.problem.own_of_stations:
+        # The elimination of stations is no sum over groups.
+        return result
+    robots, found = Linear.of(fit), dict[int, tuple[Rest, Rest]]()
+    for k, mask in enumerate(masks):
+        before, after = (without(robot, mask) for robot in robots)
+        placed = learned is not None and after is not None and after.alone
+        if before is not None and after is not None and not placed:
+            found[k] = before, after
+    effects, anew = None, dict[int, LearnedCorrection]()
+    if learned is not None:
+        about, rng = fit.problem.rebased(fit.theta), np.random.default_rng(seed)
+        parts = [masks[k] for k in found]
+        taught = learning.left_out(learned, fit, *about, parts, rng)
+        anew = dict(zip(found, taught, strict=True))
+    elif not fit.problem.many:
+        effects = effect_rows(fit)
+    for k, (nominal, fitted) in found.items():
+        rows, theta = fit.problem.data.rows(masks[k]), fitted.theta
+        problem, deviations = fit.problem, fit.posterior
+        if k in anew:
+            of_error = np.concatenate([t.of_error for t in problem.terms.values()])
+            step = np.zeros_like(theta)
+            step[of_error] = (theta - fit.theta)[of_error]
+            # What was learned stands on the geometry; where it fades, that remains.
+            correction = replace(anew[k], shift=anew[k].shift - step)
+            problem = learning.with_learned(model.problem, correction)
+            theta = model.theta + step
+        elif not problem.many:
+            deviations = _deviations(fit, robots[1], fitted, masks[k], effects)
+        known = Registered(replace(fit.problem, data=rows), nominal.theta)
+        there = Registered(replace(problem, data=rows), theta, fitted.alone)
+        given = np.flatnonzero(masks[k]), deviations
+        errors = errors_of_registered(model, known, there, *given)
+        result[k] = replace(errors, reason=unusable(fit))
+    return result
+
+
+def unusable(fitted: Fit) -> str:
+    """Why a fit says little of the robot; empty where it does."""
+    if not fitted.structure.scaled:
+        return "the absolute scale is unobservable"
+    return "" if fitted.result.status.success else "it did not converge"
+
+
+class Rest(NamedTuple):
+    """A fit without a group of measurements.
+
+    Attributes:
+        theta: Parameter values, shape (P,).
+        inner: K of `N_g^-1 = (F K) (F K)^T`, shape (k, k').
+        alone: Positions of the parameters that only the group knows.
+    """
+
+    theta: Floats
+    inner: Floats
+    alone: tuple[int, ...] = ()
+
+
+def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
+    """A solution without some measurements.
+
+    Of a reference object that only these name, known distances do not count: they are
+    there to be found.
+
+    Args:
+        robot: The solution of all N measurements.
+        mask: Those that are left out, shape (N,).
+
+    Returns:
+        The solution; None where the others do not determine it, or the problem is not
+        linear enough to tell, see `BENT`. Of so many measurements that they are not
+        linearized one by one, one step is all there is to make.
+    """
+    problem, F = robot.problem, robot.factor
+    alone, fun = np.zeros(F.shape[0], bool), robot.fun
+    if problem.many:
+        some = replace(problem, data=problem.data.rows(mask))
+        r, jac = some.linearize(robot.theta)
+        count = len(r) - len(some.further)
+        B, r = jac[:count] @ F, r[:count]
+    else:
+        own = mask[problem.layout.row]
+        out, alone = _group(robot, own)
+        B, r = robot.columns[out], fun[out]
+    # N_g = 1 - B^T B in the columns of F, of which what is alone has none.
+    left, Q = np.linalg.eigh(np.eye(B.shape[1]) - B.T @ B)
+    count = int(alone.sum())
+    if np.count_nonzero(left < ALONE) != count:
+        return None
+    inner, held = Q[:, count:] / np.sqrt(left[count:]), Q[:, :count]
+    theta = robot.theta
+    for k in range(STEPS):
+        step = inner.T @ (robot.columns.T @ fun - B.T @ r)
+        if k and np.linalg.norm(step) <= BENT * max(robot.unit, EXACT):
+            break
+        theta = theta - F @ (inner @ step)
+        if problem.many:
+            break
+        fun = problem.residual(theta)
+        r = fun[out]
+    else:
+        return None
+    if held.size:
+        placed, triangle = np.linalg.qr(robot.columns[: len(own)][own] @ held)
+        if np.sum(placed**2, axis=1).max() > 1.0 - ALONE:
+            return None  # It says no more than where they are.
+        by = np.linalg.solve(triangle, placed.T @ fun[: len(own)][own])
+        theta = theta - F @ held @ by
+    least, most = problem.parameters.bounds
+    if ((theta < least) | (theta > most)).any():
+        return None
+    return Rest(theta, inner, tuple(np.flatnonzero(alone).tolist()))
+
+
+def _group(
+    robot: Linear, own: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """The residual rows that are left out, (M',), and what only they know, (P,)."""
+    count = len(own)
+    out = np.append(own, np.zeros(len(robot.fun) - count, bool))
+    known = slice(count, count + len(robot.problem.further.distances))
+    seen, elsewhere = robot.jac != 0.0, ~out
+    elsewhere[known] = False
+    alone = seen[out].any(axis=0) & ~seen[elsewhere].any(axis=0)
+    alone &= robot.problem.parameters.free
+    out[known] = seen[known][:, alone].any(axis=1)
+    return out, alone
+
+
+def _deviations(
+    fit: Fit,
+    robot: Linear,
+    rest: Rest,
+    mask: NDArray[np.bool_],
+    effects: Floats | None,
+) -> Posterior:
+    """Deviations of a fit without a group of measurements, see `fitted.posterior`.
+
+    Args:
+        fit: The fit of all measurements.
+        robot: Its solution.
+        rest: That without the group.
+        mask: The group, shape (N,).
+        effects: Effects of gears and compliance in all rows, shape (M, S).
+    """
+    problem, layout, noise = fit.problem, fit.problem.layout, fit.posterior.noise
+    shared = shared_variances(problem, fit.noise, noise)
+    others = robot.columns[: len(layout.row)] @ rest.inner
+    others[mask[layout.row]] = 0.0
+    moved = robot.factor @ rest.inner
+    by_effects = np.zeros((len(moved), 0))
+    if effects is not None:
+        by_effects = moved @ (others.T @ effects)
+    # Where their noise is not one, and repetitions have a part of it in common.
+    less = (1.0 - noise + shared)[layout.component]
+    if less.any():
+        core = np.eye(others.shape[1]) - (others.T * less) @ others
+        if shared.any():
+            core += by_configuration(problem, others, shared)
+        values, V = np.linalg.eigh(core)
+        moved = moved @ (V * np.sqrt(np.maximum(values, 0.0)))
+    return replace(fit.posterior, by_noise=fit.unit * moved, by_effects=by_effects)
+
+
+def gains(
+    method: str,
+    problem: Problem,
+    checks: Sequence[ModelErrors],
+    labels: NDArray[np.int64],
+) -> tuple[Gain, ...]:
+    """Test held-out errors before and after, of all quantities and of each.
+
+    Measurements that are set aside do not count.
+
+    Args:
+        method: How they were held out.
+        problem: The problem of the N measurements that the positions belong to, in the
+            units of the fit; its standard deviations whiten.
+        checks: Errors of held-out measurements, part by part.
+        labels: Label of each in the test, shape (N,); those of one label are one
+            observation.
+    """
+    weight, layout = problem.data.weight, problem.layout
+    checks = [check.counted(weight) for check in checks]
+    checks = [check for check in checks if (weight[check.positions] > 0.0).all()]
+    if not checks:
+        return ()
+    joined = ModelErrors.joined(checks)
+    sigma = layout.table(problem.sigma, len(problem.data))[joined.positions]
+    label = np.unique(labels[joined.positions], return_inverse=True)[1].reshape(-1)
+    present = np.isfinite(sigma)
+    # By what the fit predicts of each: a point near the plane of a camera moves by
+    # hundreds of pixels for nothing, and would outweigh all others.
+    larger = np.maximum(np.nan_to_num(joined.variance, posinf=0.0), sigma**2)
+    unit = np.sqrt(larger, where=present, out=np.ones(sigma.shape))
+    whitened, expected = joined.after / unit, joined.variance / unit**2
+    found = []
+    every = (ALL, slice(None)), *((q.name, q.columns) for q in layout.quantities)
+    for name, columns in every:
+        here = present[:, columns]
+        rows = here.any(axis=1)
+        if not rows.any():
+            continue
+        # Lengths; of all, root mean square over the components: one for noise alone.
+        scale = unit * np.sqrt(present.sum(axis=1))[:, None] if name == ALL else 1.0
+        old, new = (
+            np.linalg.norm(np.where(here, (e / scale)[:, columns], 0.0), axis=1)[rows]
+            for e in (joined.before, joined.after)
+        )
+        predicted, ratio = float(np.sum(expected[:, columns][here])), float("nan")
+        if predicted > 0.0:  # Otherwise all values were needed to fit.
+            square = np.sum(whitened[:, columns][here] ** 2)
+            ratio = float(np.sqrt(square / predicted))
+        found.append(Gain(method, name, *paired(old, new, label[rows]), ratio))
+    return tuple(found)
+
+
+def paired(
+    before: Floats, after: Floats, label: NDArray[np.int64]
+) -> tuple[int, float, float, float, float]:
+    """Number, mean and deviation of gains, and the chances that it is none, or no loss.
+
+    Student's t of the mean over the labels. Where neither robot predicts a row, nothing
+    is gained there; where only one does, the mean is infinite and settles it.
+    """
+    rows = np.bincount(label)
+    with np.errstate(invalid="ignore"):
+        gain = np.nan_to_num(before - after, posinf=np.inf, neginf=-np.inf)
+        means = (np.bincount(label, gain) / np.maximum(rows, 1))[rows > 0]
+        mean, count = float(means.mean()), len(means)
+    deviation, t = float("nan"), 0.0
+    if count > 1 and np.isfinite(mean):
+        deviation = float(means.std(ddof=1) / np.sqrt(count))
+    if mean != 0.0 and (count > 1 or np.isinf(mean)):
+        t = mean / deviation if deviation > 0.0 else float(np.copysign(np.inf, mean))
+    dof = max(count - 1, 1)
+    return count, mean, deviation, student_tail(t, dof), student_tail(-t, dof)
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,6 @@ from calib_pin.validation.result import CalibrationResult
 CONFIGURATIONS = 40
 """Random configurations at which robots are compared."""
 
-STEPS = 20
-"""Most Gauss-Newton steps."""
-
-SMALL = 1e-9
-"""Step that is rounding [rad, m, 1]."""
-
 
 @dataclass(frozen=True)
 class JointErrors:
@@ -110,13 +104,13 @@ def joint_errors(
     moves = [joint != "" for joint in columns.joints]
     free = np.array([*moves, *(joint in gained for joint in columns.joints)])
     x = np.zeros(len(free))
-    for _ in range(STEPS):
+    for _ in range(20):  # A few are enough.
         found = JointErrors(columns, joints, *np.split(x, 2))
         parts = zip(*map(found.equations, fitted), strict=True)
         A, rhs = (np.concatenate(part) for part in parts)
         step = np.linalg.lstsq(A[:, free], rhs, rcond=None)[0]
         x[free] += step
-        if np.abs(step).max(initial=0.0) < SMALL:
+        if np.abs(step).max(initial=0.0) < 1e-9:
             break
     return JointErrors(columns, joints, *np.split(x, 2))
 
@@ -196,15 +190,14 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
             continue
         parts = [k for k, j in enumerate(joints) if row[k] and j in known]
         involved, w = [known[joints[k]] for k in parts], row[parts]
-        open_ = [one.status for one in involved if one.status != "identifiable"]
+        status = [one.status for one in involved if one.status != "identifiable"]
         index, unit = [place(one.name) for one in involved], known[joint].unit
         C = np.asarray(result.covariance)[np.ix_(index, index)]
-        stepped = unit == "rad" and joint in steps
         value = float(w @ [one.value for one in involved])
-        sigma = None if open_ else float(np.sqrt(w @ C @ w))
-        per_unit = steps[joint] / (2.0 * np.pi) if stepped else None
-        status, within = open_[0] if open_ else "identifiable", absorbed.get(joint, ())
-        about = status, within, reverses.get(joint, "")
-        offset = FoundOffset(joint, column, unit, value, sigma, per_unit, *about)
-        found.append(offset)
+        sigma = None if status else float(np.sqrt(w @ C @ w))
+        counted = steps.get(joint) if unit == "rad" else None
+        per_unit = None if counted is None else counted / (2.0 * np.pi)
+        about = [*status, "identifiable"][0], absorbed.get(joint, ())
+        told = *about, reverses.get(joint, "")
+        found.append(FoundOffset(joint, column, unit, value, sigma, per_unit, *told))
     return tuple(found)

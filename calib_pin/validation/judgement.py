@@ -30,13 +30,12 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import JointPrior
 from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.findings import find
 from calib_pin.validation.findings.case import Case, Others
-from calib_pin.validation.gains import PRESS
-from calib_pin.validation.held_out import HeldOut
+from calib_pin.validation.held_out import PRESS, HeldOut
 from calib_pin.validation.model_errors import ModelErrors
-from calib_pin.validation.result import ToolAccuracy
+from calib_pin.validation.result import Accuracy, QuantityErrors, ToolAccuracy
+from calib_pin.validation.splits import FEWEST_HELD_OUT
 
 SCALE = (
     "the absolute scale is unobservable: a robot larger by any factor fits these "
@@ -44,17 +43,13 @@ SCALE = (
 )
 """Why a robot of unknown size must not be trusted."""
 
-MISSING = (
-    "add a known length: a distance between two sockets, say ('distances' in the setup "
-    "file), or a length of the robot that is held ('fixed')"
-)
-"""The advice where no distance is stated."""
-
-STATED = (
-    "the stated distances are too uncertain, or their ends are not measured, or set "
-    "aside"
-)
-"""The advice where there are distances."""
+KNOWN_LENGTH = {
+    False: "add a known length: a distance between two sockets, say ('distances' in "
+    "the setup file), or a length of the robot that is held ('fixed')",
+    True: "the stated distances are too uncertain, or their ends are not measured, or "
+    "set aside",
+}
+"""The advice, by whether distances are stated."""
 
 CHECK = (
     "check the base and tip links, the joint columns with their signs and offsets, and "
@@ -62,16 +57,14 @@ CHECK = (
 )
 """The advice about measurements that nothing explains."""
 
-
 NAMED = 3
 """Causes that a reason names; findings name all of them."""
 
 UNEXPLAINED = 20.0
 """Remaining errors, in expected sizes of an error, that no calibration leaves."""
 
-LEFT, NOISY = 0.5, 3.0
-"""Part of the nominal robot's errors, and multiple of the noise, up to which errors
-that are left say nothing."""
+NOISY = 3.0
+"""Multiple of the noise up to which errors that are left say nothing."""
 
 LARGE, COARSE = 0.005, 0.02
 """Errors that are left, by the reach of the robot, that no robot has which has been
@@ -84,9 +77,9 @@ Seven real robots of 0.9 to 1.3 m leave 0.01 to 0.36 % of their reach, a hobby a
 BREAKDOWN = 0.4
 """Part of the configurations beyond which what is set aside may be the better part."""
 
-CLUSTERS, CONFIGURATIONS = 5, 8
-"""Independent held-out configurations, or stretches of a path, and distinct
-configurations, without which a fit counts as unchecked."""
+CONFIGURATIONS = 8
+"""Distinct configurations without which a fit counts as unchecked, as it does without
+`FEWEST_HELD_OUT` independent held-out ones, or stretches of a path."""
 
 REDUNDANT = 10.0
 """Redundant values by which noise that nobody has stated is known to a factor of two.
@@ -106,15 +99,19 @@ Of a thousand perfect robots one is refused.
 MISJUDGED = 2.0
 """Found by predicted held-out error from which a fit misjudges itself."""
 
-EXACT = 1e-6
-"""Gain on exact measurements, in given standard deviations, that is rounding."""
-
 SURE = 0.9
 """Probability that the corrected robot is better over the workspace for `good`.
 
 Of 345 simulated jobs with 0.95 or more, narrow ones and paths among them, one was
 worse; a real arm of a humanoid, measured in front of it, has 0.95.
 """
+
+LIKELY = 0.95
+"""Probability of a bound, and from which a configuration counts as better."""
+
+SAMPLES, DRAWS = (100, 300), 400
+"""Configurations at which the tool is predicted, measured ones and others; and draws of
+an error by which a bound is found, for each size of errors."""
 
 
 @dataclass(frozen=True)
@@ -147,9 +144,8 @@ class Judgement:
             return "untrusted", reason
         nothing = _chance(self) > GAIN_CHANCE
         if reason := _unchecked(self):
-            if nothing and _as_nominal(self.fitted):
-                return _no_gain(self)
-            return "unchecked", reason
+            nominal = nothing and _as_nominal(self.fitted)
+            return _no_gain(self) if nominal else ("unchecked", reason)
         first = self.gains[0]
         # Where parts are left out little may be left; PRESS leaves out one each.
         chances = [g.better for g in self.gains if g.quantity == first.quantity]
@@ -199,37 +195,24 @@ def judge(
             have been sought with another model otherwise.
     """
     fitted, data = model.fit, model.fit.problem.data
-    chains = Chains.of(chains)
-    parts = held_out.counted
-    errors = quantity_errors(
-        model.problem.layout.quantities,
-        fitted_errors.counted(data.weight),
-        ModelErrors.joined(parts) if parts else None,
-    )
-    validation = held_out.measurements if held_out.apart else None
-    counting = data.weight > 0.0
+    parts, counting = held_out.counted, data.weight > 0.0
+    held = ModelErrors.joined(parts) if parts else None
+    quantities = model.problem.layout.quantities
+    errors = quantity_errors(quantities, fitted_errors.counted(data.weight), held)
     accuracies = dict.fromkeys(model.problem.by_chain, ToolAccuracy())
     if fitted.noise:
         kept = data.rows(counting)
-        accuracies = {
-            name: tool_accuracy(model, term, kept, np.random.default_rng(seed))
-            for name, term in model.problem.by_chain.items()
-        }
-    case = Case.of(fitted, chains, validation, progress, others, accuracies)
-    found = find(case, seek)
+        for name, term in model.problem.by_chain.items():
+            rng = np.random.default_rng(seed)
+            accuracies[name] = tool_accuracy(model, term, kept, rng)
+    validation = held_out.measurements if held_out.apart else None
+    about = validation, progress, others, accuracies
+    found = find(Case.of(fitted, Chains.of(chains), *about), seek)
     findings = (*found.causes, *held_out.findings, *found.others)
-    groups = data.groups()
-    seen = np.count_nonzero(np.bincount(groups[counting]))
-    aside = 1.0 - seen / max(groups.max() + 1, 1)
-    return Judgement(
-        fitted,
-        errors,
-        held_out.gains,
-        findings,
-        accuracies,
-        max(aside, fitted.robust.disagreement),
-        found.causes,
-    )
+    seen = data.rows(counting).configurations / max(data.configurations, 1)
+    aside = max(1.0 - seen, fitted.robust.disagreement)
+    judged = findings, accuracies, aside, found.causes
+    return Judgement(fitted, errors, held_out.gains, *judged)
 
 
 def quantity_errors(
@@ -269,10 +252,8 @@ def too_large(name: str, unit: str, found: Accuracy) -> str:
     """Why errors of a quantity are more than a robot has; empty where they are not."""
     if not found.rms > UNEXPLAINED * expected_size(unit):
         return ""
-    size = _shown(found.rms, unit)
-    return (
-        f"{name} errors of {size} rms remain, far more than a robot's geometry explains"
-    )
+    size = f"{name} errors of {_shown(found.rms, unit)} rms remain"
+    return f"{size}, far more than a robot's geometry explains"
 
 
 def _distrust(grounds: Judgement) -> str:
@@ -281,18 +262,15 @@ def _distrust(grounds: Judgement) -> str:
     if causes := grounds.causes:
         return told(causes)
     if not fitted.structure.scaled:
-        stated = bool(fitted.problem.setup.distances)
-        return f"{SCALE}; {STATED if stated else MISSING}"
+        return f"{SCALE}; {KNOWN_LENGTH[bool(fitted.problem.setup.distances)]}"
     if not fitted.result.status.success:
         return fitted.result.status.advice
-    for finding in grounds.findings:
-        if finding.severity == "error":
-            return "; ".join(filter(None, (finding.message, finding.remedy)))
+    if errors := [f for f in grounds.findings if f.severity == "error"]:
+        return told(errors[:1])
     if grounds.aside > BREAKDOWN:
         return (
             f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
-            f"{100.0 * BREAKDOWN:.0f} % they cannot be told from the others; "
-            f"{CHECK}"
+            f"{100.0 * BREAKDOWN:.0f} % they cannot be told from the others; {CHECK}"
         )
     if reason := unexplained(fitted, grounds.errors):
         return f"{reason}; {CHECK}"
@@ -309,22 +287,20 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
     quantity = next(iter(grounds.errors), None)
     if quantity is None or quantity.unit != "m":
         return ""
-    before, after = _both(quantity)
-    noise, problem = _noise(grounds, quantity), grounds.fitted.problem
-    if after <= max(LEFT * before, NOISY * (noise or 0.0)):
+    before, after = (sizes.rms for sizes in quantity.shown)
+    noise, blocks = _noise(grounds, quantity), grounds.fitted.problem.blocks
+    # Half of the nominal robot's errors may be left.
+    if after <= max(0.5 * before, NOISY * (noise or 0.0)):
         return ""
-    reach = max(
-        float(np.linalg.norm(term.error.chain.poses(data.q)[:, :3, 3], axis=1).max())
-        for term, data, _, _ in problem.blocks
-    )
+    tips = (term.error.chain.poses(data.q)[:, :3, 3] for term, data, _, _ in blocks)
+    reach = max(float(np.linalg.norm(points, axis=1).max()) for points in tips)
     if after <= (coarse if noise is None else LARGE) * reach:
         return ""
     times = "" if noise is None else f", {after / noise:.2g} times the noise"
     known = "" if noise else ", state the 'noise' if the instrument is so coarse"
+    lacks = (f for f in grounds.findings if f.code == "model-lacks")
     advice = f"measure at rest{known}, and {CHECK}"
-    for finding in grounds.findings:
-        if finding.code == "model-lacks":
-            advice = f"{finding.message}; {finding.remedy}"
+    advice = next((f"{f.message}; {f.remedy}" for f in lacks), advice)
     return (
         f"{quantity.name} errors of {_shown(after, 'm')} rms remain of "
         f"{_shown(before, 'm')}{times}: nothing that was estimated explains them; "
@@ -362,36 +338,29 @@ def _unchecked(grounds: Judgement) -> str:
     fitted = grounds.fitted
     values, rank = known_values(fitted.problem), fitted.structure.rank
     known = "values and priors" if len(fitted.problem.further.priors) else "values"
+    more = "; measure more configurations"
     if values < rank:
-        return (
-            f"{values} measured {known} cannot determine {rank} identifiable "
-            "parameters; measure more configurations or estimate fewer parameters"
-        )
+        reason = f"{values} measured {known} cannot determine {rank} identifiable"
+        return f"{reason} parameters{more} or estimate fewer parameters"
     if values <= fitted.rank:
-        return (
-            f"{values} measured {known} for {fitted.rank} estimated parameters leave "
-            "nothing to check the fit with; measure more configurations"
-        )
+        reason = f"{values} measured {known} for {fitted.rank} estimated parameters"
+        return f"{reason} leave nothing to check the fit with{more}"
     left = sum(v.redundancy * v.values for v in fitted.noise)
     sure = all(noise.stated and not noise.contradicted for noise in fitted.noise)
     prior = fitted.problem.setup.prior
     sure |= isinstance(prior, JointPrior) and bool(prior.noise)
     if not sure and left < REDUNDANT:
-        return (
-            f"{left:.1f} redundant values are too few to estimate the noise; measure "
-            "more configurations, or state the standard deviations"
-        )
+        reason = f"{left:.1f} redundant values are too few to estimate the noise"
+        return f"{reason}{more}, or state the standard deviations"
     held = grounds.gains[0].configurations if grounds.gains else 0
     data = fitted.problem.data
     distinct = data.rows(data.weight > 0.0).configurations
     # Exact rows say by one what noisy ones say by many.
-    least = (CLUSTERS, CONFIGURATIONS) if fitted.noise else (1, 1)
-    if held < least[0] or distinct < least[1]:
-        return (
-            f"{held} independent held-out configurations of {distinct} are too few to "
-            "check the fit with; measure more configurations"
-        )
-    return ""
+    least = (FEWEST_HELD_OUT, CONFIGURATIONS) if fitted.noise else (1, 1)
+    if held >= least[0] and distinct >= least[1]:
+        return ""
+    reason = f"{held} independent held-out configurations of {distinct} are too few"
+    return f"{reason} to check the fit with{more}"
 
 
 def _disproved(grounds: Judgement) -> str:
@@ -401,19 +370,15 @@ def _disproved(grounds: Judgement) -> str:
     for gain in sorted(grounds.gains, key=lambda gain: gain.quantity not in units):
         if gain.worse < LOSS_CHANCE:
             unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))
-            return (
-                "on held-out measurements the corrected robot is worse than the "
-                f"nominal one: {gain.quantity} errors larger by "
-                f"{-factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
-            )
+            by = f"{-factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
+            worse = "the corrected robot is worse than the nominal one"
+            worse = f"{worse}: {gain.quantity} errors larger by {by}"
+            return f"on held-out measurements {worse}"
     first = grounds.gains[0]
     # Of few configurations the ratio itself is uncertain.
-    limit = MISJUDGED * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations))
-    if first.ratio > limit:
-        return (
-            f"errors on held-out measurements are {first.ratio:.1f} times as large as "
-            "the fit predicts"
-        )
+    if first.ratio > MISJUDGED * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations)):
+        larger = f"{first.ratio:.1f} times as large as the fit predicts"
+        return f"errors on held-out measurements are {larger}"
     return ""
 
 
@@ -423,44 +388,32 @@ def _gain(grounds: Judgement, shown: bool, nothing: bool) -> tuple[str, str]:
     Shown is by held-out measurements; nothing, that the errors may be chance.
     """
     gain, (chain, workspace) = grounds.gains[0], grounds.worst
-    name, before, after = _errors(grounds)
-    held = f"{_where(grounds)}{_against_noise(grounds)}"
-    found = f"{name} error {after} rms instead of {before}"
-    if not after:
-        found = f"{name} errors smaller by {_difference(grounds, name)}"
+    found, _, held = _compared(grounds)
     first = grounds.errors[0].validation_before
     last = grounds.errors[0].validation_after
     if gain.mean > 0.0 and first and last and last.rms > first.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
-        found = (
-            f"errors smaller by {gain.mean:.2g} +- {gain.deviation:.1g} of their "
-            "standard deviations"
-        )
+        by = f"{gain.mean:.2g} +- {gain.deviation:.1g}"
+        found = f"errors smaller by {by} of their standard deviations"
     if workspace is None:
         # Exact rows leave no doubt.
         return "good", f"{found} on {held}"
-    nominal, calibrated = (
-        _shown(size[0], "m") for size in (workspace.nominal, workspace.calibrated)
-    )
+    sizes = workspace.nominal.position, workspace.calibrated.position
+    nominal, calibrated = (_shown(size, "m") for size in sizes)
+    expected = f"{calibrated} instead of {nominal} are expected"
+    expected = f"over the workspace{chain} {expected}"
     sure = workspace.better >= SURE
     if shown and sure:
-        return "good", (
-            f"{found} on {held}; over the workspace{chain} {calibrated} instead of "
-            f"{nominal} are expected"
-        )
-    halved = workspace.calibrated[0] < 0.5 * workspace.nominal[0]
-    if not shown and sure and halved:
-        return "unchecked", (
-            f"{held} do not confirm the correction: {found}; measure more "
-            "configurations"
-        )
+        return "good", f"{found} on {held}; {expected}"
+    if not shown and sure and sizes[1] < 0.5 * sizes[0]:
+        reason = f"{held} do not confirm the correction: {found}"
+        return "unchecked", f"{reason}; measure more configurations"
     if nothing or not shown:
         return _no_gain(grounds)
     return "untrusted", (
-        "the corrected robot is better where it was measured, but over the workspace"
-        f"{chain} {calibrated} instead of {nominal} are expected, better with a "
-        f"probability of only {100.0 * workspace.better:.0f} %; measure configurations "
-        "that differ more"
+        f"the corrected robot is better where it was measured, but {expected}, better "
+        f"with a probability of only {100.0 * workspace.better:.0f} %; measure "
+        "configurations that differ more"
     )
 
 
@@ -481,21 +434,11 @@ def _no_gain(grounds: Judgement) -> tuple[str, str]:
     """`no-gain`, unless more is left than noise and a robot explain."""
     if reason := _unaccounted(grounds, LARGE):
         return "untrusted", reason
-    return "no-gain", _nothing(grounds)
-
-
-def _nothing(grounds: Judgement) -> str:
-    """The reason why nothing is to be corrected."""
     reason = "the measurements show no error of the robot"
-    if not grounds.gains:
-        return reason
-    name, before, after = _errors(grounds)
-    found = f"{name} error {before} rms as it is, {after} corrected"
-    if not before:
-        found = (
-            f"{name} errors differ by {_difference(grounds, name)} if it is corrected"
-        )
-    return f"{reason}: {found}, on {_where(grounds)}{_against_noise(grounds)}"
+    if grounds.gains:
+        _, found, held = _compared(grounds)
+        reason += f": {found}, on {held}"
+    return "no-gain", reason
 
 
 def _chance(grounds: Judgement) -> float:
@@ -503,62 +446,37 @@ def _chance(grounds: Judgement) -> float:
     fitted, evidence = grounds.fitted, grounds.fitted.evidence
     if evidence is None or evidence.count == 0:
         # Exact rows leave no doubt, but for rounding.
-        return float(all(abs(gain.mean) < EXACT for gain in grounds.gains))
+        return float(all(abs(gain.mean) < 1e-6 for gain in grounds.gains))
     return f_tail(evidence.square / evidence.count, evidence.count, max(fitted.dof, 1))
 
 
-def _errors(grounds: Judgement) -> tuple[str, str, str]:
-    """The first quantity that was held out, its errors before and after.
+def _compared(grounds: Judgement) -> tuple[str, str, str]:
+    """Errors of the first quantity if it gains, if it does not, and where they are of.
 
-    Empty sizes where the test leaves out one configuration each (PRESS): those of
-    measurements that were fitted say nothing.
+    Where the test leaves out one configuration each (PRESS), errors of measurements
+    that were fitted say nothing, and their mean difference is told.
     """
-    if not grounds.errors:
-        return "", "", ""
-    quantity = grounds.errors[0]
-    pair = quantity.validation_before, quantity.validation_after
-    if grounds.gains[0].method == PRESS or not all(pair):
-        return quantity.name, "", ""
-    before, after = (_shown(a.rms, quantity.unit) for a in pair if a)
-    return quantity.name, before, after
-
-
-def _difference(grounds: Judgement, name: str) -> str:
-    """Mean gain of a quantity, with its deviation."""
-    first = grounds.gains[0]
-    own = (g for g in grounds.gains if (g.method, g.quantity) == (first.method, name))
-    gain = next(own, first)
-    units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
-    unit, factor = units.get(gain.quantity, ("of their standard deviations", 1.0))
-    return f"{factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
-
-
-def _where(grounds: Judgement) -> str:
-    """The configurations that a gain is of."""
-    gain = grounds.gains[0]
+    gain, quantity = grounds.gains[0], grounds.errors[0]
+    name, (before, after) = quantity.name, quantity.shown
+    where = f"{gain.configurations} independent held-out configurations"
     if gain.method == PRESS:
-        return f"{gain.configurations} configurations, each predicted by the others"
-    return f"{gain.configurations} independent held-out configurations"
-
-
-def _against_noise(grounds: Judgement) -> str:
-    """How far errors that are left are above the noise, the end of a sentence."""
-    quantity = next(iter(grounds.errors), None)
-    noise = None if quantity is None else _noise(grounds, quantity)
-    if quantity is None or not noise:
-        return ""
-    times = _both(quantity)[1] / noise
-    if times < NOISY:
-        return ""
-    return f" ({times:.2g} times the noise, {_shown(noise, quantity.unit)})"
-
-
-def _both(quantity: QuantityErrors) -> tuple[float, float]:
-    """Errors before and after, rms, of held-out measurements where there are any."""
-    held = quantity.validation_before, quantity.validation_after
-    before, after = held if all(held) else (quantity.before, quantity.after)
-    assert before is not None and after is not None
-    return before.rms, after.rms
+        where = f"{gain.configurations} configurations, each predicted by the others"
+    old, new = (_shown(sizes.rms, quantity.unit) for sizes in (before, after))
+    falls = f"{name} error {new} rms instead of {old}"
+    stays = f"{name} error {old} rms as it is, {new} corrected"
+    if gain.method == PRESS or after is not quantity.validation_after:
+        of_first = (g for g in grounds.gains if g.method == gain.method)
+        own = next((g for g in of_first if g.quantity == name), gain)
+        units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
+        unit, factor = units.get(own.quantity, ("of their standard deviations", 1.0))
+        by = f"{factor * own.mean:.3g} +- {factor * own.deviation:.1g} {unit}"
+        falls = f"{name} errors smaller by {by}"
+        stays = f"{name} errors differ by {by} if it is corrected"
+    noise = _noise(grounds, quantity)
+    if noise and after.rms >= NOISY * noise:
+        times = f"{after.rms / noise:.2g} times the noise"
+        where += f" ({times}, {_shown(noise, quantity.unit)})"
+    return falls, stays, where
 
 
 def _shown(size: float, unit: str) -> str:
@@ -566,30 +484,19 @@ def _shown(size: float, unit: str) -> str:
     return f"{factor * size:.3g} {shown}"
 
 
-MEASURED, SAMPLES = 100, 300
-"""Configurations at which the tool is predicted, measured ones and others."""
-
-LIKELY = 0.95
-"""Probability of a bound, and from which a configuration counts as better."""
-
-DRAWS = 400
-"""Draws of an error by which a bound is found, for each size of errors."""
-
-
 def tool_accuracy(
     model: FittedModel, term: Term, data: Observations, rng: np.random.Generator
 ) -> ToolAccuracy:
     """The accuracy to expect of a chain where it was measured and elsewhere."""
     blocks = tuple(b for b in data.blocks if b.chain == term.key.chain)
-    kept = Observations(blocks).sample(MEASURED).q[:, term.columns] if blocks else None
-    spread = term.error.chain.random_configurations(SAMPLES, rng)
-    loaded = term.error.carrying(model.problem.setup.heaviest)
-    term = replace(term, error=loaded)
-    measured, workspace = (
-        None if q is None else expected_accuracy(model.fit, term, model.theta, q, rng)
-        for q in (kept, spread)
-    )
-    return ToolAccuracy(None, measured, workspace)
+    spread = term.error.chain.random_configurations(SAMPLES[1], rng)
+    term = replace(term, error=term.error.carrying(model.problem.setup.heaviest))
+    given, found = (model.fit, term, model.theta), list[ExpectedAccuracy | None]()
+    if blocks:
+        kept = Observations(blocks).sample(SAMPLES[0]).q[:, term.columns]
+        found.append(expected_accuracy(*given, kept, rng))
+    measured, *_ = *found, None
+    return ToolAccuracy(None, measured, expected_accuracy(*given, spread, rng))
 
 
 def expected_accuracy(
@@ -614,8 +521,7 @@ def expected_accuracy(
         q: Configurations of the chain, shape (N, n) [rad, m].
         rng: Draws the errors by which the bound is found.
     """
-    parameters = fitted.problem.parameters
-    index = term.of_error
+    parameters, index = fitted.problem.parameters, term.of_error
     scales, nuisance = parameters.scales[index], parameters.nuisance[index]
     robot = parameters.free[index] & ~nuisance
     _, J = term.error.jacobian(q, theta[index])
@@ -623,24 +529,17 @@ def expected_accuracy(
     effects = np.zeros((*J.shape[:2], 0))
     if fitted.effects is not None:
         absorbed = fitted.posterior.by_effects[index]
-        absorbed = np.where(nuisance[:, None], 0.0, absorbed)
-        there = fitted.effects.twists(term, q)
-        effects = without_frames(J @ absorbed - there, J)
+        absorbed = J @ np.where(nuisance[:, None], 0.0, absorbed)
+        effects = without_frames(absorbed - fitted.effects.twists(term, q), J)
     mean, own_scales = (theta[index] / scales)[robot], scales[robot, None]
-    halves = [
-        likely.by_noise[index[robot]] / own_scales
-        for likely in likely_posteriors(fitted)
-    ]
-    C = np.array([half @ half.T for half in halves])
-    sizes = zip(
-        *(
-            _sizes(mean, own[:, k], effects[:, k], _scatter(fitted, term, unit), C, rng)
-            for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad"))
-        ),
-        strict=True,
-    )
+    likely = (one.by_noise[index[robot]] for one in likely_posteriors(fitted))
+    C = np.array([half @ half.T for half in (by / own_scales for by in likely)])
+    pair = []
+    for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad")):
+        scatter = _scatter(fitted, term, unit)
+        pair.append(_sizes(mean, own[:, k], effects[:, k], scatter, C, rng))
+    nominal, calibrated, bound, unmodeled = starmap(PoseErrors, zip(*pair, strict=True))
     better, share = _better(mean, own[:, :3], effects[:, :3], C)
-    nominal, calibrated, bound, unmodeled = starmap(PoseErrors, sizes)
     return ExpectedAccuracy(nominal, calibrated, bound, unmodeled, better, share)
 
 
@@ -668,18 +567,14 @@ def _sizes(
     left = float(np.mean([s.sum() for s in squares]))
     by_effects = np.einsum("ndi,ndj->ij", effects, effects, optimize=True) / len(J)
     lacking = np.maximum(np.linalg.eigvalsh(by_effects), 0.0)
-    draws = [
-        np.concatenate([s, lacking])
-        @ rng.chisquare(1.0, (len(s) + len(lacking), DRAWS))
-        for s in squares
-    ]
+    every = (np.concatenate([s, lacking]) for s in squares)
+    draws = [s @ rng.chisquare(1.0, (len(s), DRAWS)) for s in every]
     # At so many configurations, what scatters is about its mean.
     others = float(lacking.sum()) + 3.0 * scatter
     gain = np.sum((J @ mean) ** 2, axis=1).mean()
     bound = np.quantile(np.concatenate(draws), LIKELY) + 3.0 * scatter
-    nominal, calibrated, bounded, unmodeled = np.sqrt(
-        [gain + left + others, left + others, bound, others]
-    ).tolist()
+    found = np.sqrt([gain + left + others, left + others, bound, others])
+    nominal, calibrated, bounded, unmodeled = found.tolist()
     return nominal, calibrated, bounded, unmodeled
 
 
@@ -710,14 +605,10 @@ def _scatter(fitted: Fit, term: Term, unit: str) -> float:
     Of the first quantity in a unit that the chain of a part is measured by; zero where
     noise is neither stated nor repeated, so that nothing tells both apart.
     """
-    components = {
-        k
-        for key, of_key in fitted.problem.layout.of_keys.items()
-        if key.chain == term.key.chain
-        for k in of_key.tolist()
-    }
+    of_keys = fitted.problem.layout.of_keys.items()
+    own = [of_key for key, of_key in of_keys if key.chain == term.key.chain]
     for k, noise in enumerate(fitted.noise):
-        if k in components and noise.unit == unit:
+        if noise.unit == unit and any(k in of_key for of_key in own):
             found = (noise.unmodeled or 0.0) ** 2
             if fitted.effects is not None:
                 explained = max(1.0 - float(fitted.effects.noise[k]), 0.0)

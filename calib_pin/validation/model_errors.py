@@ -195,12 +195,19 @@ class Registered:
         new: Positions of the free parameters of stations and reference objects that
             only these measurements name.
         refitted: Positions of further parameters that were estimated anew from them.
+        registered: Whether base, tool and instrument were fitted to them.
+        reason: Why that must not be trusted; empty where it may.
+        located: Names of stations and references, such as sockets, that were not there
+            before and stand where the measurements put them.
     """
 
     problem: Problem
     theta: Floats
     new: tuple[int, ...] = ()
     refitted: tuple[int, ...] = ()
+    registered: bool = False
+    reason: str = ""
+    located: tuple[str, ...] = ()
 
 
 def registered(
@@ -249,16 +256,13 @@ def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> 
     """
     row, names = problem.layout.row, problem.parameters.names
     J = problem.linearize_rows(theta)[1][: len(row)]
-    owners: dict[tuple[str, str], list[int]] = {}
-    for k in new:
-        name, kind, _ = names[k].rsplit(".", 2)
-        owners.setdefault((name, kind), []).append(k)
-    for (name, kind), columns in owners.items():
-        A = J[:, columns]
+    for owner in dict.fromkeys(names[k].rpartition(".")[0] for k in new):
+        A = J[:, [k for k in new if names[k].rpartition(".")[0] == owner]]
         rows = np.unique(row[A.any(axis=1)])
         seen = replace(problem, data=problem.data.rows(rows))
         if distinct_values(seen) > np.linalg.matrix_rank(A):
             continue
+        name, _, kind = owner.rpartition(".")
         reason = (
             f"the measurements of '{name}', which was not fitted, say no more than "
             "where it is; measure it in more configurations"
@@ -302,13 +306,12 @@ def predicted_variance(
     sigma, deviations = problem.sigma, deviations or fitted.posterior
     if not np.isfinite(deviations.by_noise).all():
         return np.full(sigma.shape, np.nan)
-    names = {name: k for k, name in enumerate(fitted.problem.parameters.names)}
+    names, of_fit = problem.parameters.names, fitted.problem.parameters.names
     # What is new there has no covariance: it was estimated from these.
-    own = [k for k, n in enumerate(problem.parameters.names) if n in names]
-    of_fit = [names[problem.parameters.names[k]] for k in own]
+    own = [k for k, name in enumerate(names) if name in of_fit]
     moved = np.column_stack([deviations.by_noise, deviations.by_effects])
     factor = np.zeros((len(theta), moved.shape[1]))
-    factor[own] = moved[of_fit]
+    factor[own] = moved[[of_fit.index(names[k]) for k in own]]
     factor[list(estimated)] = 0.0
     layout, count = problem.layout, len(problem.data)
     noises = deviations.noise[alike(layout, fitted.problem.layout)]

@@ -67,19 +67,32 @@ simulated robots with errors of their geometry alone 1 was given another effect,
 with compliance as well none; 1.645 would have given one to 3 of the latter.
 """
 
-TINY = 1e-300
-"""No score of measurements that differ at all is smaller."""
-
 OFFSETS = JointOffset.name
 
 TOGETHER = (Transmission.name, Compliance.name)
 """Effects that are tried together whether they help alone or not."""
 
-QUICK = 0.05
-"""Part of the time left that a candidate without a learned correction takes."""
+QUICK, SLOW = 0.05, 0.7
+"""Parts of the time left that a candidate takes, the second with a learned
+correction."""
 
-FIT_PART = 0.2
-"""Part of the time of a candidate that its fit to all measurements takes."""
+
+@dataclass(frozen=True)
+class Judged:
+    """A candidate with its fit and cross-validation, without where it cannot be fitted.
+
+    Attributes:
+        candidate: The candidate.
+        model: Its model, fitted to all measurements.
+        parts: Its cross-validation, fold by fold.
+        sizes: Sizes of the whitened errors, mean of every cluster, shape (G,), near the
+            fitted configurations and away from them where that could be tried.
+    """
+
+    candidate: Candidate
+    model: FittedModel | None = None
+    parts: tuple[ModelErrors, ...] = ()
+    sizes: tuple[Floats, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -124,16 +137,13 @@ def select_model(
             candidate, or the measurements do not even suffice to judge the first one.
     """
     require_known("use", use, USES)
-    geometric = tuple(
-        p for p in setup.parameters if p not in (OFFSETS, *outside_urdf())
-    )
-    beyond = _further(measurements, setup)
+    beyond, others = _further(measurements, setup), (OFFSETS, *outside_urdf())
+    geometric = tuple(p for p in setup.parameters if p not in others)
     geometric = geometric or Setup.parameters
     _require_patterns(chains, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
     given = chains, measurements, setup, seed, progress, workers, use
-    candidates = _Candidates(*given, len(learned))
-
+    candidates = _Candidates(*given)
     offset = candidates.add("joint offset", (OFFSETS,))
     if not offset.sizes:
         raise OptionError(f"no model can be selected: {offset.candidate.reason}")
@@ -145,28 +155,13 @@ def select_model(
     for name in learned:
         kinds = base.candidate.parameters
         candidates.add(f"+ {name}", kinds, name, extends=(base,))
-    found = judged[simplest(judged, use)]
-    assert found.model is not None
-    q = measurements.q
-    near = zip(q.min(axis=0).tolist(), q.max(axis=0).tolist(), strict=True)
+    found, q = judged[simplest(judged, use)], measurements.q
+    near = zip(*(end(axis=0).tolist() for end in (q.min, q.max)), strict=True)
     ranges = dict(zip(measurements.joints, near, strict=True))
     every = tuple(one.candidate for one in judged)
+    assert found.model is not None
     selection = ModelSelection(found.candidate.name, use, ranges, every)
     return SelectedModel(selection, found.model, found.parts)
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A candidate with its fit and cross-validation, without where it cannot be fitted.
-
-    The sizes are those of the whitened errors, mean of every cluster, shape (G,), near
-    the fitted configurations and away from them where that could be tried.
-    """
-
-    candidate: Candidate
-    model: FittedModel | None = None
-    parts: tuple[ModelErrors, ...] = ()
-    sizes: tuple[Floats, ...] = ()
 
 
 def helps(sizes: Sequence[Floats], before: Sequence[Floats], use: str) -> bool:
@@ -218,16 +213,13 @@ def simplest(found: Sequence[Judged], use: str) -> int:
         good = set(helping)
         for place in reversed(places):
             good = set(as_good(sorted(good), place))
-
-    def simplicity(k: int) -> tuple[bool, int, int]:
-        return found[k].candidate.learned is not None, found[k].candidate.rank, k
-
-    return min(good, key=simplicity)
+    every = ((found[k].candidate, k) for k in good)
+    return min((one.learned is not None, one.rank, k) for one, k in every)[2]
 
 
 def mean_score(found: Judged, use: str) -> float:
     """Mean of the logarithms of the scores where a candidate is used."""
-    means = [max(_mean(each)[0], TINY) for each in found.sizes[PLACES[use]]]
+    means = [max(_mean(each)[0], 1e-300) for each in found.sizes[PLACES[use]]]
     return float(np.mean(np.log(means)))
 
 
@@ -268,11 +260,7 @@ class _Candidates:
     """The candidates that were judged, simplest first; see `select_model`.
 
     How many there will be is not known beforehand: each takes its part of the time that
-    is left.
-
-    Attributes:
-        learning: Number of learned corrections to come.
-        done: Part of the time that has passed.
+    is left, after the part `done`.
     """
 
     chains: Chain | Chains
@@ -282,7 +270,6 @@ class _Candidates:
     progress: Stages | None
     workers: Workers
     use: str
-    learning: int
     done: float = 0.0
     judged: list[Judged] = field(default_factory=list)
 
@@ -295,8 +282,7 @@ class _Candidates:
         extends: Iterable[Judged] = (),
     ) -> Judged:
         """Judge a candidate, and compare it with those that it extends."""
-        share = (1.0 - self.done) * (QUICK if learned is None else 1.0 / self.learning)
-        self.learning -= learned is not None
+        share = (1.0 - self.done) * (QUICK if learned is None else SLOW)
         tell = portion(named(self.progress, name), self.done, share)
         self.done += share
         blank = Candidate(name, parameters, learned)
@@ -342,50 +328,43 @@ class _Candidates:
                 judge(frozenset(rest))
                 judge(frozenset(rest | {kind}))
             found = {key: one for key, one in tried.items() if one.candidate.helps}
-            best = min(
-                found, key=lambda k: mean_score(found[k], self.use), default=best
-            )
+            scores = {key: mean_score(one, self.use) for key, one in found.items()}
+            best = min(scores, key=scores.__getitem__, default=best)
 
     def _judge(self, candidate: Candidate, progress: Progress | None) -> Judged:
         """Fit a candidate to all measurements, and leave parts of them out."""
         stated = self.chains, self.measurements
         setup = replace(self.setup, learned=candidate.learned)
         setup = with_parameters(*stated, setup, candidate.parameters)
-        tell = portion(progress, 0.0, FIT_PART)
-        model = fit_model(*stated, setup, self.seed, tell)
+        model = fit_model(*stated, setup, self.seed, progress)
         measurements = model.weighted(self.measurements)
-        grouping = Grouping.of(measurements, setup)
+        grouping, given = Grouping.of(measurements, setup), (model, measurements)
         masks = folds(grouping, model.fit, self.seed)
         if not masks:
             count = measurements.configurations
             raise OptionError(f"{count} configurations are too few to hold out a fold")
-        rest = portion(progress, FIT_PART, 1.0 - FIT_PART)
-        stages = None if rest is None else (lambda stage, part: rest(part))
-        given = model, measurements
-        near = cross_validate(*given, masks, self.seed, stages, self.workers)
-        masks = regions(grouping, self.seed)
-        away = cross_validate(*given, masks, self.seed, None, self.workers)
-        parts = tuple(near)
-        far = [part for part in away if not part.reason and len(part.positions)]
-        found = [scored(grouping, model, each) for each in (parts, far) if each]
+        near, away = (
+            tuple(cross_validate(*given, some, self.seed, None, self.workers))
+            for some in (masks, regions(grouping, self.seed))
+        )
+        away = tuple(part for part in away if not part.reason and len(part.positions))
+        found = [scored(grouping, model, parts) for parts in (near, away) if parts]
         sizes, (errors, *others) = zip(*found, strict=True)
         elsewhere = others[0] if others else None
         known = vars(errors) | {"rank": model.fit.rank, "away": elsewhere}
-        return Judged(replace(candidate, **known), model, parts, sizes)
+        return Judged(replace(candidate, **known), model, near, sizes)
 
 
 def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:
     """Effects that may join the geometry: those for which enough is stated."""
-    found = []
-    for name in outside_urdf():
+    held = [block.conditions for block in measurements.blocks]
+
+    def stated(name: str) -> bool:
         needed = needed_conditions((name,))
-        held = [block.conditions for block in measurements.blocks]
-        stated = all(
-            len(getattr(own, condition)) for condition in needed for own in held
-        )
-        if stated and (name != MotorRipple.name or setup.gear_ratios):
-            found.append(name)
-    return tuple(found)
+        known = all(len(getattr(own, one)) for one in needed for own in held)
+        return known and (name != MotorRipple.name or bool(setup.gear_ratios))
+
+    return tuple(filter(stated, outside_urdf()))
 
 
 def _require_patterns(

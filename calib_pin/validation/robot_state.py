@@ -8,7 +8,8 @@ of the next calibration, or of a plan for it (`prior`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,22 +18,98 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, enumerated
+from calib_pin.estimation.evidence import TRUSTED, rms
 from calib_pin.estimation.fitted import robot_rows
-from calib_pin.estimation.statistics.population_prior import RobotEvidence
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.identifiability import nuisance_basis
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.registration import registered
+from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.statistics.innovations import Explanation, explained
+from calib_pin.estimation.statistics.population_prior import (
+    Cause,
+    RobotEvidence,
+    Sparse,
+)
 from calib_pin.estimation.terms import FRAME, Terms
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.kinematics.spatial import Floats, so3_log
+from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import LENGTH_SCALE, expected_size, owner
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import JointPrior
+from calib_pin.setup import JointPrior, Setup
 from calib_pin.setup.population import ExpectedParameter
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.evaluation import error_sizes
+from calib_pin.validation.result import (
+    Accuracy,
+    CalibrationResult,
+    DriftSize,
+    Jump,
+    NoiseSize,
+    Recalibration,
+    RecalibrationStep,
+)
 
 FLOOR = 1e-4
 """Least standard deviation of an error, in its expected size: far below any drift."""
 
-ROUNDING = 1e-9
-"""Part of a joint's motion that its errors lack where they hold its offset."""
+EXPECTED = (DriftSize("geometry", 1e-5, 2.0), DriftSize("joint offsets", 3e-5, 2.0))
+"""Drift between two calibrations that is expected where nothing is known yet; one of
+four times the size is none: the robot has been changed."""
+
+REMEMBERED = 50.0
+"""Errors that a drift is worth at most: in a year it may be another one."""
+
+CALM = float(np.log(10.0))
+"""Logarithm of the evidence that a robot does not drift which the first calibration
+after another one is thought to have; later ones have that of all before them. Without
+it one in ten robots that do not drift seems to (months of `scripts/benchmark`)."""
+
+SOME = 300
+"""Measurements that are compared, and values that known noise is worth, at most; more
+do not make it clearer."""
+
+SELDOM = 0.01
+"""Chance that the offset of a joint changes at once between two calibrations, for which
+measurements are planned."""
+
+KNOWN = 1e-5
+"""Standard deviation of a frame that is known [m, rad]."""
+
+SURE = 30.0
+"""Evidence for a sudden change by that for none from which it is told.
+
+By chance as much comes about in at most one of 30 calibrations (Markov's inequality,
+which is wide: of 704 simulated weeks without a change one was told to have one)."""
+
+CLOSE = 9.0
+"""Chi-square by which one simple change may explain less than another, and is not told
+from it: three standard deviations."""
+
+CHANCES = {"offset": 1.0, "base": 1.0, "tool": 1.0, "placement": 0.05, "robot": 0.05}
+"""How likely kinds of sudden changes are beside each other: a joint that was hit slips
+on its axis first of all, and instruments and tools are set up anew."""
+
+FRAMES, SIMPLE = ("base", "tool"), ("offset", "base", "tool")
+"""Changes of frames, and of one thing, which few measurements tell from each other."""
+
+NOISE, NOISE_GREW = "noise", "noisier"
+"""Causes: the noise as it is known, and more of it by another instrument."""
+
+JUMPS = 4
+"""Most causes beside drift and noise that are told, sudden changes and wrong
+measurements."""
+
+SIZES = {
+    "changes": np.geomspace(0.03, 10.0, 16),
+    "frames": np.geomspace(0.03, 1e4, 24),
+    "wrong": np.geomspace(3.0, 1e4, 16),
+    "noise": np.geomspace(1.0, 30.0, 8),
+}
+"""Sizes of sudden changes, in expected sizes of errors (from 30 um and 90 urad on) and
+of frames, which may be anywhere; errors of wrong measurements, in standard deviations;
+and further noise of another instrument, by what is known of the older one."""
 
 Frame = tuple[str, str]
 """`base` or `tool`, and the station or the tool; empty for the only one."""
@@ -174,6 +251,12 @@ class Change:
     unit: str = "m"
     size: float = LENGTH_SCALE
 
+    @property
+    def label(self) -> str:
+        """It in words."""
+        word = self.kind if self.kind in FRAMES else "joint"
+        return f"{word} '{self.name}'" if self.name else word
+
 
 def drifts(
     system: Terms, robot: NDArray[np.bool_], sudden: Iterable[Change]
@@ -202,8 +285,9 @@ def changes(system: Terms, robot: NDArray[np.bool_]) -> dict[str, Change]:
         system: The robot.
         robot: The errors of the robot among its parameters, shape (P,).
     """
-    found = {f"offset {one.name}": one for one in _offsets(system, robot)}
-    every = np.eye(len(robot))
+    found, every = dict[str, Change](), np.eye(len(robot))
+    for one in _offsets(system, robot):
+        found.setdefault(f"offset {one.name}", one)
     for joint in system.chains.joints:
         own = robot & _of(system, joint)
         if own.sum() > 1:
@@ -220,7 +304,6 @@ def _of(system: Terms, joint: str) -> NDArray[np.bool_]:
 
 def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
     """Offsets of the joints whose motion the errors of the robot hold."""
-    found = set[str]()
     for term in system.terms.values():
         chain = term.error.chain
         behind = [*chain.placements, chain.tip_placement]
@@ -234,12 +317,10 @@ def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
                     T[:, k] += twist * screw.parameter.scale
             motion = chain.motions[frame - 1]
             along = np.linalg.lstsq(T, motion, rcond=1e-9)[0]
-            if joint in found or np.abs(T @ along - motion).max() > ROUNDING:
-                continue
-            found.add(joint)
-            unit = "rad" if chain.revolute[frame - 1] else "m"
-            size = expected_size(unit)
-            yield Change(joint, "offset", size * along[:, None], unit, size)
+            if np.abs(T @ along - motion).max() <= 1e-9:
+                unit = "rad" if chain.revolute[frame - 1] else "m"
+                size = expected_size(unit)
+                yield Change(joint, "offset", size * along[:, None], unit, size)
 
 
 @serial_blas
@@ -270,3 +351,368 @@ def robot_evidence(result: CalibrationResult) -> RobotEvidence:
     scales, robot = np.array([p.scale for p in own]), robot_type(model.chains)
     sizes = {c.quantity: c.estimate for c in noise if c.estimate > 0.0}
     return RobotEvidence(robot, names, units, scales, told.rows, told.values, sizes)
+
+
+@serial_blas
+def started(
+    chains: Chains,
+    data: Observations,
+    setup: Setup,
+    start: CalibrationResult | None,
+    process_noise: float | None = None,
+    ladder: bool = False,
+) -> tuple[Setup, Recalibration]:
+    """Begin a calibration with an older one.
+
+    Args:
+        chains: The nominal chains.
+        data: The new measurements to fit.
+        setup: Estimated and known quantities.
+        start: The older calibration.
+        process_noise: Standard deviation of the drift of each error of the geometry
+            since then [m, rad], of other errors by their expected sizes; default as the
+            measurements show it.
+        ladder: Whether the model is to be selected, which the older one has fixed.
+
+    Returns:
+        The setup with the older calibration as prior, and how that has predicted the
+        new measurements.
+
+    Raises:
+        OptionError: If there is no older calibration, or it is of another robot or of
+            other parameters, or must not be trusted.
+    """
+    if start is None:
+        raise OptionError("a process noise belongs to an older calibration, 'start'")
+    if ladder:
+        reason = "the model of an older calibration is kept; it is not selected anew"
+        allowed = "an older calibration, or the selection of a model"
+        raise OptionError(reason, allowed=allowed)
+    require_usable(chains, setup, start)
+    older, noise = RobotState.of(start), pooled_noise(start)
+    known = {one.quantity: one.sigma for one in noise}
+    stated = replace(setup, prior={}, noise={**known, **setup.noise})
+    problem = make_problem(chains, data.sample(SOME), stated)
+    robot = problem.parameters.free & ~problem.parameters.nuisance
+    # About frames and instrument that suit the older robot.
+    theta = np.zeros(len(robot))
+    theta[robot] = older.values[older.places(problem.given, robot)]
+    problem = registered(problem, theta)
+    # Stations are not eliminated here: what they absorb is projected out later.
+    theta = least_squares(problem, theta, nuisance_basis(problem.parameters)).x
+    expected = expected_drifts(start, process_noise)
+    news = Innovations(problem, theta, older, noise, expected)
+    step, prior = news.explained(start, expected, len(data))
+    sizes = error_sizes(problem, theta)
+    errors = tuple((name, unit, Accuracy.of(own)) for name, unit, own in sizes)
+    steps = () if start.recalibration is None else start.recalibration.steps
+    return replace(setup, prior=prior), Recalibration(errors, (*steps, step))
+
+
+def expected_setup(
+    chains: Chains,
+    setup: Setup,
+    start: CalibrationResult,
+    process_noise: float | None = None,
+) -> Setup:
+    """A setup that knows beforehand what a calibration will, to plan for it.
+
+    Args:
+        chains: The nominal chains.
+        setup: Estimated and known quantities.
+        start: The older calibration that it will begin with.
+        process_noise: As for `started`.
+
+    Raises:
+        OptionError: As for `started`.
+    """
+    require_usable(chains, setup, start)
+    state = RobotState.of(start)
+    sudden = changes(state.system, state.robot).values()
+    directions = drifts(state.system, state.robot, sudden)
+    expected = expected_drifts(start, process_noise)
+    effects = [(drift.size, directions[drift.name]) for drift in expected]
+    # Which joint was hit, if one was, must show as well.
+    effects += [(SELDOM**0.5, c.directions) for c in sudden if c.kind == "offset"]
+    known = {one.quantity: one.sigma for one in pooled_noise(start)}
+    return replace(setup, prior=state.prior(effects, known))
+
+
+def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> None:
+    """Refuse an older calibration that says nothing of this robot.
+
+    Raises:
+        OptionError: If it is such.
+    """
+    model, older = start.model.chains, start.model.setup
+    difference = robot_type(model).difference(robot_type(chains))
+    ends, new = ({(c[n].base, c[n].tip) for n in c.names} for c in (model, chains))
+    if not difference and ends != new:
+        difference = "its chain goes from {} to {}".format(*min(new - ends or new))
+    serials = older.report.serial_number, setup.report.serial_number
+    learned = older.learned or setup.learned
+    given, known = (", ".join(one.parameters) for one in (setup, older))
+    robots, other = (chains.robot.name, model.robot.name), set(older.parameters)
+    unsure = not np.isfinite(start.covariance).all() or not start.statistics.noise
+    whose = "is of serial number '{}', these measurements are of '{}'".format(*serials)
+    sure = "a calibration of this version, with noise and redundancy"
+    it = "the older calibration"
+    for refused, reason, *values in (
+        (difference, f"{it} is not of this robot: {difference}", *robots),
+        (all(serials) and len({*serials}) > 1, f"{it} {whose} ({setup.file})"),
+        (
+            start.verdict not in TRUSTED,
+            f"an older calibration that is {start.verdict} is no start: {start.reason}",
+        ),
+        (
+            learned,
+            "a learned correction cannot be carried on from an older calibration",
+            learned,
+            "parameters alone",
+        ),
+        (other != {*setup.parameters}, f"{it} has other parameters", given, known),
+        (unsure, f"{it} does not say how sure it is of its parameters", None, sure),
+    ):
+        if refused:
+            value, allowed = values or (None, None)
+            file = start.provenance.file or None
+            raise OptionError(reason, file=file, value=value, allowed=allowed)
+
+
+def expected_drifts(
+    start: CalibrationResult, process_noise: float | None
+) -> tuple[DriftSize, ...]:
+    """The drift since an older calibration before it is compared.
+
+    Raises:
+        OptionError: If the stated drift is none.
+    """
+    if process_noise is not None:
+        if not 0.0 < process_noise < np.inf:
+            reason = "the process noise is a standard deviation"
+            allowed = "a positive number [m, rad]"
+            raise OptionError(reason, value=process_noise, allowed=allowed)
+        return (DriftSize(EXPECTED[0].name, process_noise, np.inf),)
+    before = () if start.recalibration is None else start.recalibration.last.drifts
+    # What a user has stated once, says nothing of the next time.
+    found = {drift.name: drift for drift in before if np.isfinite(drift.worth)}
+    return tuple(found.get(drift.name, drift) for drift in EXPECTED)
+
+
+def pooled_noise(start: CalibrationResult) -> tuple[NoiseSize, ...]:
+    """The noise of all quantities by an older calibration and those before it."""
+    before = () if start.recalibration is None else start.recalibration.last.noise
+    found = {one.quantity: one for one in before}
+    for own in start.statistics.noise:
+        name, left = own.quantity.split(" ")[0], own.redundancy * own.values
+        known = found.get(name, NoiseSize(name, 0.0, 0.0))
+        if own.estimate > 0.0 and left > 0.0:
+            worth = known.worth + left
+            square = known.worth * known.sigma**2 + left * own.estimate**2
+            sigma = float(np.sqrt(square / worth))
+            found[name] = NoiseSize(name, sigma, min(worth, SOME))
+    return tuple(found.values())
+
+
+class Innovations:
+    """New measurements beside what an older calibration predicts.
+
+    That is of the errors of the robot, and of the frames of stations and tools that
+    both have: they are as they were, unless something was moved.
+
+    Attributes:
+        state: The older calibration about the references of the new measurements.
+        parameters: All P parameters, frames among the errors of the robot.
+        rows: W, what measurements see of the parameters in scales, and below that the
+            frames which are known now and were not, shape (r, P).
+        measured: Noise of the measurements in the rows, shape (r, m).
+        known: The noise as it is known.
+        sudden: What may have changed at once, by name.
+        drifting: How the parameters drift, shapes (P, k), by the names of drifts.
+        wrong: What may be wrong of the measurements.
+        first: The innovations, with drift and noise as they are expected.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        theta: Floats,
+        older: RobotState,
+        noise: Sequence[NoiseSize],
+        expected: Sequence[DriftSize],
+    ) -> None:
+        """Compare the measurements of a problem, robot and frames at theta.
+
+        Args:
+            problem: The problem, without a prior.
+            theta: Parameter values, shape (P,).
+            older: The older calibration.
+            noise: The noise as it is known.
+            expected: The drift as it is expected.
+        """
+        problem, theta = problem.rebased(theta)
+        robot = problem.parameters.free & ~problem.parameters.nuisance
+        self.state, frames = older.about(problem, robot)
+        given = list(problem.given)
+        for k in (k for own in frames.values() for k in own):
+            scale = expected_size(given[k].unit)
+            given[k] = replace(given[k], nuisance=False, scale=scale)
+        units = _factors(problem, noise)
+        problem = replace(problem, given=ParameterSet(tuple(given)), units=units)
+        self.known, self.parameters = tuple(noise), problem.parameters
+        scales, known = self.parameters.scales, np.diag(self.state.covariance) > 0.0
+        told, every = robot_rows(problem, theta, ()), np.eye(len(scales))
+        below = np.diag(scales / KNOWN)[~self.parameters.free & known]
+        self.rows = np.vstack([told.rows @ every[told.robot], below])
+        self.measured = M = np.eye(len(self.rows))[:, : len(told.values)]
+        self.sudden = changes(problem, robot)
+        self.drifting = drifts(problem, robot, self.sudden.values())
+        for (kind, name), own in frames.items():
+            self.sudden[f"{kind} {name}"] = Change(name, kind, every[:, own])
+        groups, along = problem.data.groups(), M @ told.along
+        labels, of_value = np.unique(groups).tolist(), groups[problem.layout.row]
+        wrong = ((f"measurement {k}", along[:, of_value == k]) for k in labels)
+        how = SIZES["wrong"], 1.0 / len(labels)
+        self.wrong = [Sparse(name, E, *how) for name, E in wrong]
+        # In scales, of which frames that have been free had others.
+        W, most = self.rows / scales, {d.name: 4.0 * d.size for d in EXPECTED}
+        V = W @ self.state.covariance @ W.T + np.eye(len(W)) - M @ M.T
+        drifting = (
+            Cause(d.name, self.rows @ self.drifting[d.name], d.size, d.worth, limit)
+            for d in expected
+            for limit in [max(most[d.name], d.size)]
+        )
+        worth = min(max(sum(one.worth for one in noise), 1.0), SOME)
+        causes = *drifting, Cause(NOISE, M, 1.0, worth)
+        values = M @ told.values - W @ self.state.values
+        self.first = Explanation(values, V, causes)
+
+    def explained(
+        self, start: CalibrationResult, expected: Sequence[DriftSize], count: int
+    ) -> tuple[RecalibrationStep, JointPrior]:
+        """Drift, noise, sudden changes and wrong measurements that explain it best.
+
+        All of a joint or of the robot explains nearly everything, and so does noise:
+        what has been found with them is compared with the best of few simple changes.
+
+        Args:
+            start: The older calibration.
+            expected: The drift as it is expected.
+            count: Number of all new measurements.
+
+        Returns:
+            The step, and the prior that the older calibration is.
+        """
+        first, begun = self.first, start.recalibration
+        families = SIMPLE, (*SIMPLE, NOISE_GREW), (*CHANCES, NOISE_GREW)
+        tried = (explained(first, self._sparse(f), SURE, JUMPS) for f in families)
+        found, sparse, _ = max(tried, key=lambda one: one[2])
+        names = {drift.name for drift in expected}
+        calm, _ = found.without(names).fitted()
+        still = calm.likelihood + first.without(names).expected(calm)
+        still -= found.likelihood + first.expected(found)
+        still += 0.0 if begun is None else begun.last.still
+        believed = still + CALM if begun is None else still
+        _, told = found.fitted()
+        drifted, effects = list[DriftSize](), list[tuple[float, Floats]]()
+        for drift, cause, n in zip(expected, found.causes, told, strict=False):
+            wider = 1.0
+            if np.isfinite(drift.worth):
+                worth = min(drift.worth + n, REMEMBERED)
+                drift = replace(drift, size=cause.size, worth=worth)
+                # A robot that may drift is as uncertain as that is likely; and squares
+                # of sizes that few errors tell are larger in the mean than their
+                # likeliest.
+                part = float(np.exp(-np.logaddexp(0.0, believed)))
+                wider = (part * worth / max(worth - 2.0, 1.0)) ** 0.5
+            drifted.append(drift)
+            effects.append((wider * drift.size, self.drifting[drift.name]))
+        if np.isfinite(expected[0].worth) and believed > 0.0:
+            found = calm
+        sudden, jumps = [c for c in sparse if c.name in self.sudden], list[Jump]()
+        hit = dict[str, float]()
+        for cause in sudden:
+            instead, beside = self._others(found, cause, sudden)
+            jumps.append(self._jump(found, cause, instead, beside))
+            # A single change tells little of the size that such changes have.
+            hit |= dict.fromkeys([cause.name, *instead], max(cause.size, 1.0))
+        effects += [(size, self.sudden[name].directions) for name, size in hit.items()]
+        # A tracker that was set up anew is no error of the prediction.
+        moved = (c for c in sudden if self.sudden[c.name].kind in FRAMES)
+        chi2 = replace(first, causes=(*first.causes, *moved)).square
+        made = start.provenance.file, start.provenance.created, count, chi2
+        values = len(first.values), self.known, tuple(drifted), tuple(jumps)
+        # Beside what all have shown, as much more as these show by chance.
+        more = max(found.square / len(first.values), 1.0) ** 0.5
+        more *= next(c.size for c in found.causes if c.name == NOISE)
+        grown = {one.quantity: more * one.sigma for one in self.known}
+        prior = self.state.prior(effects, grown)
+        return RecalibrationStep(*made, *values, float(still)), prior
+
+    def _sparse(self, kinds: Collection[str]) -> tuple[Sparse, ...]:
+        """Causes of some kinds that are there or not, and wrong measurements."""
+        counts = Counter(change.kind for change in self.sudden.values())
+        found = list[Sparse]()
+        for name, change in self.sudden.items():
+            if change.kind in kinds:
+                sizes = SIZES["frames" if change.kind in FRAMES else "changes"]
+                chance = CHANCES[change.kind] / counts[change.kind]
+                effects = self.rows @ change.directions
+                found.append(Sparse(name, effects, sizes, chance))
+        noisier = Sparse(NOISE_GREW, self.measured, SIZES["noise"])
+        return *found, *self.wrong, *[noisier] * (NOISE_GREW in kinds)
+
+    def _others(
+        self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
+    ) -> tuple[list[str], list[str]]:
+        """Simple changes that may have come about in place of a simple one.
+
+        And offsets of joints that would not show beside a frame that has moved.
+        """
+        instead, beside = list[str](), list[str]()
+        without, E = found.without({cause.name}), cause.effects
+        limit, told = without.misfit(E) + CLOSE, {other.name for other in sudden}
+        for name, change in self.sudden.items():
+            moved = self.rows @ change.directions
+            simple = {change.kind, self.sudden[cause.name].kind} <= {*SIMPLE}
+            # Nothing that is measured now depends on where a known frame has stood.
+            if name in told or not simple or not (self.measured.T @ moved).any():
+                continue
+            rest = moved - E @ np.linalg.lstsq(E, moved, rcond=None)[0]
+            if without.misfit(moved) <= limit:
+                instead.append(name)
+            # All but a hundredth of it is done by the other one.
+            elif np.linalg.norm(rest) < 0.01 * np.linalg.norm(moved):
+                beside.append(name)
+        return instead, beside
+
+    def _jump(self, found: Explanation, cause: Cause, *others: Sequence[str]) -> Jump:
+        """A sudden change as the innovations tell it, and what it may be instead."""
+        change, parameters = self.sudden[cause.name], self.parameters
+        effects, covariance = found.effects(cause)
+        words = (tuple(self.sudden[n].label for n in names) for names in others)
+        if change.kind == "offset":
+            sigma = change.size * float(covariance[0, 0]) ** 0.5
+            sizes = change.unit, change.size * float(effects[0]), sigma, 0.0
+        else:
+            moved = change.directions @ effects * parameters.scales
+            units = np.array([parameter.unit for parameter in parameters])
+            parts = (moved[units == unit] for unit in ("m", "rad"))
+            shift, turn = (float(np.linalg.norm(part)) for part in parts)
+            sizes = "m", shift, np.nan, turn
+        return Jump(change.name, change.kind, *sizes, *words)
+
+
+def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:
+    """Noise of every quantity by what is stated now, where it is known to be larger.
+
+    What a robot does that no parameter describes is there whatever the instrument
+    states.
+    """
+    sigmas = {one.quantity: one.sigma for one in noise}
+    found = np.ones(len(problem.layout.components))
+    for k, component in enumerate(problem.layout.components):
+        own = problem.given_sigma[problem.layout.of_components[k]]
+        if len(own) and component.quantity.name in sigmas:
+            found[k] = max(sigmas[component.quantity.name] / rms(own), 1.0)
+    return found

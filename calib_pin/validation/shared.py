@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -27,7 +25,6 @@ from calib_pin.estimation.terms import FRAME, Block, Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
 from calib_pin.parameterizations.linearization import ordered_screws
-from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.unmoved_joints import still_joints
 from calib_pin.validation.judgement import quantity_errors
@@ -39,15 +36,31 @@ from calib_pin.validation.result import (
     CoupledFrames,
     Frame,
     FrameSummary,
+    QuantityErrors,
     ToolAccuracy,
     frames_of,
 )
 
-ROUNDING = 1e-12
-"""Standard deviation below which a motion is given [m, rad]."""
-
 ROWS, ENOUGH = 10_000, 60
 """Measurements that ranks look at: of all blocks, and least of each."""
+
+LIMITS = {"m": 0.01, "rad": 0.01, "px": 10.0}
+"""Standard deviations up to which a value of a frame or an instrument is known."""
+
+FAR = 10.0
+"""Times these from which a deviation says that nothing is known of its direction."""
+
+SHARE = 0.05
+"""Part of an unknown direction up to which a parameter hardly belongs to it."""
+
+UNKNOWNS = 400
+"""Most parameters of stations, tools and instruments that are looked at."""
+
+MOTIONS = {
+    **{axis: f"shift along {axis}" for axis in "xyz"},
+    **{f"r{axis}": f"turn about {axis}" for axis in "xyz"},
+}
+"""Parameters of a frame in words."""
 
 
 @serial_blas
@@ -73,129 +86,106 @@ def breakdown(
     )
 
 
-@dataclass(frozen=True)
 class _Parts:
-    """The parts of a fitted model with the errors of the measurements."""
+    """The parts of a fitted model with the errors of the measurements.
 
-    model: FittedModel
-    every: ModelErrors
+    Attributes:
+        covariance: Of all parameters, averaged over the likely sizes of errors, shape
+            (P, P).
+        open: The directions that are left open, see `left_open`.
+    """
+
+    def __init__(self, model: FittedModel, errors: ModelErrors) -> None:
+        """Of a model, and the errors of all measurements that it was fitted to."""
+        self.model, self.errors, self.fit = model, errors, model.fit
+        self.problem = model.fit.problem
+        likely = [one.covariance for one in likely_posteriors(model.fit)]
+        self.covariance: Floats = np.mean(likely, axis=0)
+        self.known = bool(np.isfinite(self.covariance).all())
+        self.open = left_open(model.fit, self.covariance)
 
     def frames(self, end: int) -> Iterator[FrameSummary]:
         """The stations, end 0, or the tools, end 1."""
-        problem = self.model.fit.problem
         found: dict[Frame, list[BlockKey]] = {}
-        for key, term in problem.terms.items():
+        for key, term in self.problem.terms.items():
             found.setdefault(frames_of(term)[end][0], []).append(key)
         calibrated = CalibratedModel.create(self.model.problem, self.model.theta)
         for frame, keys in found.items():
-            term, at = problem.terms[keys[0]], calibrated.of(keys[0])
+            term, at = self.problem.terms[keys[0]], calibrated.of(keys[0])
             T, chain = (at.tool if end else at.error.base), term.error.chain
             _, index = frames_of(term)[end]
             screws = term.error.screws[-FRAME:] if end else term.error.screws[:FRAME]
-            theta = self.model.fit.theta[index]
+            theta = self.fit.theta[index]
             twists, _ = ordered_screws(screws, theta, screws[0].frame + 1)
             yield FrameSummary(
-                name=frame.name,
-                link=chain.tip if end else chain.base,
-                measurements=self._count(keys),
-                errors=self._errors(keys),
-                noise=self._noise(keys),
+                frame.name,
+                chain.tip if end else chain.base,
+                *self._of(keys),
                 xyz=tuple(T.translation.tolist()),
                 rpy=tuple(pin.rpy.matrixToRpy(T.rotation).tolist()),
                 sigma=self._deviations(index, np.kron(np.eye(2), T.rotation) @ twists),
-                estimated=bool(problem.parameters.free[index].any()),
+                estimated=bool(self.problem.parameters.free[index].any()),
             )
 
     def chains(self) -> Iterator[ChainSummary]:
         """The chains."""
-        problem = self.model.fit.problem
-        still = set(still_joints(problem))
-        for name in problem.chains.names:
-            chain = problem.chains[name]
-            keys = [key for key in problem.terms if key.chain == name]
-            yield ChainSummary(
-                name,
-                chain.base,
-                chain.tip,
-                chain.joints,
-                self._count(keys),
-                self._errors(keys),
-                tuple(joint for joint in chain.joints if joint in still),
-            )
+        still = set(still_joints(self.problem))
+        for name in self.problem.chains.names:
+            chain = self.problem.chains[name]
+            count, errors, _ = self._of([k for k in self.problem.terms if k[1] == name])
+            own = tuple(joint for joint in chain.joints if joint in still)
+            ends = name, chain.base, chain.tip, chain.joints
+            yield ChainSummary(*ends, count, errors, own)
 
     def blocks(self) -> Iterator[BlockSummary]:
         """The blocks."""
-        problem = self.model.fit.problem
-        apart, ranks = ties(problem), block_ranks(self.model.fit)
-        for (term, data, _, _), of_block in zip(problem.blocks, ranks, strict=True):
+        apart, ranks = ties(self.problem), block_ranks(self.fit)
+        for (term, data, _, _), of_block in zip(
+            self.problem.blocks, ranks, strict=True
+        ):
             (station, _), (tool, _) = frames_of(term)
-            yield BlockSummary(
-                term.key.model,
-                term.key.chain,
-                station.name,
-                tool.name,
-                len(data),
-                tuple(filter(None, data.target.distinct)),
-                self._errors([term.key]),
-                self._noise([term.key]),
-                *of_block,
-                apart[term.key],
-            )
+            names = term.key.model, term.key.chain, station.name, tool.name
+            count, errors, noise = self._of([term.key])
+            targets = tuple(filter(None, data.target.distinct))
+            known = *names, count, targets, errors, noise, *of_block, apart[term.key]
+            yield BlockSummary(*known)
 
-    def _count(self, keys: Collection[BlockKey]) -> int:
-        """Number of measurements of some blocks."""
-        return sum(len(b) for b in self.model.fit.problem.data.blocks if b.key in keys)
-
-    def _errors(self, keys: Collection[BlockKey]) -> tuple[QuantityErrors, ...]:
-        """Accuracy of the measurements of some blocks."""
-        data = self.model.fit.problem.data
+    def _of(
+        self, keys: Collection[BlockKey]
+    ) -> tuple[int, tuple[QuantityErrors, ...], tuple[VarianceComponent, ...]]:
+        """Number of measurements of some blocks, their accuracy, and noise."""
+        data, layout = self.problem.data, self.problem.layout
         own = np.array([block.key in keys for block in data.blocks])[data.block_of]
-        known = self.every.at(own).counted(data.weight)
-        return quantity_errors(self.model.problem.layout.quantities, known)
-
-    def _noise(self, keys: Collection[BlockKey]) -> tuple[VarianceComponent, ...]:
-        """Variance components of some blocks."""
-        fitted = self.model.fit
-        own = {k for key in keys for k in fitted.problem.layout.of_keys[key].tolist()}
-        return tuple(noise for k, noise in enumerate(fitted.noise) if k in own)
+        known = self.errors.at(own).counted(data.weight)
+        errors = quantity_errors(self.model.problem.layout.quantities, known)
+        kinds = {k for key in keys for k in layout.of_keys[key].tolist()}
+        noise = tuple(one for k, one in enumerate(self.fit.noise) if k in kinds)
+        return int(own.sum()), errors, noise
 
     def _deviations(self, index: Indices, motions: Floats) -> tuple[float, ...]:
         """Standard deviations of a frame along some motions, (6, 6)."""
-        covariance = self.covariance[np.ix_(index, index)]
-        if not np.isfinite(covariance).all():
+        if not np.isfinite(covariance := self.covariance[np.ix_(index, index)]).all():
             return ()
         variances = np.einsum("ki,ij,kj->k", motions, covariance, motions)
         sigma = np.sqrt(np.maximum(variances, 0.0))
-        sigma[sigma < ROUNDING] = 0.0
+        sigma[sigma < 1e-12] = 0.0  # Rounding: it is given.
         sigma[self._unknown(index, motions)] = np.nan
         return tuple(sigma.tolist())
 
     def unknown(self) -> tuple[str, ...]:
         """Names of the parameters of frames and instruments that are left open."""
-        problem, parameters = self.model.fit.problem, self.model.fit.problem.parameters
-        index = np.flatnonzero(problem.referred & parameters.free)
-        if not np.isfinite(self.covariance).all():
-            return ()
-        return tuple(
-            parameters.names[k] for k in index[self._unknown(index, np.eye(len(index)))]
-        )
+        parameters = self.problem.parameters
+        index = np.flatnonzero(self.problem.referred & parameters.free & self.known)
+        open_ = index[self._unknown(index, np.eye(len(index)))]
+        return tuple(parameters.names[k] for k in open_)
 
     def _unknown(self, index: Indices, rows: Floats) -> NDArray[np.bool_]:
         """Which sums of some parameters, rows (k, len(index)), nobody knows, (k,)."""
-        parts = (rows @ found[index] for found in self._left_open)
+        parts = (rows @ found[index] for found in self.open)
         nothing, little = (np.linalg.norm(part, axis=1) for part in parts)
-        none = nothing > OPEN * np.linalg.norm(rows, axis=1)
+        # A thousandth of a motion that nothing shows.
+        none = nothing > 1e-3 * np.linalg.norm(rows, axis=1)
         return np.asarray(none | (little > 1.0))
-
-    @cached_property
-    def covariance(self) -> Floats:
-        """Of all parameters, averaged over the likely sizes of errors, (P, P)."""
-        found = likely_posteriors(self.model.fit)
-        return np.asarray(np.mean([one.covariance for one in found], axis=0))
-
-    @cached_property
-    def _left_open(self) -> tuple[Floats, Floats]:
-        return left_open(self.model.fit, self.covariance)
 
 
 def block_ranks(fitted: Fit) -> list[tuple[int, int]]:
@@ -217,75 +207,35 @@ def block_ranks(fitted: Fit) -> list[tuple[int, int]]:
     nuisances = parameters.free & parameters.nuisance
     shared = np.eye(len(parameters))[:, nuisances & (used > 1)]
     every = np.column_stack([shared, robot, fitted.directions.weak])
-    share = max(ENOUGH, ROWS // len(problem.blocks))
-    factors = [
-        _factor(fitted, block, nuisances & (used == 1), every, share)
-        for block in problem.blocks
-    ]
     distances = known * parameters.scales @ every
     sigma0 = fitted.sigma0 if np.isfinite(fitted.sigma0) else 0.0
 
-    def rank(*parts: Floats) -> int:
+    def factor(block: Block) -> Floats:
+        """Triangular factor of a block without what it absorbs by itself, (k, k)."""
+        index, count = block.term.index, len(block.data)
+        few = min(max(ENOUGH, ROWS // len(problem.blocks)), count)
+        rows = np.linspace(0, count - 1, few).astype(np.int64)
+        sigma = block.table(problem.sigma)[rows]
+        J = block.term.jacobian(fitted.theta, block.data.rows(rows), sigma)
+        scales = parameters.scales[index] * np.sqrt(count / few)
+        A = J.reshape(-1, J.shape[2]) * scales
+        U = column_space(A[:, (nuisances & (used == 1))[index]])
+        columns = A @ every[index]
+        return np.asarray(np.linalg.qr(columns - U @ (U.T @ columns), mode="r"))
+
+    def rank(parts: list[Floats]) -> int:
         A = np.concatenate([*parts, distances])
         U = column_space(A[:, : shared.shape[1]])
         rest = A[:, shared.shape[1] :]
         s = np.linalg.svd(rest - U @ (U.T @ rest), compute_uv=False)
         return int((s > max(sigma0 / WEAK, rounding(A) * np.linalg.norm(A, 2))).sum())
 
-    whole, found = rank(*factors), []
-    for k, own in enumerate(factors):
-        others = (*factors[:k], *factors[k + 1 :])
-        found.append((rank(own), whole - rank(*others)))
-    return found
-
-
-def _factor(
-    fitted: Fit, block: Block, own: NDArray[np.bool_], every: Floats, count: int
-) -> Floats:
-    """Triangular factor of a block without what it absorbs by itself, (k, k).
-
-    Args:
-        fitted: The fit.
-        block: The block.
-        own: Parameters that a single block absorbs, shape (P,).
-        every: Scaled directions that are looked at, shape (P, k).
-        count: Number of measurements that stand for all.
-    """
-    problem, theta, term, data = fitted.problem, fitted.theta, block.term, block.data
-    few = min(count, len(data))
-    rows = np.linspace(0, len(data) - 1, few).astype(np.int64)
-    sigma = block.table(problem.sigma)[rows]
-    J = term.jacobian(theta, data.rows(rows), sigma)
-    scales = problem.parameters.scales[term.index] * np.sqrt(len(data) / few)
-    A = J.reshape(-1, J.shape[2]) * scales
-    U = column_space(A[:, own[term.index]])
-    columns = A @ every[term.index]
-    return np.asarray(np.linalg.qr(columns - U @ (U.T @ columns), mode="r"))
-
-
-LIMITS = {"m": 0.01, "rad": 0.01, "px": 10.0}
-"""Standard deviations up to which a value of a frame or an instrument is known."""
-
-FAR = 10.0
-"""Times these from which a deviation says that nothing is known of its direction."""
-
-OPEN = 1e-3
-"""Part of a motion that measurements leave open from which it counts as unknown."""
-
-SHARE = 0.05
-"""Part of an unknown direction up to which a parameter hardly belongs to it."""
-
-LEAST = 0.01
-"""Least coefficient of a parameter that is told."""
-
-UNKNOWNS = 400
-"""Most parameters of stations, tools and instruments that are looked at."""
-
-MOTIONS = {
-    **{axis: f"shift along {axis}" for axis in "xyz"},
-    **{f"r{axis}": f"turn about {axis}" for axis in "xyz"},
-}
-"""Parameters of a frame in words."""
+    factors = [*map(factor, problem.blocks)]
+    whole = rank(factors)
+    return [
+        (rank([own]), whole - rank([*factors[:k], *factors[k + 1 :]]))
+        for k, own in enumerate(factors)
+    ]
 
 
 def ties(problem: Problem) -> Mapping[BlockKey, tuple[tuple[str, ...], ...]]:
@@ -294,19 +244,16 @@ def ties(problem: Problem) -> Mapping[BlockKey, tuple[tuple[str, ...], ...]]:
     Blocks with a frame or a reference object in common hang together; what is known is
     one thing.
     """
-    links = {key: list(_links(problem, term)) for key, term in problem.terms.items()}
-    nodes = list(dict.fromkeys(node for found in links.values() for node in found))
-    whole = len(_groups(nodes, links.values()))
-    result = {}
+    links = {key: [*_links(problem, term)] for key, term in problem.terms.items()}
+    nodes = dict.fromkeys(node for own in links.values() for node in own)
+    alone, result = [[node] for node in nodes], {}
+    whole = len(_groups([*alone, *links.values()]))
     for key in links:
-        groups = _groups(nodes, [found for k, found in links.items() if k != key])
-        named = [
-            tuple(f.name for f in group if f.kind in ("station", "tool"))
-            for group in groups
-            if {f.kind for f in group} & {"station", "tool"}
-        ]
+        groups = _groups([*alone, *(own for k, own in links.items() if k != key)])
+        frames = ([f for f in own if f.kind in ("station", "tool")] for own in groups)
+        named = tuple(tuple(f.name for f in own) for own in frames if own)
         torn = len(groups) > whole and len(named) > 1
-        result[key] = tuple(named) if torn else ()
+        result[key] = named if torn else ()
     return result
 
 
@@ -320,16 +267,15 @@ def _links(problem: Problem, term: Term) -> Iterator[Frame]:
             yield Frame(reference.section, term.frames.reference(reference))
 
 
-def _groups(nodes: list[Frame], links: Iterable[list[Frame]]) -> list[list[Frame]]:
-    """Connected components of a graph, in the order of its nodes."""
-    groups = [{node} for node in nodes]
+def _groups(links: Iterable[list[Frame]]) -> list[list[Frame]]:
+    """Connected components of a graph, in the order in which its nodes come first."""
+    of, groups = dict[Frame, int](), dict[int, list[Frame]]()
     for link in links:
-        joined = [group for group in groups if not group.isdisjoint(link)]
-        apart = [group for group in groups if group.isdisjoint(link)]
-        groups = [*apart, set[Frame]().union(*joined)]
-    order = {node: k for k, node in enumerate(nodes)}.__getitem__
-    in_order = [sorted(group, key=order) for group in groups]
-    return sorted(in_order, key=lambda group: order(group[0]))
+        joined = {of.setdefault(node, len(of)) for node in link}
+        of = {node: min(joined) if k in joined else k for node, k in of.items()}
+    for node, k in of.items():
+        groups.setdefault(k, []).append(node)
+    return list(groups.values())
 
 
 def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
@@ -362,9 +308,7 @@ def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
     return nothing, little
 
 
-def coupled_frames(
-    fitted: Fit, covariance: Floats | None = None
-) -> tuple[CoupledFrames, ...]:
+def coupled_frames(fitted: Fit, covariance: Floats) -> tuple[CoupledFrames, ...]:
     """Frames that the measurements cannot tell apart.
 
     Linear combinations of the parameters of stations, tools and instruments that are
@@ -372,11 +316,10 @@ def coupled_frames(
 
     Args:
         fitted: The fit.
-        covariance: Of its parameters, shape (P, P); default that of the fit.
+        covariance: Of its parameters, shape (P, P).
     """
     problem, parameters = fitted.problem, fitted.problem.parameters
-    given = fitted.covariance if covariance is None else covariance
-    nothing, little = left_open(fitted, given)
+    nothing, little = left_open(fitted, covariance)
     limits = np.array([LIMITS.get(p.unit, 0.0) for p in parameters])
     scaled = little * (limits / parameters.scales)[:, None]
     unknown = np.column_stack([nothing, scaled / np.linalg.norm(scaled, axis=0)])
@@ -398,17 +341,16 @@ def coupled_frames(
     for row, pivot in zip(C, pivots, strict=True):
         coefficients = (row * scales[pivot] / scales).tolist()
         pairs = zip(nuisances.tolist(), coefficients, strict=True)
-        terms = tuple((k, c) for k, c in pairs if abs(c) > LEAST)
-        frames = dict.fromkeys(frame_of[k] for k, _ in terms if k in frame_of)
-        if len(frames) < 2:
+        terms = tuple((k, c) for k, c in pairs if abs(c) > 0.01)
+        moves = dict[Frame, list[str]]()
+        for k in (k for k, _ in terms if k in frame_of):
+            words = MOTIONS[names[k].rpartition(".")[2]]
+            moves.setdefault(frame_of[k], []).append(f"a {words}")
+        if len(moves) < 2:
             continue
         unit = parameters[int(nuisances[pivot])].unit
         known = Combination(terms, unit).expression(names)
-        moves = []
-        for frame in frames:
-            own = (names[k] for k, _ in terms if frame_of.get(k) == frame)
-            words = [MOTIONS[name.rpartition(".")[2]] for name in own]
-            moves.append(f"a {' and a '.join(words)} of {frame.label}")
-        sentence = f"{' cannot be told from '.join(moves)}; only {known} is known"
-        found.append(CoupledFrames(tuple(f.name for f in frames), known, sentence))
+        said = (f"{' and '.join(own)} of {at.label}" for at, own in moves.items())
+        sentence = f"{' cannot be told from '.join(said)}; only {known} is known"
+        found.append(CoupledFrames(tuple(f.name for f in moves), known, sentence))
     return tuple(found)

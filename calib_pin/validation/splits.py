@@ -35,76 +35,28 @@ FEWEST = 4
 region without which it tells nothing."""
 
 FEWEST_HELD_OUT = 5
-"""Fewest distinct configurations for a check."""
+"""Fewest distinct configurations for a check, and places from which the scatter among
+them says more than that among configurations: Student's t of fewer has tails so wide
+that no gain shows."""
 
-FEWEST_OF_FRAME = 3
+THREE = 3
 """Configurations that a split leaves of every station, tool and chain where there are
-several: three positions locate a frame."""
+several, for three positions locate a frame; and places without which measurements are
+held out one by one, and not place by place."""
 
-FEWEST_PLACES = 3
-"""Places without which measurements are held out one by one, and not place by place."""
+CLOSE = 0.5
+"""Mean square of successive distances, by that of random pairs, of a path.
 
-TELLING_PLACES = 5
-"""Places from which the scatter among them says more than that among configurations:
-Student's t of fewer has tails so wide that no gain shows."""
+Random order has 1. Whatever is measured along a path, in clusters, or line by line on a
+grid has less than 0.4 (UR10 Series A 0.39 and 0.19, the grid of the UR5 0.25, Pandas
+0.29 and 0.20); poses that somebody chose and ordered at will have more than 0.5 (TALOS
+0.56, TIAGo 0.95 and 0.76, UR10 Series B 0.81)."""
 
+OUTER = 0.25
+"""Part of the measurements in the outer part of the range of a joint."""
 
-@dataclass(frozen=True)
-class StretchOptions:
-    """Limits of what counts as a path, and how it is cut.
-
-    Attributes:
-        close: Mean square of successive distances, by that of random pairs, of a
-            path. Random order has 1. Whatever is measured along a path, in
-            clusters, or line by line on a grid has less than 0.4 (UR10 Series A
-            0.39 and 0.19, the grid of the UR5 0.25, Pandas 0.29 and 0.20); poses
-            that somebody chose and ordered at will have more than 0.5 (TALOS 0.56,
-            TIAGo 0.95 and 0.76, UR10 Series B 0.81).
-        chance: Standard deviations by which it must fall short of 1 (von Neumann's
-            ratio).
-        unlike: The same ratio at the distance in the file from which they count as
-            unlike: 1 - 1/e, where an exponential correlation has decayed to 1/e.
-        blocks: Blocks that a file is cut into where its correlation allows it.
-        fewest_blocks: Blocks that a file is cut into in any case: as many as there
-            are folds.
-        jump: Length of a step that is a jump, by that of the step at hand.
-        fewest: Configurations whose order can tell anything: chance must not look
-            like a path.
-    """
-
-    close: float = 0.5
-    chance: float = 3.0
-    unlike: float = 0.63
-    blocks: int = 20
-    fewest_blocks: int = 5
-    jump: float = 2.0
-    fewest: int = 10
-
-
-@dataclass(frozen=True)
-class RegionOptions:
-    """How regions are cut.
-
-    Attributes:
-        part: Part of the measurements in the outer part of the range of a joint.
-        joints: Most joints with such a part, those that moved most.
-        clusters: Number of clusters.
-        most: Largest part of the measurements in a region; what is fitted without
-            more of them is another calibration (of 37 postures of a TIAGo, 33 are in
-            one cluster).
-        rounds: Rounds in which clusters settle; they need not do so to the last
-            configuration.
-    """
-
-    part: float = 0.25
-    joints: int = 7
-    clusters: int = 4
-    most: float = 0.5
-    rounds: int = 20
-
-
-STRETCHES = StretchOptions()
-REGIONS = RegionOptions()
+CLUSTERS = 4
+"""Clusters of configurations that are held out."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +89,7 @@ class Grouping:
         if not stretched:
             other = measurements.groups()
         groups = labels(place, np.where(place < 0, other, -1))
-        telling = len(np.unique(place[place >= 0])) >= TELLING_PLACES
+        telling = len(np.unique(place[place >= 0])) >= FEWEST_HELD_OUT
         return cls(measurements, place, stretched, groups, groups if telling else other)
 
     def shuffled(self, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -177,7 +129,7 @@ class Grouping:
             # Distinct configurations of every frame among those that are left.
             pairs = np.unique((frame * count + configuration)[kept])
             left = np.bincount(pairs // count, minlength=len(keys))
-            needed = mask & (left < FEWEST_OF_FRAME)[frame]
+            needed = mask & (left < THREE)[frame]
             mask &= ~np.isin(self.groups, self.groups[needed])
         return mask
 
@@ -285,19 +237,20 @@ def regions(grouping: Grouping, seed: int) -> list[NDArray[np.bool_]]:
         seed: Seed of the first centers of clusters.
     """
     q = grouping.measurements.q
-    spread = q.std(axis=0)
+    spread, masks = q.std(axis=0), []
     moved = [k for k in np.argsort(-spread, kind="stable") if spread[k] > 1e-6]
-    masks = []
-    for turn, joint in enumerate(moved[: REGIONS.joints]):
+    for turn, joint in enumerate(moved[:7]):
         # Alternately its upper and its lower end.
         values = q[:, joint] if turn % 2 else -q[:, joint]
-        masks.append(values > np.quantile(values, 1.0 - REGIONS.part, method="lower"))
+        masks.append(values > np.quantile(values, 1.0 - OUTER, method="lower"))
     if moved:
         label = _clusters(np.concatenate([np.sin(q), np.cos(q)], axis=1), seed)
-        masks += [label == k for k in range(REGIONS.clusters)]
+        masks += [label == k for k in range(CLUSTERS)]
     configuration = grouping.measurements.groups()
     spared = {mask.tobytes(): mask for mask in map(grouping.spared, masks)}
-    some = [mask for mask in spared.values() if mask.mean() <= REGIONS.most]
+    # What is fitted without more than half is another calibration (of 37 postures of a
+    # TIAGo, 33 are in one cluster).
+    some = [mask for mask in spared.values() if mask.mean() <= 0.5]
     return [mask for mask in some if len(np.unique(configuration[mask])) >= FEWEST]
 
 
@@ -312,10 +265,9 @@ def _clusters(points: Floats, seed: int) -> NDArray[np.int64]:
     def squares() -> Floats:
         return np.asarray(((points[:, None] - centers) ** 2).sum(axis=2))
 
-    while len(centers) < REGIONS.clusters:
-        farthest = points[squares().min(axis=1).argmax()]
-        centers = np.concatenate([centers, [farthest]])
-    for _ in range(REGIONS.rounds):
+    while len(centers) < CLUSTERS:
+        centers = np.vstack([centers, points[squares().min(axis=1).argmax()]])
+    for _ in range(20):  # They need not settle to the last configuration.
         label = squares().argmin(axis=1)
         for k in np.unique(label):
             centers[k] = points[label == k].mean(axis=0)
@@ -339,7 +291,7 @@ def stretches(rows: Observations) -> NDArray[np.int64]:
     Returns:
         The labels, from 0; all -1 where the order tells nothing.
     """
-    configuration, options = rows.groups(), STRETCHES
+    configuration, unknown = rows.groups(), np.full(len(rows), -1)
     chain = labels([key.chain for key in rows.keys])
     path = labels(rows.files.codes, chain[rows.block_of])
     in_order = rows.in_order[np.argsort(path[rows.in_order], kind="stable")]
@@ -348,19 +300,20 @@ def stretches(rows: Observations) -> NDArray[np.int64]:
     file, q, count = path[order], rows.q[order], len(order)
     scatter = q.std(axis=0) if count else np.zeros(0)
     moves = scatter > 1e-9
-    if count < options.fewest or not moves.any():
-        return np.full(len(rows), -1)
+    # Chance must not look like a path.
+    if count < 2 * FEWEST_HELD_OUT or not moves.any():
+        return unknown
     # In units of the scatter, without joints that stand still.
     z = (q - q.mean(axis=0))[:, moves] / scatter[moves]
-    limit = min(options.close, 1.0 - options.chance / np.sqrt(count))
-    if _variogram(z, file, 1) > limit:
-        return np.full(len(rows), -1)
-    longest = count // options.fewest_blocks
+    if _variogram(z, file, 1) > min(CLOSE, 1.0 - 3.0 / np.sqrt(count)):
+        return unknown
+    longest = count // FOLDS
     # Every lag of the short ones; of the long ones a tenth apart.
     lags = np.unique(np.geomspace(1, longest, 24 + count.bit_length() * 4).astype(int))
-    unlike = (h for h in lags.tolist()[1:] if _variogram(z, file, h) > options.unlike)
+    unlike = (h for h in lags.tolist()[1:] if _variogram(z, file, h) > 0.63)
     length = next(unlike, longest)
-    length = max(length, min(count // options.blocks, 2 * length), 1)
+    # Four blocks a fold, where the correlation allows it.
+    length = max(length, min(count // (4 * FOLDS), 2 * length), 1)
     of = np.empty(count, np.int64)
     of[configuration[order]] = _blocks(z, file, length)
     return of[configuration]
@@ -390,7 +343,8 @@ def _blocks(z: Floats, file: NDArray[np.int64], length: int) -> NDArray[np.int64
         for end in (start + np.arange(1, count) * (stop - start) // count).tolist():
             low = end - (length - 1) // 2
             jump = low + int(np.argmax(step[low : min(end + length // 2 + 1, stop)]))
-            begins[jump if step[jump] > STRETCHES.jump**2 * step[end] else end] = True
+            # Twice as long as the step at hand.
+            begins[jump if step[jump] > 4.0 * step[end] else end] = True
     return np.asarray(np.cumsum(begins) - 1)
 
 
@@ -407,27 +361,22 @@ def places(measurements: Observations, setup: Setup) -> NDArray[np.int64]:
             continue
         for target in block.target.distinct:
             if name := target.rpartition(AT)[2]:
-                socket = _at(block.station, name)
-                place = _at(block.station, name.rpartition("/")[0] or name)
-                home.setdefault(socket, place)
+                socket = f"{block.station}/{name}".lstrip("/")
+                place = socket.rpartition("/")[0]
+                home.setdefault(socket, socket if place == block.station else place)
                 index = np.flatnonzero(block.target.where(target))
                 own.append((socket, part.start + index))
     for distance in setup.distances:
         for station in dict.fromkeys(["", *(key.station for key in measurements.keys)]):
-            ends = [_at(station, name) for name in distance.between]
+            ends = [f"{station}/{name}".lstrip("/") for name in distance.between]
             first, second = (home.get(end, end) for end in ends)
             home = {s: first if at == second else at for s, at in home.items()}
     found = np.full(len(measurements), -1)
     number = {place: k for k, place in enumerate(dict.fromkeys(home.values()))}
-    if len(number) >= FEWEST_PLACES:
+    if len(number) >= THREE:
         for socket, index in own:
             found[index] = number[home[socket]]
     return found
-
-
-def _at(station: str, name: str) -> str:
-    """The name of something at a station among those of all."""
-    return f"{station}/{name}" if station else name
 
 
 def split(
@@ -447,21 +396,21 @@ def split(
     """
     if validation is not None and holdout is not None:
         raise OptionError("give validation measurements or a holdout, not both")
-    training, marked = fitted_and_held_out(measurements)
+    training, left = fitted_and_held_out(measurements)
     reason = "no {} is left to fit: all are for validation"
-    _require_fitted(training, marked, reason, column="set")
+    _require_fitted(training, left, reason, column="set")
     if validation is not None:
         if len(validation) == 0:
             raise InputError("there are no measurements to validate with")
         reason = "these cannot be checked: no {} is fitted"
         _require_fitted(training, validation, reason)
         return training, validation, "file"
-    if holdout is not None:
-        mask = _held_out(training, setup, holdout, seed)
-        kept, left = training.rows(~mask), training.rows(mask)
-        _require_fitted(kept, left, "no {} is left to fit: the holdout took all")
-        return kept, left, "holdout"
-    return training, marked if len(marked) else None, "set"
+    if holdout is None:
+        return training, left if len(left) else None, "set"
+    mask = _held_out(training, setup, holdout, seed)
+    kept, left = training.rows(~mask), training.rows(mask)
+    _require_fitted(kept, left, "no {} is left to fit: the holdout took all")
+    return kept, left, "holdout"
 
 
 def _held_out(
@@ -473,9 +422,8 @@ def _held_out(
         OptionError: If it is out of range or leaves nothing.
     """
     if not 0.0 < holdout < 1.0:
-        raise OptionError(
-            "holdout is out of range", value=holdout, allowed="between 0 and 1"
-        )
+        allowed = "between 0 and 1"
+        raise OptionError("holdout is out of range", value=holdout, allowed=allowed)
     grouping = Grouping.of(measurements, setup)
     labels, (order, stratum) = grouping.groups, grouping.shuffled(seed)
     # The same share of every stratum, whatever its size.

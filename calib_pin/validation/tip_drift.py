@@ -10,14 +10,11 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.tip_accuracy import frame_motions
 from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp, so3_log
 from calib_pin.parameterizations import NOTHING
-from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.calibrated_model import CalibratedChain
+from calib_pin.validation.result import Accuracy
 
 SAMPLES = 1000
 """Configurations of the workspace."""
-
-STEPS = 50
-"""Steps after which the fit of the frames ends at the latest; a few are enough."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +126,7 @@ def absorbed(
         The moved poses, shape (N, 4, 4), L and R, shape (4, 4).
     """
     L, R, J = np.eye(4), np.eye(4), np.zeros((len(B), 6, 12))
-    for _ in range(STEPS if left or right else 0):
+    for _ in range(50 if left or right else 0):  # A few are enough.
         J[:, :, :6], J[:, :, 6:] = left * adjoint(invert(B)), right * np.eye(6)
         M = invert(B) @ A
         missing = np.hstack([M[:, :3, 3], so3_log(M[:, :3, :3])])

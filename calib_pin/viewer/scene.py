@@ -43,7 +43,8 @@ from calib_pin.report.breakdown import block_names
 from calib_pin.report.surroundings import Thing, surroundings
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.validation.evaluation import Prepared, prepared
+from calib_pin.validation.evaluation import prepared
+from calib_pin.validation.model_errors import Registered
 
 STEPS = 20
 """Points of the tip's path from one configuration to the next."""
@@ -294,7 +295,7 @@ def _carrying(model: CalibratedChain, payload: str) -> ErrorModel:
     return model.error.carrying(payload or (NOTHING if several else ""))
 
 
-def stage_errors(robot: Prepared, link: str) -> StageErrors:
+def stage_errors(robot: Registered, link: str) -> StageErrors:
     """Errors of the measurements that a robot is prepared for, in one of its links."""
     problem, theta = robot.problem.rebased(robot.theta)
     data, residual = problem.data, problem.errors(theta)
@@ -320,7 +321,7 @@ def stage_errors(robot: Prepared, link: str) -> StageErrors:
     return StageErrors(points, vectors, sizes)
 
 
-def things_around(robot: Prepared, reach: float) -> list[Thing]:
+def things_around(robot: Registered, reach: float) -> list[Thing]:
     """Instruments and targets around a robot that is prepared for measurements.
 
     Args:
@@ -382,7 +383,7 @@ def make_scene(
         tell: Called with one line for what may be otherwise than one thinks.
         stage: Told what begins.
     """
-    rows, planned, ready = None, None, list[Prepared]()
+    rows, planned, ready = None, None, list[Registered]()
     if read is not None:
         known = {} if model is None else model.references
         sockets = (reference.name for reference in known.values())

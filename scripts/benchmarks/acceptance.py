@@ -30,8 +30,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import FrameSetup, LimitSetup, Setup
-from calib_pin.validation.acceptance import Acceptance, Interval, judged, worst
-from calib_pin.validation.pose_tests import tested
+from calib_pin.validation.acceptance import Acceptance, Interval, judged, tested, worst
 
 SEED = 20261126
 

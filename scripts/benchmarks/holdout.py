@@ -23,7 +23,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.left_out import left_out
+from calib_pin.validation.held_out import left_out
 from calib_pin.validation.model_errors import ModelErrors, model_errors
 from calib_pin.validation.splits import Grouping, folds, regions
 

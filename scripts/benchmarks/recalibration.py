@@ -35,7 +35,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup
-from calib_pin.validation.recalibration import expected_setup
+from calib_pin.validation.robot_state import expected_setup
 
 WEEKS, FEW, FULL = 12, 10, 100
 """Weeks of a run, measurements of each, and those of a full calibration."""

@@ -20,7 +20,7 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import Observations
 from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.left_out import left_out
+from calib_pin.validation.held_out import left_out
 from calib_pin.validation.model_errors import fitted_errors
 from calib_pin.validation.splits import Grouping, folds
 

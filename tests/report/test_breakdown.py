@@ -9,13 +9,14 @@ from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.report.blocks import Block, Line, Names, Table
 from calib_pin.report.breakdown import block_names, parts, told
 from calib_pin.report.terminal import plain_text
-from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.result import (
+    Accuracy,
     BlockSummary,
     Breakdown,
     ChainSummary,
     CoupledFrames,
     FrameSummary,
+    QuantityErrors,
 )
 
 

@@ -13,10 +13,11 @@ from calib_pin.validation.acceptance import (
     FrameErrors,
     Interval,
     acceptance,
+    bad_visits,
     cycles_in_order,
     judged,
+    moved_after,
 )
-from calib_pin.validation.pose_tests import bad_visits, moved_after
 
 X = np.array([[1.0, 0.0, 0.0], [1.2, 0.0, 0.0], [1.0, 0.3, 0.0], [1.2, 0.3, 0.4]])
 C = np.array([1.0, 0.1, 0.0])
@@ -163,7 +164,7 @@ def test_what_was_fitted_to_visits_leaves_a_bound() -> None:
         (found,) = judged(test, LimitSetup(position=limit))
         assert found[1] == status
     one = acceptance(
-        x[:10], goal[:10], pose[:10], frames=replace(shift, effects=shift.effects[:10])
+        x[:10], goal[:10], pose[:10], frames=shift._replace(effects=shift.effects[:10])
     )
     assert "from 2 poses on" in one.untestable and not one.bound.low > 0.0
 

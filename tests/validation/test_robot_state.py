@@ -1,17 +1,22 @@
-"""The state of a robot: how it changes, and what a calibration tells a fleet of it."""
+"""The state of a robot, and an older calibration: it holds, drifts, or is refused."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.setup import Setup
+from calib_pin.observations import Observations
+from calib_pin.setup import FrameSetup, ReportSetup, Setup
+from calib_pin.simulation import simulate
+from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.robot_state import changes, drifts, robot_evidence
+from calib_pin.validation.tip_drift import absorbed
 
 
 @pytest.mark.parametrize("name", ["placement", "dh", "joint-offset", "link-transform"])
@@ -114,3 +119,198 @@ def test_what_tells_nothing(fleet, refused) -> None:
     setup = replace(result.model.setup, learned="network")
     with refused(InputError, reason="learned correction"):
         robot_evidence(replace(result, model=replace(result.model, setup=setup)))
+
+
+TOOL = FrameSetup((0.05, 0.08, 0.12), estimate=True)
+NOISE = 1e-4
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A robot with known errors, and its first calibration."""
+
+    problem: object
+    theta: np.ndarray
+    first: CalibrationResult
+
+    @property
+    def chain(self):
+        return self.problem.chains[""]
+
+    def measured(
+        self,
+        seed,
+        count=10,
+        changes=None,
+        noise=NOISE,
+        moved=(0.0, 0.0, 0.0),
+        tool=TOOL,
+    ):
+        """Measurements by a tracker that was moved, without stated noise."""
+        theta = self.changed(changes)
+        base = FrameSetup((1.0 + moved[0], *moved[1:]), (0.1, 0.2, 0.3), estimate=True)
+        problem = nominal_problem(
+            self.chain, "position", Setup(base_frame=base, tool_frame=tool)
+        )
+        rng = np.random.default_rng(seed)
+        rows = simulate(problem, theta, rng, count=count, noise=noise).only
+        return Observations.of(replace(rows, sigma=None))
+
+    def changed(self, changes):
+        theta = self.theta.copy()
+        for name, change in (changes or {}).items():
+            theta[self.problem.parameters.index(name)] += change
+        return theta
+
+    def error(self, result, changes=None):
+        """True error of the tool over the workspace, rms [m]."""
+        q = self.chain.random_configurations(200, np.random.default_rng(5))
+        part = self.problem.only
+        A = part.error.poses(q, self.changed(changes))
+        B, *_ = absorbed(A, result.model.of().poses(q))
+        squares = np.sum((B[:, :3, 3] - A[:, :3, 3]) ** 2, axis=1)
+        return float(np.sqrt(squares.mean()))
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
+    problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
+    parameters, rng = problem.parameters, np.random.default_rng(3)
+    robot = parameters.free & ~parameters.nuisance
+    theta = np.where(robot, parameters.scales * rng.normal(size=len(robot)), 0.0)
+    bare = Bench(problem, theta, None)
+    first = calib_pin.calibrate(chain, bare.measured(1, 80))
+    assert first.verdict == "good"
+    return replace(bare, first=first)
+
+
+def again(bench, data, **options):
+    return calib_pin.calibrate(bench.chain, data, start=bench.first, **options)
+
+
+def codes(result):
+    return {finding.code: finding for finding in result.findings}
+
+
+def test_ten_measurements_keep_it(bench) -> None:
+    """The tracker stands elsewhere, and nothing else has changed."""
+    result = again(bench, bench.measured(2, moved=(0.3, -0.2, 0.1)))
+    assert result.verdict == "good"
+    found = codes(result)["old-calibration-holds"]
+    assert found.severity == "info"
+    step = result.recalibration.last
+    (moved,) = step.jumps
+    assert step.measurements == 10 and moved.kind == "base"
+    assert moved.change == pytest.approx(np.linalg.norm([0.3, -0.2, 0.1]), abs=1e-3)
+    assert moved.beside == ("joint 'shoulder_pan_joint'",)
+    # As many as positions tell of the robot, of where base and of where the tool is.
+    assert step.dof == 27 and 8.0 < step.chi2 < 60.0
+    assert bench.error(result) < 1.05 * bench.error(bench.first)
+    alone = calib_pin.calibrate(bench.chain, bench.measured(2), validate=False)
+    assert bench.error(result) < 0.5 * bench.error(alone)
+    # What the older one predicts is worse than the fit, and far better than nominal.
+    (name, unit, older), (error,) = result.recalibration.errors[0], result.errors
+    assert (name, unit) == ("position", "m")
+    assert error.after.rms < older.rms < 0.2 * error.before.rms
+
+
+JUMP = {"elbow_joint.placement.ry": 1.5e-3}
+
+
+def test_a_hit_joint_is_told_and_followed(bench) -> None:
+    result = again(bench, bench.measured(4, changes=JUMP))
+    found = codes(result)["old-calibration-no-longer-holds"]
+    assert found.severity == "warning" and "'elbow_joint'" in found.message
+    (jump,) = result.recalibration.last.jumps
+    assert (jump.name, jump.kind, jump.unit) == ("elbow_joint", "offset", "rad")
+    assert jump.change == pytest.approx(1.5e-3, abs=4.0 * jump.sigma)
+    assert jump.sigma < 1.5e-4
+    assert result.verdict == "good"
+    assert bench.error(result, JUMP) < 0.15 * bench.error(bench.first, JUMP)
+    # The jump does not count as drift, neither now nor the next time.
+    sizes = {drift.name: drift.size for drift in result.recalibration.last.drifts}
+    assert sizes["joint offsets"] < 6e-5 and sizes["geometry"] < 2e-5
+
+
+FIRST_JOINT = {"shoulder_pan_joint.placement.rz": 5e-3}
+LAST_JOINT = {"wrist_3_joint.placement.ry": 8e-3}
+MOUNTED = FrameSetup((0.0505, 0.0796, 0.1203), estimate=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "tool", "kind", "others"),
+    [
+        (FIRST_JOINT, TOOL, "offset", "base"),
+        (LAST_JOINT, TOOL, "offset", "tool"),
+        (None, MOUNTED, "tool", "joint 'wrist_3_joint'"),
+    ],
+    ids=["first joint", "last joint", "tool"],
+)
+def test_changes_that_nothing_separates(bench, changes, tool, kind, others) -> None:
+    data = bench.measured(4, changes=changes, tool=tool)
+    result = again(bench, data, validate=False)
+    (jump,) = result.recalibration.last.jumps
+    assert jump.kind == kind and others in (*jump.instead, *jump.beside)
+    holds = "old-calibration-holds" in codes(result)
+    # It is the robot that does not hold, and may not hold.
+    assert holds == (changes is None)
+    (finding,) = [f for f in result.findings if f.code.startswith("old-calibration")]
+    assert others in finding.message
+    assert holds or f"a {others} that moved" in finding.remedy
+
+
+def test_a_known_base_tells_the_first_joint(bench) -> None:
+    """It holds in millimeters, or not: the older one did not know joint and base."""
+    base = bench.first.model.of().error.base
+    pose = FrameSetup(
+        tuple(base.translation), tuple(pin.rpy.matrixToRpy(base.rotation))
+    )
+    setup = Setup(base_frame=replace(pose, estimate=False))
+    data = bench.measured(4, changes=FIRST_JOINT)
+    result = again(bench, data, setup=setup, validate=False)
+    (jump,) = result.recalibration.last.jumps
+    assert (jump.name, jump.kind) == ("shoulder_pan_joint", "offset")
+    assert jump.instead == ()
+    assert jump.change == pytest.approx(5e-3, abs=4.0 * jump.sigma)
+    assert "old-calibration-no-longer-holds" in codes(result)
+
+
+def test_two_changes_are_told_apart(bench) -> None:
+    data = bench.measured(4, changes=JUMP, tool=MOUNTED)
+    result = again(bench, data, validate=False)
+    kinds = {jump.kind for jump in result.recalibration.last.jumps}
+    assert kinds == {"offset", "tool"}
+    assert bench.error(result, JUMP) < 0.15 * bench.error(bench.first, JUMP)
+
+
+def test_many_changes_are_another_robot(bench) -> None:
+    rng = np.random.default_rng(0)
+    parameters = bench.problem.parameters
+    changes = {
+        p.name: 0.5 * p.scale * rng.normal() for p in parameters if not p.nuisance
+    }
+    result = again(bench, bench.measured(22, 60, changes), validate=False)
+    found = codes(result)["old-calibration-no-longer-holds"]
+    assert "another robot of its type" in found.message
+    assert bench.error(result, changes) < 0.2 * bench.error(bench.first, changes)
+
+
+def test_refusals(bench) -> None:
+    data, first = bench.measured(2), bench.first
+    unsure = replace(first, covariance=first.covariance * np.nan)
+    with pytest.raises(OptionError, match="how sure it is"):
+        calib_pin.calibrate(bench.chain, data, start=unsure)
+    other = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="ee_link")
+    with pytest.raises(OptionError, match="ee_link"):
+        calib_pin.calibrate(other, data, start=first)
+    name = "elbow_joint.placement.x"
+    held = tuple(
+        replace(p, status="fixed") if p.name == name else p for p in first.parameters
+    )
+    with pytest.raises(OptionError, match=r"not estimated elbow_joint\.placement\.x"):
+        calib_pin.calibrate(bench.chain, data, start=replace(first, parameters=held))
+    model = replace(first.model, setup=Setup(report=ReportSetup(serial_number="A1")))
+    setup = Setup(report=ReportSetup(serial_number="B2"))
+    with pytest.raises(OptionError, match="'A1', these measurements are of 'B2'"):
+        calib_pin.calibrate(bench.chain, data, setup, start=replace(first, model=model))

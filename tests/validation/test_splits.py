@@ -21,10 +21,11 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.setup import DistanceSetup, FrameSetup, Setup
 from calib_pin.validation import splits
-from calib_pin.validation.left_out import left_out
+from calib_pin.validation.held_out import left_out
 from calib_pin.validation.splits import (
+    CLUSTERS,
     FOLDS,
-    REGIONS,
+    OUTER,
     Grouping,
     places,
     regions,
@@ -323,10 +324,10 @@ def q() -> Floats:
 
 def test_outer_parts_of_joints_then_clusters(q: Floats) -> None:
     found = regions(grouping(q), 0)
-    assert len(found) == 3 + REGIONS.clusters
+    assert len(found) == 3 + CLUSTERS
     # The joint that moved most comes first, at its lower end.
     for mask, joint, sign in zip(found[:3], (1, 0, 2), (-1, 1, -1), strict=True):
-        assert mask.sum() == round(REGIONS.part * len(q))
+        assert mask.sum() == round(OUTER * len(q))
         assert (sign * q[mask, joint]).min() > (sign * q[~mask, joint]).max()
     np.testing.assert_array_equal(np.sum(found[3:], axis=0), 1)
     points = np.concatenate([np.sin(q), np.cos(q)], axis=1)
@@ -338,7 +339,7 @@ def test_repetitions_stay_together_and_still_joints_have_no_part(q: Floats) -> N
     q[:, 2] = 0.3
     twice = np.concatenate([q, q])
     found = regions(grouping(twice), 0)
-    assert len(found) == 2 + REGIONS.clusters
+    assert len(found) == 2 + CLUSTERS
     for mask in found:
         np.testing.assert_array_equal(mask[:80], mask[80:])
 

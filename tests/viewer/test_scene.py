@@ -24,7 +24,8 @@ from calib_pin.measurement_models.references import Plane
 from calib_pin.observations import BlockKey, Conditions
 from calib_pin.setup import ChainSetup, Payload, Setup
 from calib_pin.simulation import simulate
-from calib_pin.validation.evaluation import Prepared, prepared
+from calib_pin.validation.evaluation import prepared
+from calib_pin.validation.model_errors import Registered
 from calib_pin.viewer.scene import (
     Plan,
     Rows,
@@ -230,7 +231,7 @@ def test_several_chains_are_drawn_in_the_root():
     problem = nominal_problem(chains, keys, Setup())
     theta, rng = np.zeros(len(problem.parameters)), np.random.default_rng(4)
     data = simulate(problem, theta, rng, count=6, noise=0.0)
-    ready = Prepared(replace(problem, data=data), theta, False, "", ())
+    ready = Registered(replace(problem, data=data), theta)
     link = drawn_link(chains)
     assert link == robot.root
     errors = stage_errors(ready, link)

@@ -32,9 +32,12 @@ from calib_pin.report.figures.canvas import (
     thinning,
 )
 from calib_pin.report.tables import number, significant, unit_of
-from calib_pin.validation.accuracy import Accuracy
-from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.result import (
+    AXES,
+    Accuracy,
+    CalibrationResult,
+    MeasurementErrors,
+)
 
 SHARE = 0.95
 """The share that is marked."""

@@ -36,8 +36,7 @@ from calib_pin.report.figures.canvas import (
 )
 from calib_pin.report.surroundings import surroundings, touched_by
 from calib_pin.report.tables import significant, unit_of
-from calib_pin.validation.measurement_errors import MeasurementErrors
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult, MeasurementErrors
 
 POINTS = 700
 """Points that are drawn at most: more hide each other and the robot."""

@@ -11,8 +11,8 @@ from benchmarks.accuracy.data_sets import DataSet, Term
 from calib_pin.observations import Observations
 from calib_pin.progress import Stages
 from calib_pin.setup import Setup
-from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.result import (
+    Accuracy,
     CalibrationResult,
     Candidate,
     Evaluation,

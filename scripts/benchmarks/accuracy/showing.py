@@ -11,8 +11,7 @@ from rich.table import Table
 
 from benchmarks.accuracy.measuring import METHODS, Errors, Measured
 from benchmarks.accuracy.published import published
-from calib_pin.validation.accuracy import Accuracy
-from calib_pin.validation.result import QuantityError
+from calib_pin.validation.result import Accuracy, QuantityError
 
 MM = 1e3
 HEADERS = {

@@ -21,7 +21,7 @@ from calib_pin.estimation.evidence import (
     TipAccuracy,
     VarianceComponent,
 )
-from calib_pin.estimation.layout import side_by_side
+from calib_pin.estimation.problem import side_by_side
 from calib_pin.estimation.terms import FRAME, Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity

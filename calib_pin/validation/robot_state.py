@@ -25,11 +25,12 @@ from calib_pin.estimation.identifiability import nuisance_basis
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import least_squares
-from calib_pin.estimation.statistics.innovations import Explanation, explained
 from calib_pin.estimation.statistics.population_prior import (
     Cause,
+    Explanation,
     RobotEvidence,
     Sparse,
+    explained,
 )
 from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.chains import Chains

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 from calib_pin.errors import RobotError
 from calib_pin.kinematics.chain import Chain
@@ -17,7 +18,10 @@ from calib_pin.validation.findings.hypotheses import Hypothesis
 OF = "the chain"
 """The subject of these explanations, of which only one can be true."""
 
-MOUNTS = {"hand": "moves with the tool", "world": "stands still"}
+MOUNTS: dict[Literal["hand", "world"], str] = {
+    "hand": "moves with the tool",
+    "world": "stands still",
+}
 """Where a camera may be."""
 
 ABSORBED = 4.0
@@ -29,13 +33,13 @@ def robots(case: Case) -> Iterator[Hypothesis]:
     """Explanations by what was measured: the robot, its links, the tool."""
     yield from _frames(case)
     if (camera := case.setup.camera) is not None:
-        mount, other = camera.mount, next(m for m in MOUNTS if m != camera.mount)
+        (mount,) = MOUNTS.keys() - {camera.mount}
         yield Hypothesis(
             "camera-mount",
-            f"the camera {MOUNTS[other]}, and is not one that {MOUNTS[mount]}",
+            f"the camera {MOUNTS[mount]}, and is not one that {MOUNTS[camera.mount]}",
             OF,
-            setup={"camera": replace(camera, mount=other)},
-            stated={"camera": {"mount": other}},
+            setup={"camera": replace(camera, mount=mount)},
+            stated={"camera": {"mount": mount}},
         )
     # A shorter chain touches one point the better the less it moves.
     touching = any(declared(model).contact for model in case.data.models)

@@ -7,6 +7,7 @@ was exchanged is known as a pair of which each fits the values of the other.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -20,8 +21,15 @@ from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.places import NAMED, named, without
-from calib_pin.validation.findings.setup_lines import lines_of, written
+from calib_pin.validation.findings.sentences import (
+    NAMED,
+    OVER_ORDER,
+    named,
+    shown,
+    told,
+    without,
+)
+from calib_pin.validation.findings.setup_lines import lines_of
 from calib_pin.validation.tip_drift import tip_drift
 
 STRETCH, FULL, CONFIGURATIONS = 0.1, 0.9, 6
@@ -31,33 +39,41 @@ which outliers are one that was measured with something else."""
 
 def outliers(case: Case) -> Iterator[Finding]:
     """Measurements that are set aside; of a whole fit exchanged ones apart."""
-    fitted = case.fitted
+    fitted, data = case.fitted, case.data
     if fitted is None:
-        yield from _far(case.fit.problem.data)
-        return
-    if fitted.robust.squared is None:
+        # The nominal robot fits them far worse than the others.
+        data = case.fit.problem.data
+        rows = data.in_order[data.weight[data.in_order] == 0.0].tolist()
+        if rows:
+            said = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements that "
+            said += f"were looked at {'does' if len(rows) == 1 else 'do'} not fit the "
+            said += "nominal robot as the others do"
+            yield _aside("outliers", "warning", said, {}, data, rows)
         return
     out = [o for o in fitted.robust.outliers if o.weight == 0.0]
-    if not out:
+    if fitted.robust.squared is None or not out:
         return
-    data, moved = case.data, displaced(fitted, fitted.robust.squared)
-    numbers: dict[str, float | str] = {"displaced": moved, "all": float(len(data))}
-    severity: Severity = "warning" if moved > LENGTH_SCALE else "info"
-    with_them = f"with them the tool point would move by {1e3 * moved:.2g} mm"
+    moved = displaced(fitted, fitted.robust.squared)
+    numbers: dict[str, Any] = {"displaced": moved, "all": len(data)}
+    with_them = f"with them the tool point would move by {shown(moved, 'm')}"
     pairs = _pairs(data, out)
     if pairs:
         places = tuple((place_of(data, a), place_of(data, b)) for a, b in pairs)
         lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
-        yield Finding(
+        of = "the measurements of lines" if data.files[pairs[0][0]] else "measurements"
+        said = f"{of} {places[0][0]} and {places[0][1]}"
+        if more := len(pairs) - 1:
+            said += f", and {more} more pair{'s' if more > 1 else ''},"
+        said += f" fit if exchanged, and were set aside; {with_them}"
+        remedy = "exchange their joint positions ('reading: exchanged' in the setup)"
+        yield told(
             "measurements-exchanged",
             "warning",
-            f"{_told(data, pairs)} fit if exchanged, and were set aside; {with_them}",
-            {**numbers, "pairs": float(len(pairs))},
-            f"state in the setup file: {written(lines)}"
-            if len(pairs) <= NAMED
-            else "exchange their joint positions ('reading: exchanged' in the setup)",
+            said,
+            {**numbers, "pairs": len(pairs)},
+            "" if len(pairs) <= NAMED else remedy,
             lines,
-            "residuals-over-order",
+            OVER_ORDER,
         )
     paired = {row for pair in pairs for row in pair}
     alone = [o for o in out if o.row not in paired]
@@ -66,22 +82,30 @@ def outliers(case: Case) -> Iterator[Finding]:
     rest = np.array([o.row for o in alone])
     rows = rest[np.argsort(np.argsort(data.in_order)[rest])].tolist()
     code, together = _together(data, rest)
-    severity = "error" if together else severity
+    severity: Severity = "warning" if moved > LENGTH_SCALE else "info"
     targets = {data.target[row] for row in rows}
     if len(targets) == 1 and any(targets):
         numbers["target"] = targets.pop()
     causes = [*dict.fromkeys(o.cause for o in alone if o.cause)]
     shared = f" ({', '.join(causes[:NAMED])})" if causes else ""
-    yield Finding(
-        code,
-        severity,
-        f"{named(data, rows)}{shared}: {len(rows)} of {len(data)} measurements "
-        f"{'does' if len(rows) == 1 else 'do'} not fit and "
-        f"{'was' if len(rows) == 1 else 'were'} set aside{together}; {with_them}",
-        {**numbers, "outliers": float(len(rows)), "first": place_of(data, rows[0])},
-        *without(data, rows, "measure them again, or leave them out"),
-        figure="residuals-over-order",
-    )
+    verbs = ("does", "was") if len(rows) == 1 else ("do", "were")
+    said = f"{named(data, rows)}{shared}: {len(rows)} of {len(data)} measurements "
+    said += f"{verbs[0]} not fit and {verbs[1]} set aside{together}; {with_them}"
+    yield _aside(code, "error" if together else severity, said, numbers, data, rows)
+
+
+def _aside(
+    code: str,
+    severity: Severity,
+    said: str,
+    numbers: dict[str, Any],
+    data: Observations,
+    rows: list[int],
+) -> Finding:
+    """The finding of measurements, in the order of the files, to leave out."""
+    numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
+    remedy, lines = without(data, rows, "measure them again, or leave them out")
+    return told(code, severity, said, numbers, remedy, lines, OVER_ORDER)
 
 
 def _together(data: Observations, rows: Indices) -> tuple[str, str]:
@@ -103,22 +127,6 @@ def _together(data: Observations, rows: Indices) -> tuple[str, str]:
     return "outlying-stretch", words
 
 
-def _far(data: Observations) -> Iterator[Finding]:
-    """Measurements that the nominal robot fits far worse than the others."""
-    rows = data.in_order[data.weight[data.in_order] == 0.0].tolist()
-    if rows:
-        yield Finding(
-            "outliers",
-            "warning",
-            f"{named(data, rows)}: {len(rows)} of {len(data)} measurements that were "
-            f"looked at {'does' if len(rows) == 1 else 'do'} not fit the nominal robot "
-            "as the others do",
-            {"outliers": float(len(rows)), "first": place_of(data, rows[0])},
-            *without(data, rows, "measure them again, or leave them out"),
-            figure="residuals-over-order",
-        )
-
-
 def displaced(fitted: Fit, squared: Fit) -> float:
     """How far two fits have the tool apart, over the workspace, rms [m]."""
     first, second = (
@@ -135,10 +143,3 @@ def _pairs(data: Observations, out: Sequence[Outlier]) -> list[tuple[int, int]]:
     of_cause = {exchanged_with(data, o.row): o.row for o in out}
     partner = {o.row: of_cause[o.cause] for o in out if o.cause in of_cause}
     return [(a, b) for a, b in sorted(partner.items()) if a < b and partner.get(b) == a]
-
-
-def _told(data: Observations, pairs: Sequence[tuple[int, int]]) -> str:
-    (a, b), more = pairs[0], len(pairs) - 1
-    of = "the measurements of lines" if data.files[a] else "measurements"
-    told = f"{of} {place_of(data, a)} and {place_of(data, b)}"
-    return told + (f", and {more} more pair{'s' if more > 1 else ''}," if more else "")

@@ -60,7 +60,7 @@ def fitted(rows: Measurements, setup: Setup) -> Fit:
 
 
 def found_in(fitted: Fit) -> tuple[Finding, ...]:
-    return plausibility(Case.of(fitted, fitted.problem.chains))
+    return tuple(plausibility(Case.of(fitted, fitted.problem.chains)))
 
 
 def found(rows: Measurements, setup: Setup) -> tuple[Finding, ...]:

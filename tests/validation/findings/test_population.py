@@ -7,7 +7,7 @@ import numpy as np
 from calib_pin.estimation.fit import fit_model
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.population import population
+from calib_pin.validation.findings.plausibility import population
 
 
 def found(fleet, seed: int, count: int, spreads: float, prior: bool = True):

@@ -17,7 +17,7 @@ from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import explain
 from calib_pin.validation.findings.hypotheses import finding
-from calib_pin.validation.findings.robot import robots
+from calib_pin.validation.findings.readings import robots
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
 UR5, UR10 = "example:ur5_robot", "example:ur10_robot"

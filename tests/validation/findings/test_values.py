@@ -9,7 +9,7 @@ import pytest
 
 import calib_pin
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
-from calib_pin.validation.findings.coarse_values import coarse_step
+from calib_pin.validation.findings.facts import coarse_step
 
 RANDOM = np.random.default_rng(0).uniform(-2.0, 2.0, 60)
 

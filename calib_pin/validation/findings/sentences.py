@@ -1,0 +1,61 @@
+"""Findings in words: sizes, measurements, and the lines that correct them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from calib_pin.estimation.evidence import Finding, Severity
+from calib_pin.measurement_models.readings import places_of
+from calib_pin.observations import Observations
+from calib_pin.setup import ReadingSetup
+from calib_pin.units import DISPLAY
+from calib_pin.validation.findings.setup_lines import lines_of, written
+
+NAMED, SHORT = 3, 12
+"""Things that a sentence names, and measurements that a remedy does; the lines of the
+setup file have all of them."""
+
+BY_JOINT, OVER_ORDER = "residuals-by-joint", "residuals-over-order"
+"""Names of figures."""
+
+
+def told(
+    code: str,
+    severity: Severity,
+    message: str,
+    numbers: Mapping[str, Any],
+    remedy: str = "",
+    lines: Mapping[str, Any] | None = None,
+    figure: str = "",
+) -> Finding:
+    """A finding; where nothing else is the remedy, it is to state the lines."""
+    if lines and not remedy:
+        remedy = f"state in the setup file: {written(lines)}"
+    evidence = {k: v if isinstance(v, str) else float(v) for k, v in numbers.items()}
+    return Finding(code, severity, message, evidence, remedy, lines or {}, figure)
+
+
+def shown(size: float, unit: str, digits: int = 2) -> str:
+    """A size in the unit that people read."""
+    name, factor = DISPLAY[unit]
+    return f"{factor * size:.{digits}g} {name}"
+
+
+def named(data: Observations, rows: Sequence[int]) -> str:
+    """Measurements in words, such as `lines 12, 31, 40 and 2 more`."""
+    words = ", ".join(places_of(data, rows[:NAMED]))
+    if len(rows) > NAMED:
+        words += f" and {len(rows) - NAMED} more"
+    kind = "line" if data.files[rows[0]] else "measurement"
+    return f"{kind}{'s' if len(rows) > 1 else ''} {words}"
+
+
+def without(
+    data: Observations, rows: Sequence[int], advice: str
+) -> tuple[str, dict[str, Any]]:
+    """The remedy to leave measurements out, after some words, and its setup lines."""
+    lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
+    if len(rows) > SHORT:
+        return f"{advice} ('reading: without' in the setup file)", lines
+    return f"{advice} (in the setup file: {written(lines)})", lines

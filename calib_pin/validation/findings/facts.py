@@ -222,10 +222,8 @@ def copies(case: Case) -> Iterator[Finding]:
     rows = _equal(data)
     if not rows or _by_chance(case, len(rows)):
         return
-    many = "s are copies" if len(rows) > 1 else " is a copy"
-    count, _, verb = many.partition(" ")
-    said = f"{len(rows)} measurement{count} of {len(data)} {verb} of others to the "
-    said += f"last digit, which count twice: {named(data, rows)}"
+    said = f"{len(rows)} of {len(data)} measurements are copies of others to the last "
+    said += f"digit, which count twice: {named(data, rows)}"
     numbers = {"copies": len(rows), "all": len(data)}
     remedy = without(data, rows, "leave them out")
     yield told("copied-measurements", "warning", said, numbers, *remedy)
@@ -279,7 +277,8 @@ def _by_chance(case: Case, pairs: int) -> bool:
     """
     sigma = case.fit.rms * float(np.median(case.fit.problem.given_sigma))
     # A robot that is not as its model leaves more in a fit than an instrument scatters.
-    sigma = min(sigma, _scatter(case.data) or sigma)
+    noise = case.fitted.noise[:1] if case.fitted is not None else ()
+    sigma = min([sigma, *(part.pure for part in noise if part.pure)])
     if not np.isfinite(sigma) or case.fit.rms < EXACT:
         return True  # Exact measurements repeat themselves.
     grids = [_grid(b.values) for b in case.data.blocks if b.values.shape[1]]
@@ -291,20 +290,6 @@ def _by_chance(case: Case, pairs: int) -> bool:
 def _things_there(data: Observations) -> Indices:
     """Label of the measurements of one thing at one configuration, shape (N,)."""
     return np.asarray(data.groups() * (data.things().max() + 1) + data.things())
-
-
-def _scatter(data: Observations) -> float:
-    """Scatter of what was measured several times; zero where nothing scatters."""
-    squares, left, same = 0.0, 0, _things_there(data)
-    for block, rows in zip(data.blocks, data.slices, strict=True):
-        own = np.unique(same[rows], return_inverse=True)[1]
-        there = np.bincount(own)
-        for column in block.values.T[:3]:
-            mean = np.bincount(own, column) / there
-            squares += float(np.sum((column - mean[own]) ** 2))
-            left += len(own) - len(there)
-    scatter = float(np.sqrt(squares / max(left, 1)))
-    return scatter if scatter > ROUNDING else 0.0
 
 
 def _grid(values: Floats) -> Floats:
@@ -337,9 +322,8 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
     names = [name for name in names if name not in chains.robot.mimics]
     # Nobody asks measurements for errors that are not fitted.
     if names and case.fitted is not None:
-        said = f"{len(names)} joint{'s are' if len(names) > 1 else ' is'} moved or "
-        said += "seen by no measurement, and errors that only their motion shows stay "
-        said += f"at nominal: {enumerated(names)}"
+        said = "no measurement moves or sees some joints, and errors that only their "
+        said += f"motion shows stay at nominal: {enumerated(names)}"
         yield told(
             *("unmoved-joints", "warning" if single else "info", said),
             {"joints": ", ".join(names)},
@@ -387,9 +371,8 @@ def design(case: Case) -> Iterator[Finding]:
     directions = int((s > ALONE * s[0]).sum())
     # So many configurations move in one direction less at most.
     if directions < min(moved.sum(), count - 1):
-        said = f"the {moved.sum()} joints that move do so in only {directions} "
-        said += f"independent direction{'s' if directions > 1 else ''}; errors that "
-        said += "cancel along them show elsewhere"
+        said = f"the {moved.sum()} joints that move do so in few independent directions"
+        said += f" ({directions}); errors that cancel along them show elsewhere"
         numbers = {"directions": directions, "joints": moved.sum()}
         severity = "warning" if directions <= FEW else "info"
         yield told(

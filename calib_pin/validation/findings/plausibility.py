@@ -9,11 +9,12 @@ what was found is compared with what robots, distances and fleets are.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from calib_pin.errors import enumerated
 from calib_pin.estimation.directions import half_covariance, projected
@@ -32,7 +33,8 @@ from calib_pin.measurement_models.declaration import INSTRUMENT
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.parameterizations.placement import JointOffset, Placement
-from calib_pin.setup import FrameSetup, PopulationPrior, Setup
+from calib_pin.parameters import ParameterSet
+from calib_pin.setup import PopulationPrior, Setup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.sentences import BY_JOINT, shown, told
@@ -98,7 +100,7 @@ def plausibility(case: Case) -> Iterator[Finding]:
     fitted = case.fitted
     if fitted is None:
         return
-    robot = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
+    robot = _of_robot(fitted.problem.parameters)
     if not robot.any() or fitted.dof <= 0 or not np.isfinite(fitted.theta).all():
         return
     # One wrong distance among several stretches the robot, too.
@@ -108,23 +110,20 @@ def plausibility(case: Case) -> Iterator[Finding]:
     yield from [*_scale(case, fitted, linear)] or _corrections(case, fitted, linear)
 
 
-@dataclass(frozen=True)
-class _Linear:
-    """The linearization at a solution, in principal axes of A.
+class _Linear(NamedTuple):
+    """The linearization at a solution, in principal axes.
 
     With what base, tool and instrument can absorb projected out, the whitened
-    measurements y depend on the scaled errors x of the robot, and on the growth s of
-    all of its lengths, by
+    measurements y depend on the scaled errors x of the robot, and on the growth of all
+    of its lengths, by
 
-        y = A x + g s + e,    e ~ N(0, sigma^2 I)
+        y = S V x + g growth + e,    e ~ N(0, sigma^2 I)
 
     Attributes:
-        s: Singular values of A, shape (k,).
-        V: Right singular vectors of A, by all scaled parameters, shape (P, k).
-        y: Measurements along the left ones, shape (k,).
-        g: Growth along them, shape (k,).
-        beside: Sums of squares and products that A cannot explain: of y, of g with y,
-            and of g.
+        s: Diagonal of S for the n free errors of the robot, then zeros, shape (n + 2,).
+        V: Shape (k, n), k the length of the diagonal.
+        y: Measurements, shape (n + 2,): all that n + 2 columns can tell of them.
+        g: Effect of a growth, shape (n + 2,).
         sigma: Standard deviation of unit weight.
     """
 
@@ -132,65 +131,61 @@ class _Linear:
     V: Floats
     y: Floats
     g: Floats
-    beside: Floats
     sigma: float
 
     @staticmethod
     def of(case: Case, fitted: Fit) -> _Linear:
         """That of a fit, without what expected sizes add to the measurements."""
-        problem, theta = case.fit.problem, fitted.theta
-        parameters = problem.parameters
-        robot = parameters.free & ~parameters.nuisance
-        r, J = problem.linearize_rows(theta)
-        g = np.zeros(len(r))
-        g[: len(problem.sigma)] = growth(problem, theta)
-        scaled = J * parameters.scales
-        columns = np.column_stack([scaled[:, robot], g, r])
-        columns = projected(columns, scaled, parameters)
-        A, g, r = columns[:, :-2], columns[:, -2], columns[:, -1]
-        y = A @ (theta / parameters.scales)[robot] - r
-        U, s, Vt = np.linalg.svd(A, full_matrices=False)
-        kept = s > 1e-9 * s.max(initial=0.0)
-        U, s, V = U[:, kept], s[kept], np.zeros((len(parameters), kept.sum()))
-        V[robot] = Vt[kept].T
-        rest = np.column_stack([y, g])
-        rest -= U @ (U.T @ rest)
-        beside = (rest.T @ rest)[[0, 0, 1], [0, 1, 1]]
+        problem, parameters = case.fit.problem, case.fit.problem.parameters
+        r, J = problem.linearize_rows(fitted.theta)
+        grown, J = np.zeros(len(r)), J * parameters.scales
+        grown[: len(problem.sigma)] = growth(problem, fitted.theta)
+        A = J[:, _of_robot(parameters)]
+        y = A @ (fitted.theta / parameters.scales)[_of_robot(parameters)] - r
+        system = projected(np.column_stack([A, grown, y]), J, parameters)
+        R = np.asarray(np.linalg.qr(system, mode="r"))
+        U, s, V = np.linalg.svd(R[:, :-2])
+        g, y = U.T @ R[:, -2], U.T @ R[:, -1]
         # Exact measurements tell all, but for rounding.
-        return _Linear(s, V, U.T @ y, U.T @ g, beside, max(fitted.sigma0, 1e-6))
+        s, V = np.append(s, np.zeros(len(y) - len(s))), V[: len(s)]
+        return _Linear(s, V, y, g, max(fitted.sigma0, 1e-6))
 
     def growth(self) -> tuple[float, float, float]:
         """Estimated growth, its standard deviation, and size of the other errors.
 
         The errors x of a real robot are themselves scattered, by the size t that is
         likeliest; what grows must stand out from that: generalized least squares with
-        the covariance sigma^2 I + t^2 A A'.
+        the covariance sigma^2 I + t^2 S S'.
         """
         best = (-np.inf, 0.0, np.inf, 1.0)
         products = np.array([self.y**2, self.g * self.y, self.g**2])
         for size in SIZES.tolist():
             variance = self.sigma**2 + (size * self.s) ** 2
-            sums = self.beside / self.sigma**2 + np.sum(products / variance, axis=1)
-            yy, gy, gg = sums.tolist()
-            if gg <= 0.0:
-                break
-            score = -0.5 * (np.log(variance).sum() + np.log(gg) + yy - gy**2 / gg)
-            best = max(best, (float(score), gy / gg, gg**-0.5, size))
+            yy, gy, gg = (products / variance).sum(axis=1).tolist()
+            if gg > 0.0:
+                square = yy - gy**2 / gg
+                score = -0.5 * (np.log(variance).sum() + np.log(gg) + square)
+                best = max(best, (float(score), gy / gg, gg**-0.5, size))
         return best[1:]
 
-    def smaller(self, x: Floats, held: float) -> Floats:
-        """Scaled errors near x of which a normal prior keeps what it can small.
+    def held(self, size: float) -> Floats:
+        """The errors x if a normal prior keeps them at a size, shape (n,).
 
-        Ridge regression, by the standard deviation 1 / held of every error; along what
-        the measurements do not tell there are none. x has the shape (P,).
+        Ridge regression: along what the measurements do not tell there are none.
         """
-        shrunk = self.s * self.y / (self.s**2 + (held * self.sigma) ** 2)
-        return np.asarray(x + self.V @ (shrunk - self.V.T @ x))
+        shrunk = self.s * self.y / (self.s**2 + (self.sigma / size) ** 2)
+        return np.asarray(shrunk[: len(self.V)] @ self.V)
 
     def misfit(self, x: Floats) -> float:
-        """Sum of squares that scaled parameters leave, shape (P,)."""
-        left = self.y - self.s * (self.V.T @ x)
-        return float(self.beside[0] + left @ left)
+        """Errors that are left with these of the robot, shape (n,)."""
+        left, k = self.y.copy(), len(self.V)
+        left[:k] -= self.s[:k] * (self.V @ x)
+        return float(np.linalg.norm(left))
+
+
+def _of_robot(parameters: ParameterSet) -> NDArray[np.bool_]:
+    """The free errors of the robot among all parameters, shape (P,)."""
+    return np.asarray(parameters.free & ~parameters.nuisance)
 
 
 def _scale(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
@@ -234,16 +229,19 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     measurements insist on it. They do not where the errors hardly grow as all
     corrections are made smaller (ridge regression) until this one is of usual size.
     """
-    x = fitted.theta / fitted.problem.parameters.scales
+    parameters = fitted.problem.parameters
+    x, robot = fitted.theta / parameters.scales, _of_robot(parameters)
     sizes, turn_of_one = _sizes(fitted, x), _expected_turn(case.setup)
     if sizes.max() < LARGE:
         return
-    smaller = (linear.smaller(x, held) for held in 1.0 / SIZES[::-1])
-    small = next((z for z in smaller if _sizes(fitted, z).max() < LARGE), None)
-    left = np.inf if small is None else linear.misfit(small)
-    factor = float(np.sqrt(left / max(linear.misfit(x), ROUNDING)))
+    factor, z = np.inf, x.copy()
+    for size in SIZES[::-1].tolist():
+        z[robot] = linear.held(size)
+        if _sizes(fitted, z).max() < LARGE:
+            factor = linear.misfit(z[robot]) / max(linear.misfit(x[robot]), ROUNDING)
+            break
     chains = [term.error.chain for term in fitted.problem.by_chain.values()]
-    names = [(*c.joints, c.tip_joint or c.tip) for c in chains]
+    names = [[*c.joints, c.tip_joint or c.tip] for c in chains]
     place = int(np.argmax(sizes.max(axis=1)))
     name = [name for of_chain in names for name in of_chain][place]
     move, turn = (sizes[place] * (LENGTH_SCALE, turn_of_one)).tolist()
@@ -251,60 +249,46 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     said += f"{np.degrees(turn):.2f} deg"
     numbers: dict[str, Any] = {"joint": name, "move": move, "turn": turn}
     if factor < BOUGHT:
-        said += f", although with no more than {1e3 * LARGE * LENGTH_SCALE:.0f} mm and "
-        said += f"{np.degrees(LARGE * turn_of_one):.1f} deg the remaining errors are "
-        said += f"only {max(factor, 1.0):.2f} times as large"
+        said += f", although with no more than {shown(LARGE * LENGTH_SCALE, 'm')} and "
+        said += f"{shown(LARGE * turn_of_one, 'rad')} the remaining errors are only "
+        said += f"{max(factor, 1.0):.2f} times as large"
         numbers["errors_without"] = factor
         remedy = "measure more configurations, or estimate fewer parameters"
         severity: Severity = "error" if sizes.max() > IMPLAUSIBLE else "warning"
         yield told("implausible-correction", severity, said, numbers, remedy)
         return
-    check = "check this origin in the URDF, and how the joint is mounted"
-    found = _offset_within(case, fitted, x)
-    if found is not None:
-        joint, offset = found
-        unit = case.unit(joint)
-        words = "{:.2f} deg" if unit == "rad" else "{:.1f} mm"
-        amount = words.format(DISPLAY[unit][1] * offset)
-        said = f"the zero of joint '{joint}' came out moved by {amount}"
-        numbers = {"joint": joint, "turn" if unit == "rad" else "move": offset}
-        check = "check the mastering of this joint, and its origin in the URDF"
+    remedy = "check this origin in the URDF, and how the joint is mounted"
+    frames = [case.setup.base_frame, *case.setup.stations.values()]
+    frames += [case.setup.tool_frame, *case.setup.tools.values()]
     # Frames at an origin, or one away, share its errors.
-    elif _stated(case.setup, "base", name in [n for of in names for n in of[:2]]) or (
-        _stated(case.setup, "tool", name in [n for of in names for n in of[-2:]])
-    ):
-        check += ", and the frame that the setup states there"
+    ends = {name for of in names for name in (*of[:2], *of[-2:])}
+    if name in ends and any(frame.estimate is False for frame in frames):
+        remedy += ", and the frames that the setup states"
+    left, joint, offset = _offset_within(case, fitted, x)
+    if left < LARGE:
+        unit = case.unit(joint)
+        said = f"the zero of joint '{joint}' came out moved by {shown(offset, unit, 3)}"
+        numbers = {"joint": joint, "turn" if unit == "rad" else "move": offset}
+        remedy = "check the mastering of this joint, and its origin in the URDF"
     said += ", and the measurements confirm it"
-    yield told("large-correction", "warning", said, numbers, check)
+    yield told("large-correction", "warning", said, numbers, remedy)
 
 
-def _stated(setup: Setup, end: str, near: bool) -> bool:
-    """Whether a frame is stated at an end of a chain, if that is near."""
-    frames: list[FrameSetup] = [setup.base_frame, *setup.stations.values()]
-    if end == "tool":
-        frames = [setup.tool_frame, *setup.tools.values()]
-    return near and any(frame.estimate is False for frame in frames)
+def _offset_within(case: Case, fitted: Fit, x: Floats) -> tuple[float, str, float]:
+    """The joint offset [rad, m] without which scaled errors x, (P,), are the smallest.
 
-
-def _offset_within(case: Case, fitted: Fit, x: Floats) -> tuple[str, float] | None:
-    """The joint offset [rad, m] without which errors x, (P,), are of usual size.
-
-    What an offset turns, origins around it share, so that each looks smaller.
+    With the size of these, and the joint. What an offset turns, origins around it
+    share, so that each looks smaller.
     """
-    fit, parameters = case.fit, case.fit.problem.parameters
-    free, robot = parameters.free, parameters.free & ~parameters.nuisance
-    moves = fit.by_joints + fit.by_starts
-    along = np.zeros((len(case.data.joints), len(parameters)))
+    fit, parameters, joints = case.fit, case.fit.problem.parameters, case.data.joints
+    free, moves = parameters.free, fit.by_joints + fit.by_starts
+    along = np.zeros((len(joints), len(x)))
     along[:, free] = np.linalg.lstsq(fit.linear[1][:, free], moves, rcond=1e-9)[0].T
-    along[:, ~robot] = 0.0
-    offsets = along @ x / np.maximum(np.sum(along**2, axis=1), 1e-300)
-    left = [
-        _sizes(fitted, x - o * a).max() for o, a in zip(offsets, along, strict=True)
-    ]
-    joint = int(np.argmin(left))
-    if left[joint] >= LARGE:
-        return None
-    return case.data.joints[joint], float(offsets[joint])
+    along[:, ~_of_robot(parameters)] = 0.0
+    offsets = (along @ x / np.maximum(np.sum(along**2, axis=1), 1e-300)).tolist()
+    rest = x - np.array(offsets)[:, None] * along
+    left = [float(_sizes(fitted, without).max()) for without in rest]
+    return min(zip(left, joints, offsets, strict=True))
 
 
 def _expected_turn(setup: Setup) -> float:

@@ -76,19 +76,15 @@ as large on six joints, and less than a third on three."""
 
 def joint_columns(case: Case) -> Iterator[Hypothesis]:
     """Joints reversed, offset, exchanged, in degrees, geared, coupled: likely first."""
-    joints = case.data.joints
+    joints, of_base = case.data.joints, turned_by_base(case)
     count = len(joints)
     turning = [j for j, joint in enumerate(joints) if case.unit(joint) == "rad"]
-    for j, joint in enumerate(joints):
-        words = f"joint '{joint}' is reversed"
-        read = _joints(count, {(j, j): -1.0})
-        yield Hypothesis(
-            "joint-reversed", words, f"sign of {joint}", joints=read, joint=joint
-        )
+    for j in range(count):
+        yield _joint("joint-reversed", joints, j, "is reversed", {j: -1.0})
     for j, turn in product(turning, TURNS):
         # The frame of the base, which is another explanation, tells some of them.
-        if joints[j] != turned_by_base(case):
-            yield offset_by(joints, j, np.radians(turn).item())
+        if joints[j] != of_base:
+            yield offset_by(joints, j, turn * DEGREE)
     for order in _orders(count):
         moved = [f"'{joints[k]}'" for k, other in enumerate(order) if k != other]
         words = f"the columns of joints {', '.join(moved[:-1])} and {moved[-1]} are "
@@ -98,67 +94,61 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
     # Smaller angles would be next to none in degrees, and any wrong joint looks better
     # where it stands still.
     large = [j for j in turning if np.abs(case.data.q[:, j]).max() > 2.0 * np.pi]
-    for some in dict.fromkeys([*((j,) for j in large), tuple(large)]):
+    for some in dict.fromkeys([*((j,) for j in large), tuple(large)] if large else ()):
         names = tuple(joints[j] for j in some)
-        if names:
-            words = f"joints '{names[0]}' to '{names[-1]}' are in degrees"
-            words = words if len(names) > 1 else f"joint '{names[0]}' is in degrees"
-            reading = ReadingSetup(converted=(ConvertedSetup(DEGREE, joints=names),))
-            yield Hypothesis("joint-degrees", words, "unit of the joints", reading)
+        words = f"joints '{names[0]}' to '{names[-1]}' are in degrees"
+        words = words if len(names) > 1 else f"joint '{names[0]}' is in degrees"
+        reading = ReadingSetup(converted=(ConvertedSetup(DEGREE, joints=names),))
+        yield Hypothesis("joint-degrees", words, "unit of the joints", reading)
     for j, factor in product(range(count), GEARS):
         yield geared(joints, j, factor)
     # Robots couple a joint to those before it.
     for (other, j), factor in product(combinations(turning, 2), (1.0, -1.0)):
-        words, of = f"joint '{joints[j]}' is coupled to", f"coupling of {joints[j]}"
-        yield Hypothesis(
-            *("joint-coupled", f"{words} '{joints[other]}'", of),
-            joints=_joints(count, {(j, other): factor}),
-            joint=joints[j],
-        )
-
-
-def _joints(
-    count: int, factors: Mapping[tuple[int, int], float], offsets: Floats | float = 0.0
-) -> JointReading:
-    """So many joints as they are read, but for some factors and offsets."""
-    reading = JointReading(np.eye(count), np.zeros(count) + offsets)
-    for place, factor in factors.items():
-        reading.factors[place] = factor
-    return reading
+        words = f"is coupled to '{joints[other]}'"
+        yield _joint("joint-coupled", joints, j, words, {other: factor})
 
 
 def offset_by(
     joints: Sequence[str], joint: int, offset: float, turns: bool = True
 ) -> Hypothesis:
     """A joint whose zero is elsewhere, by its position among all [rad, m]."""
-    name, size = joints[joint], shown(offset, "rad" if turns else "m", 4)
-    return Hypothesis(
-        *("joint-offset", f"joint '{name}' is offset by {size}", f"zero of {name}"),
-        joints=_joints(len(joints), {}, offset * np.eye(len(joints))[joint]),
-        joint=name,
-    )
+    words = f"is offset by {shown(offset, 'rad' if turns else 'm', 4)}"
+    return _joint("joint-offset", joints, joint, words, {}, offset)
 
 
 def geared(joints: Sequence[str], joint: int, factor: float) -> Hypothesis:
     """A joint that moves some times as far as its column says."""
-    name = joints[joint]
-    words = f"joint '{name}' moves {factor:.5g} times as far as read"
-    read = _joints(len(joints), {(joint, joint): factor})
-    return Hypothesis(
-        "joint-gear", words, f"gear of {name}", joints=read, figure=BY_JOINT
-    )
+    words = f"moves {factor:.5g} times as far as read"
+    found = _joint("joint-gear", joints, joint, words, {joint: factor})
+    return replace(found, joint="", figure=BY_JOINT)
+
+
+def _joint(
+    code: str,
+    joints: Sequence[str],
+    joint: int,
+    words: str,
+    factors: Mapping[int, float],
+    offset: float = 0.0,
+) -> Hypothesis:
+    """A joint, by its place, that is read with some factors of the columns."""
+    name, read = joints[joint], JointReading.plain(len(joints))
+    read.offsets[joint] = offset
+    for column, factor in factors.items():
+        read.factors[joint, column] = factor
+    words, of = f"joint '{name}' {words}", f"{code} {name}"
+    return Hypothesis(code, words, of, joints=read, joint=name)
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:
-    """Other orders of so many columns: two exchanged, three shifted round."""
+    """Other orders of so many columns: two exchanged, three shifted round, reversed."""
     plain = tuple(range(count))
     for first, second in combinations(plain, 2):
         swap = {first: second, second: first}
         yield tuple(swap.get(k, k) for k in plain)
     for k in plain[:-2]:
-        a, b, c = plain[k : k + 3]
-        yield (*plain[:k], b, c, a, *plain[k + 3 :])
-        yield (*plain[:k], c, a, b, *plain[k + 3 :])
+        for some in ((k + 1, k + 2, k), (k + 2, k, k + 1)):
+            yield (*plain[:k], *some, *plain[k + 3 :])
     if count > 3:
         yield plain[::-1]
 
@@ -180,21 +170,17 @@ def axes(case: Case) -> Iterator[Hypothesis]:
     )
     # Every left-handed frame is the one with all axes negated, turned.
     mirrored = ("-x", "-y", "-z") if turned else ("x", "y", "-z")
-    ways = [
-        tuple(sign + axis for sign, axis in zip(signs, order, strict=True))
-        for order in permutations(AXES)
-        for signs in product(("", "-"), repeat=3)
-    ]
+    negated = [*product(*((axis, f"-{axis}") for axis in AXES))]
+    ways = [held for axes in negated for held in permutations(axes)]
     for held in ways if turned else [mirrored] * bool(blocks):
+        reading, of = ReadingSetup(axes=held), "axes of positions"
         words = f"the columns x, y and z hold {', '.join(held)}"
-        kept = [axis.strip("-") for axis in held] == [*AXES]
-        code = "axes-negated" if kept else "axes-exchanged"
+        code = "axes-negated" if held in negated else "axes-exchanged"
         if held == mirrored:
             code, words = "left-handed-frame", "the frame of x, y and z is left-handed "
             words += "(two are exchanged, or one is negated)"
         if held != AXES:
-            reading = ReadingSetup(axes=held)
-            yield Hypothesis(code, words, "axes of positions", reading, gross=True)
+            yield Hypothesis(code, words, of, reading, gross=True)
 
 
 def orientations(case: Case) -> Iterator[Hypothesis]:
@@ -346,10 +332,10 @@ def target_frames(case: Case) -> Iterator[Hypothesis]:
         if not 1 < len(names) <= GROUPS or min(names.values()) < FEWEST:
             continue
         words = f"the targets {enumerated([f'{name}/..' for name in names])} do not "
+        words += "fit together, and each fits alone"
         for frame in ("station", "tool"):
             yield Hypothesis(
-                *("target-frames", f"{words}fit together, and each fits alone"),
-                "frames of targets",
+                *("target-frames", words, "frames of targets"),
                 change=partial(_apart, group=group, frame=frame),
                 advice=f"give each a {frame} of its own (a column '{frame}')",
                 absorbs=ABSORBED,
@@ -408,13 +394,10 @@ def robots(case: Case) -> Iterator[Hypothesis]:
         yield from _ends(case.chains[""], case)
     robot = case.chains.robot
     for other in case.others():
-        yield Hypothesis(
-            "robot",
-            f"the robot is '{other.robot.file}', not '{robot.name}'",
-            "the chain",
-            chains=other,
-            advice=f"use '{other.robot.file}' in place of '{robot.file}'",
-        )
+        file = other.robot.file
+        words = f"the robot is '{file}', not '{robot.name}'"
+        advice = f"use '{file}' in place of '{robot.file}'"
+        yield Hypothesis("robot", words, "the chain", chains=other, advice=advice)
 
 
 def turned_by_base(case: Case) -> str:
@@ -427,31 +410,28 @@ def turned_by_base(case: Case) -> str:
 def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
     """Other links of the chain as its tip or its base."""
     known = {*case.data.joints, *(joint for joint, _ in case.data.conditions.spare)}
-    links = {"base": chain.base, "tip": chain.tip}
-    for k, (code, end) in enumerate((("base-link", "base"), ("tip-link", "tip"))):
-        free = f"{'tool' if end == 'tip' else end}.frame.x"
-        absorbed = free in case.fit.problem.parameters.names
-
-        def body(of: Chain, k: int = k, absorbed: bool = absorbed) -> tuple[Any, ...]:
-            """All that matters of a chain: an estimated frame absorbs where it ends."""
-            place = of.ends[k].homogeneous.round(9) + 0.0
-            return of.joints, b"" if absorbed else place.tobytes()
-
-        seen = [body(chain)]
-        for link in chain.robot.links:
+    links, free = (chain.base, chain.tip), case.fit.problem.parameters.names
+    ends = ("base", "base-link", "base.frame.x"), ("tip", "tip-link", "tool.frame.x")
+    for k, (end, code, frame) in enumerate(ends):
+        seen: list[tuple[object, ...]] = []
+        for link in (links[k], *chain.robot.links):
             try:
-                other = Chain(chain.robot, **{**links, end: link})
+                other = Chain(
+                    chain.robot, **{"base": links[0], "tip": links[1], end: link}
+                )
             except RobotError:
                 continue
-            if other.joints and {*other.joints} <= known and body(other) not in seen:
-                seen.append(body(other))
-                yield Hypothesis(
-                    code,
-                    f"the {end} link is '{link}', not '{links[end]}'",
-                    "the chain",
-                    chains=Chains.of(other),
-                    stated={end: link},
-                )
+            # A frame that is estimated absorbs where on its body a link is.
+            place = (other.ends[k].homogeneous.round(9) + 0.0).tobytes()
+            body = other.joints, frame in free or place
+            if other.joints and {*other.joints} <= known and body not in seen:
+                seen.append(body)
+                if link != links[k]:
+                    words = f"the {end} link is '{link}', not '{links[k]}'"
+                    found, stated = Chains.of(other), {end: link}
+                    yield Hypothesis(
+                        code, words, "the chain", chains=found, stated=stated
+                    )
 
 
 def joint_sets(case: Case) -> Iterator[Finding]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import enumerated
-from calib_pin.estimation.evidence import Finding, Severity
+from calib_pin.estimation.evidence import Finding
 from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import JointMap
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -54,9 +54,9 @@ def different_robots(
     elif differ:
         why = f"they read the column of {enumerated(differ)} differently"
         remedy = "state the same 'joints' in the setup of both"
-    severity: Severity = "error" if differ or not same_nominal else "warning"
     said = f"the tool points are {1e3 * apart:.0f} mm rms apart: {why}"
-    return (told("different-robots", severity, said, {"rms": apart}, remedy),)
+    error = bool(differ) or not same_nominal
+    return (told("different-robots", said, {"rms": apart}, remedy, error=error),)
 
 
 def older_calibration(
@@ -94,14 +94,12 @@ def older_calibration(
         better = f"use the older one: this one is off by {shown(expected, 'm')}"
         remedy = better if promised < expected else ""
     words = "; ".join(map(_words, step.jumps))
-    yield told(
-        "old-calibration-holds" if holds else "old-calibration-no-longer-holds",
-        "info" if holds else "warning",
-        f"the older calibration{day} {'still' if holds else 'no longer'} holds: "
-        f"{words or 'nothing is found to have changed at once'}; {by}",
-        numbers,
-        remedy,
-    )
+    words = words or "nothing is found to have changed at once"
+    code, does = "old-calibration-holds", "still holds"
+    if not holds:
+        code, does = "old-calibration-no-longer-holds", "no longer holds"
+    said = f"the older calibration{day} {does}: {words}; {by}"
+    yield told(code, said, numbers, remedy, info=holds)
 
 
 def _aside(jump: Jump) -> bool:

@@ -59,8 +59,9 @@ ROUNDS = 3
 """Most rounds in which they are found."""
 
 
-CHANCE = 1e-6
-"""Probability by chance below which parameters that were not estimated are told."""
+CHANCE = 1e-4
+"""Probability by chance below which a fault is told: parameters that are missing,
+copies, a ripple of a gear, a robot unlike its fleet."""
 
 LACKING = 0.5
 """Part of the sum of squares that they leave at most."""

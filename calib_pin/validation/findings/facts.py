@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
 
 from calib_pin.errors import enumerated
-from calib_pin.estimation.evidence import Finding, Severity
+from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import (
     EXACT,
     Problem,
@@ -44,18 +45,9 @@ MORE = (
 )
 """The advice about configurations that are too much alike."""
 
-UNLIKELY = 1e-3
-"""Probability that noise repeats all digits of one of the measurements."""
-
-DIGITS = 12
-"""Decimal places that are looked at."""
-
 REPEATED, SHARE = 3.0, 0.5
 """Measurements of a thing at a configuration, in the mean, from which they are many,
 and part of all that is one configuration's from which it is told."""
-
-ROUNDING = 1e-13
-"""Scatter that is the rounding of a mean [m, rad, px]."""
 
 NARROW, SMALL, WIDE = 0.1, 0.25, 0.4
 """Parts of the range of a joint below which there is a warning, and a remark, and a
@@ -70,18 +62,11 @@ the noise 3.5 and more.
 """
 
 SMOOTH = 0.05
-"""Squared steps between neighbors of a path, by those between any two configurations.
-
-Random ones have 1.
-"""
+"""Squared steps between neighbors of a path, by those of random configurations."""
 
 FEWEST = 8
 """Configurations below which frames alone may explain positions, and fewer than which
 are never too much alike: more is wrong with them."""
-
-ANYWHERE = 0.01
-"""Probability, for one of the joints, below which a small range is not that of a few
-configurations anywhere."""
 
 ALONE, FEW = 0.03, 2
 """Motion along a direction, by that along the largest, that counts as independent, and
@@ -137,7 +122,7 @@ def constant_orientation(case: Case) -> Iterator[Finding]:
         said += "instrument has measured it"
         numbers = {"configurations": case.data.configurations}
         remedy = "take the positions alone: --model position"
-        yield told("constant-orientation", "error", said, numbers, remedy)
+        yield told("constant-orientation", said, numbers, remedy, error=True)
 
 
 def gauge_readings(case: Case) -> Iterator[Finding]:
@@ -177,12 +162,10 @@ def gauge_readings(case: Case) -> Iterator[Finding]:
     said += f" best times {np.mean([factors[name] for name in wrong]):.2g}"
     remedy = "state these planes with normals that point the other way, or exchange "
     remedy += "'deviation' and 'dial' in the names of their columns"
-    yield told(
-        *("gauge-sign", "error", said),
-        {"left": score.left, "chance": score.chance, **factors},
-        "" if every else remedy,
-        {"reading": {"opposite": True}} if every else {},
-    )
+    lines = {"reading": {"opposite": True}} if every else {}
+    numbers = {"left": score.left, "chance": score.chance, **factors}
+    remedy = "" if every else remedy
+    yield told("gauge-sign", said, numbers, remedy, lines, error=True)
 
 
 def computed_values(case: Case) -> Iterator[Finding]:
@@ -203,7 +186,7 @@ def computed_values(case: Case) -> Iterator[Finding]:
         said += "instrument does: they were computed from the joints"
         remedy = "take the columns that an instrument measured; 'calib-pin init' finds "
         numbers = {"rms": rms, "moved": moved}
-        yield told("computed-values", "error", said, numbers, f"{remedy}them")
+        yield told("computed-values", said, numbers, f"{remedy}them", error=True)
 
 
 def spread(blocks: Sequence[Floats]) -> float:
@@ -226,7 +209,7 @@ def copies(case: Case) -> Iterator[Finding]:
     said += f"digit, which count twice: {named(data, rows)}"
     numbers = {"copies": len(rows), "all": len(data)}
     remedy = without(data, rows, "leave them out")
-    yield told("copied-measurements", "warning", said, numbers, *remedy)
+    yield told("copied-measurements", said, numbers, *remedy)
 
 
 def repetitions(case: Case) -> Iterator[Finding]:
@@ -242,14 +225,14 @@ def repetitions(case: Case) -> Iterator[Finding]:
         numbers = {"configurations": configurations, "measurements": len(data)}
         numbers |= {"unknowns": free}
         remedy = "measure other configurations instead of repeating these"
-        yield told("few-configurations", "warning", said, numbers, remedy)
+        yield told("few-configurations", said, numbers, remedy)
     elif (most := int(there.max())) > max(SHARE * len(data), REPEATED):
         row = int(np.argmax(there[labels] == most))
         said = f"{most} of {len(data)} measurements are at one configuration "
         said += f"({named(data, [row])})"
         numbers = {"there": most, "all": len(data)}
         remedy = "measure other configurations as well"
-        yield told("one-configuration", "warning", said, numbers, remedy)
+        yield told("one-configuration", said, numbers, remedy)
 
 
 def _equal(data: Observations) -> list[int]:
@@ -281,22 +264,16 @@ def _by_chance(case: Case, pairs: int) -> bool:
     sigma = min([sigma, *(part.pure for part in noise if part.pure)])
     if not np.isfinite(sigma) or case.fit.rms < EXACT:
         return True  # Exact measurements repeat themselves.
-    grids = [_grid(b.values) for b in case.data.blocks if b.values.shape[1]]
-    falls = [np.minimum(grid / (2.0 * np.sqrt(np.pi) * sigma), 1.0) for grid in grids]
-    repeated = len(case.data) - case.data.configurations + pairs
-    return max(float(np.prod(chances)) for chances in falls) * repeated > UNLIKELY
+    values = [b.values[:, :3] for b in case.data.blocks if b.values.shape[1]]
+    steps = [coarse_step(v.ravel(), case.quantity.unit) for v in values]
+    once = [step / (2.0 * np.sqrt(np.pi) * sigma) for step in steps]
+    chance = max(x ** v.shape[1] for x, v in zip(once, values, strict=True))
+    return bool(chance * (len(case.data) - case.data.configurations + pairs) > CHANCE)
 
 
 def _things_there(data: Observations) -> Indices:
     """Label of the measurements of one thing at one configuration, shape (N,)."""
     return np.asarray(data.groups() * (data.things().max() + 1) + data.things())
-
-
-def _grid(values: Floats) -> Floats:
-    """Decimal steps of the grid on which the values of each column lie, shape (D,)."""
-    digits = range(DIGITS)
-    on = [np.abs(np.round(values, k) - values).max(axis=0) < ROUNDING for k in digits]
-    return np.asarray(0.1 ** np.argmax([*on, on[0] | True], axis=0))
 
 
 def still_joints(problem: Problem) -> tuple[str, ...]:
@@ -324,12 +301,10 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
     if names and case.fitted is not None:
         said = "no measurement moves or sees some joints, and errors that only their "
         said += f"motion shows stay at nominal: {enumerated(names)}"
-        yield told(
-            *("unmoved-joints", "warning" if single else "info", said),
-            {"joints": ", ".join(names)},
-            MORE if single else "",
-            figure=BY_JOINT if single else "",
-        )
+        numbers = {"joints": ", ".join(names)}
+        figure = BY_JOINT if single else ""
+        remedy = MORE if single else ""
+        yield told("unmoved-joints", said, numbers, remedy, {}, figure, info=not single)
 
 
 def design(case: Case) -> Iterator[Finding]:
@@ -342,13 +317,14 @@ def design(case: Case) -> Iterator[Finding]:
     moved = np.array([j not in chains.mimics for j in chains.joints]) & (span > 0.0)
     part = np.divide(span, room, out=np.ones(len(span)), where=room > 0.0)
     elsewhere = _elsewhere(case) if count > FEWEST else ""
+    alike = partial(told, remedy=MORE, figure=BY_JOINT)
     if elsewhere and _smooth(q[case.data.in_order][:, moved]):
         said = f"all configurations lie on one path, and {elsewhere}"
-        yield told("one-path", "warning", said, {}, MORE, figure=BY_JOINT)
+        yield alike("one-path", said, {})
         elsewhere = ""
     limit, within = WIDE if elsewhere else SMALL, np.minimum(part, 1.0)
     by_chance = moved.sum() * (count - (count - 1) * within) * within ** (count - 1)
-    few = np.flatnonzero(moved & (part < limit) & (by_chance < ANYWHERE))
+    few = np.flatnonzero(moved & (part < limit) & (by_chance < CHANCE))
     worst = few[np.argsort(part[few])].tolist()
     if worst:
         ranges = []
@@ -362,8 +338,7 @@ def design(case: Case) -> Iterator[Finding]:
         said += elsewhere or "elsewhere the accuracy is uncertain"
         narrow = elsewhere or part[worst[0]] < NARROW
         numbers = {chains.joints[j]: part[j] for j in worst}
-        severity: Severity = "warning" if narrow else "info"
-        yield told("small-range", severity, said, numbers, MORE, figure=BY_JOINT)
+        yield alike("small-range", said, numbers, info=not narrow)
     if moved.sum() < 2 or len(q) <= moved.sum():
         return
     scaled = (q - q.mean(axis=0))[:, moved] / q[:, moved].std(axis=0)
@@ -374,10 +349,7 @@ def design(case: Case) -> Iterator[Finding]:
         said = f"the {moved.sum()} joints that move do so in few independent directions"
         said += f" ({directions}); errors that cancel along them show elsewhere"
         numbers = {"directions": directions, "joints": moved.sum()}
-        severity = "warning" if directions <= FEW else "info"
-        yield told(
-            "joints-move-together", severity, said, numbers, MORE, figure=BY_JOINT
-        )
+        yield alike("joints-move-together", said, numbers, info=directions > FEW)
 
 
 def _elsewhere(case: Case) -> str:
@@ -428,35 +400,30 @@ def joint_turns(case: Case) -> Iterator[Finding]:
         said = f"joint '{joint}' was read at up to {np.degrees(max(most, -least)):.0f} "
         said += f"deg, beyond its limits; {way} all of its positions are within them"
         numbers = {"joint": joint, "turns": turns}
-        yield told("joint-turns", "info", said, numbers, lines=lines)
+        yield told("joint-turns", said, numbers, lines=lines, info=True)
 
 
 def coarse_values(case: Case) -> Iterator[Finding]:
     """Steps of measured values, and of joint positions, that show in the errors."""
-    fit, found = case.fit, [*_joint_steps(case)]
-    used = np.sqrt(max(fit.left, 1) / max(measured_count(fit.problem), 1))
-    for quantity in fit.problem.layout.quantities:
+    fit, problem = case.fit, case.fit.problem
+    used = np.sqrt(max(fit.left, 1) / max(measured_count(problem), 1))
+    for k, quantity in enumerate(problem.layout.quantities):
         own = fit.table[:, quantity.columns]
         own = own[np.isfinite(own)]
-        if len(own) and (step := _step_of(case, quantity)):
-            left = float(np.sqrt(np.mean(own**2))) / used
-            words, size = f"measured {quantity.name}s", shown(step, quantity.unit, 3)
-            found.append((words, size, step, quantity, step, left))
-    for words, size, step, quantity, errors, left in found:
-        noise = ROUNDED * errors
-        if COARSE * left <= noise <= MOST * left:
-            parts = [shown(x, quantity.unit) for x in (noise, left)]
-            said = f"the {words} are written in steps of {size}, which makes {parts[0]}"
-            said += f" of the {parts[1]} of {quantity.name} errors that are left"
-            severity: Severity = "warning" if noise >= DOUBTFUL * left else "info"
-            numbers = {"step": step, "noise": noise, "left": left}
-            remedy = "write them with more digits"
-            yield told("coarse-steps", severity, said, numbers, remedy)
-
-
-_Steps = tuple[str, str, float, Quantity, float, float]
-"""Values in words, the size of their steps in words and as it is, the quantity whose
-errors these make, those of a whole step, and the errors that are left [its unit]."""
+        left = float(np.sqrt(np.mean(own**2))) / used if len(own) else 0.0
+        step, unit = _step_of(case, quantity), quantity.unit
+        found = [(f"measured {quantity.name}s", step, unit, step)]
+        found += [] if k else [("joint positions", *_joint_step(case, quantity))]
+        for words, step, unit, errors in found:
+            noise = ROUNDED * errors
+            if noise > 0.0 and COARSE * left <= noise <= MOST * left:
+                parts = [shown(x, quantity.unit) for x in (noise, left)]
+                said = f"the {words} are written in steps of {shown(step, unit, 3)}, "
+                said += f"which makes {parts[0]} of the {parts[1]} of {quantity.name} "
+                said += "errors that are left"
+                numbers = {"step": step, "noise": noise, "left": left}
+                remedy, small = "write them with more digits", noise < DOUBTFUL * left
+                yield told("coarse-steps", said, numbers, remedy, info=small)
 
 
 def _step_of(case: Case, quantity: Quantity) -> float:
@@ -473,28 +440,26 @@ def _step_of(case: Case, quantity: Quantity) -> float:
     return min(found, default=0.0)
 
 
-def _joint_steps(case: Case) -> Iterator[_Steps]:
-    """Steps of joint positions, by the errors of the first quantity that they make."""
-    problem, data, quantity = case.fit.problem, case.fit.problem.data, case.quantity
+def _joint_step(case: Case, quantity: Quantity) -> tuple[float, str, float]:
+    """The step of joint positions, and the errors of a quantity that a whole one makes.
+
+    Zero where none turns in steps.
+    """
+    problem, data = case.fit.problem, case.fit.problem.data
     units = [case.unit(joint) for joint in data.joints]
     pairs = zip(data.q.T, units, strict=True)
     steps = np.array([coarse_step(column, unit) for column, unit in pairs])
     step = float(steps.max(where=np.array(units) == "rad", initial=0.0))
-    if step == 0.0:
-        return
     of_quantity = np.array([c.quantity == quantity for c in problem.layout.components])
     own = of_quantity[problem.layout.component]
     own &= data.weight[problem.layout.row] > 0.0
-    sigma = problem.sigma[own, None]
-    moved = case.fit.by_joints[own] * sigma * steps
-    r = case.fit.linear[0][own] * sigma[:, 0]
+    if step == 0.0 or not own.any():
+        return 0.0, "rad", 0.0
+    moved = case.fit.by_joints[own] * problem.sigma[own, None] * steps
     # A fit follows what has leverage, such as grazing beams.
-    Q, _ = case.fit.unexplained
-    free = 1.0 - np.sum(Q[: len(own)][own] ** 2, axis=1)
-    if free.sum() > 0.0:
-        left = float(np.sqrt(np.sum(r**2) / free.sum()))
-        noise = float(np.sqrt(np.sum(free[:, None] * moved**2) / free.sum()))
-        yield "joint positions", shown(step, "rad", 3), step, quantity, noise, left
+    free = 1.0 - np.sum(case.fit.unexplained[0][: len(own)][own] ** 2, axis=1)
+    squares = np.sum(free[:, None] * moved**2) / max(free.sum(), 1e-300)
+    return step, "rad", float(np.sqrt(squares))
 
 
 def coarse_step(values: Floats, unit: str) -> float:

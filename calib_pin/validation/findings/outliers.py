@@ -6,16 +6,16 @@ was exchanged is known as a pair of which each fits the values of the other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from calib_pin.errors import enumerated
-from calib_pin.estimation.evidence import Finding, Outlier, Severity
+from calib_pin.estimation.evidence import Finding, Outlier
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.robust.causes import exchanged_with
-from calib_pin.measurement_models.readings import place_of
+from calib_pin.measurement_models.readings import place_of, places_of
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import ReadingSetup
@@ -41,71 +41,59 @@ def outliers(case: Case) -> Iterator[Finding]:
     """Measurements that are set aside; of a whole fit exchanged ones apart."""
     fitted, data = case.fitted, case.data
     if fitted is None:
-        # The nominal robot fits them far worse than the others.
         data = case.fit.problem.data
         rows = data.in_order[data.weight[data.in_order] == 0.0].tolist()
+        why = " that were looked at do not fit the nominal robot as the others do"
         if rows:
-            said = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements that "
-            said += f"were looked at {'does' if len(rows) == 1 else 'do'} not fit the "
-            said += "nominal robot as the others do"
-            yield _aside("outliers", "warning", said, {}, data, rows)
+            yield _aside("outliers", data, rows, why, {})
         return
     out = [o for o in fitted.robust.outliers if o.weight == 0.0]
     if fitted.robust.squared is None or not out:
         return
     moved = displaced(fitted, fitted.robust.squared)
     numbers: dict[str, Any] = {"displaced": moved, "all": len(data)}
-    with_them = f"with them the tool point would move by {shown(moved, 'm')}"
+    keeping = f"; keeping them would move the tool point by {shown(moved, 'm')}"
     pairs = _pairs(data, out)
     if pairs:
-        places = tuple((place_of(data, a), place_of(data, b)) for a, b in pairs)
+        places = tuple(places_of(data, pair) for pair in pairs)
+        said = f"measurements {' and '.join(places[0])}"
+        said += f", and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+        said += f" fit if exchanged, and were excluded{keeping}"
         lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
-        of = "the measurements of lines" if data.files[pairs[0][0]] else "measurements"
-        said = f"{of} {places[0][0]} and {places[0][1]}"
-        if more := len(pairs) - 1:
-            said += f", and {more} more pair{'s' if more > 1 else ''},"
-        said += f" fit if exchanged, and were set aside; {with_them}"
         remedy = "exchange their joint positions ('reading: exchanged' in the setup)"
-        yield told(
-            "measurements-exchanged",
-            "warning",
-            said,
-            {**numbers, "pairs": len(pairs)},
-            "" if len(pairs) <= NAMED else remedy,
-            lines,
-            OVER_ORDER,
-        )
-    paired = {row for pair in pairs for row in pair}
-    alone = [o for o in out if o.row not in paired]
+        remedy = "" if len(pairs) <= NAMED else remedy
+        numbers |= {"pairs": len(pairs)}
+        code = "measurements-exchanged"
+        yield told(code, said, numbers, remedy, lines, OVER_ORDER)
+    alone = [o for o in out if not any(o.row in pair for pair in pairs)]
     if not alone:
         return
     rest = np.array([o.row for o in alone])
     rows = rest[np.argsort(np.argsort(data.in_order)[rest])].tolist()
     code, together = _together(data, rest)
-    severity: Severity = "warning" if moved > LENGTH_SCALE else "info"
     targets = {data.target[row] for row in rows}
     if len(targets) == 1 and any(targets):
         numbers["target"] = targets.pop()
-    causes = [*dict.fromkeys(o.cause for o in alone if o.cause)]
-    shared = f" ({', '.join(causes[:NAMED])})" if causes else ""
-    verbs = ("does", "was") if len(rows) == 1 else ("do", "were")
-    said = f"{named(data, rows)}{shared}: {len(rows)} of {len(data)} measurements "
-    said += f"{verbs[0]} not fit and {verbs[1]} set aside{together}; {with_them}"
-    yield _aside(code, "error" if together else severity, said, numbers, data, rows)
+    causes = [*dict.fromkeys(o.cause for o in alone if o.cause)][:NAMED]
+    shared = f" ({', '.join(causes)})" if causes else ""
+    why = f" excluded as outliers{shared}{together}{keeping}"
+    error, info = bool(together), moved <= LENGTH_SCALE
+    yield _aside(code, data, rows, why, numbers, error=error, info=info)
 
 
 def _aside(
     code: str,
-    severity: Severity,
-    said: str,
-    numbers: dict[str, Any],
     data: Observations,
-    rows: list[int],
+    rows: Sequence[int],
+    why: str,
+    numbers: Mapping[str, Any],
+    **severity: bool,
 ) -> Finding:
     """The finding of measurements, in the order of the files, to leave out."""
+    said = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{why}"
     numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
     remedy, lines = without(data, rows, "measure them again, or leave them out")
-    return told(code, severity, said, numbers, remedy, lines, OVER_ORDER)
+    return told(code, said, numbers, remedy, lines, OVER_ORDER, **severity)
 
 
 def _together(data: Observations, rows: Indices) -> tuple[str, str]:

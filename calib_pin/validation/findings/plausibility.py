@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import enumerated
 from calib_pin.estimation.directions import half_covariance, projected
-from calib_pin.estimation.evidence import Finding, Severity
+from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
@@ -36,7 +36,7 @@ from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import PopulationPrior, Setup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.case import CHANCE, Case
 from calib_pin.validation.findings.sentences import BY_JOINT, shown, told
 from calib_pin.validation.findings.setup_lines import written
 
@@ -70,20 +70,14 @@ joint that is mounted askew grows them at least tenfold; where unmodeled errors 
 SIZES = np.geomspace(1.0, 100.0, 41)
 """Sizes of the robot's errors among which the likeliest is taken, in expected ones."""
 
-CONTRADICTED, MISSED = 2e-3, 3e-4
+CONTRADICTED, MISSED, BEYOND = 2e-3, 3e-4, 3.0
 """By how much measurements may contradict a known distance before the trust goes, and
-before there is a warning [m]. The errors that no parameter describes do: two sockets of
-a plate, 50 mm apart, come out up to 1.1 mm wrong at places where a real robot was not
-calibrated."""
-
-BEYOND = 3.0
-"""The same in errors left, rms."""
+before there is a warning [m], and in errors that are left, rms. The errors that no
+parameter describes do: two sockets of a plate, 50 mm apart, come out up to 1.1 mm wrong
+at places where a real robot was not calibrated."""
 
 ROUNDING = 1e-12
 """Least part of a distance that others decide, or of squares; less is rounding."""
-
-CHANCE = 1e-4
-"""Probability by chance below which a robot is unlike the others of its fleet."""
 
 SPOILED = 2.0
 """Noise with the prior by noise without it from which the prior spoils a fit."""
@@ -206,8 +200,8 @@ def _scale(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     said += f"{'longer' if part > 0.0 else 'shorter'} ({abs(s) / deviation:.0f} "
     said += "standard deviations), which is implausible"
     numbers = {"scale": part, "sigma": deviation, "size": size}
-    severity: Severity = "error" if abs(s) > GROWN else "warning"
-    yield told("scale", severity, said, numbers, f"check {_yardstick(fitted)}")
+    remedy = f"check {_yardstick(fitted)}"
+    yield told("scale", said, numbers, remedy, error=abs(s) > GROWN)
 
 
 def _yardstick(fitted: Fit) -> str:
@@ -254,8 +248,8 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         said += f"{max(factor, 1.0):.2f} times as large"
         numbers["errors_without"] = factor
         remedy = "measure more configurations, or estimate fewer parameters"
-        severity: Severity = "error" if sizes.max() > IMPLAUSIBLE else "warning"
-        yield told("implausible-correction", severity, said, numbers, remedy)
+        error = sizes.max() > IMPLAUSIBLE
+        yield told("implausible-correction", said, numbers, remedy, error=error)
         return
     remedy = "check this origin in the URDF, and how the joint is mounted"
     frames = [case.setup.base_frame, *case.setup.stations.values()]
@@ -271,7 +265,7 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         numbers = {"joint": joint, "turn" if unit == "rad" else "move": offset}
         remedy = "check the mastering of this joint, and its origin in the URDF"
     said += ", and the measurements confirm it"
-    yield told("large-correction", "warning", said, numbers, remedy)
+    yield told("large-correction", said, numbers, remedy)
 
 
 def _offset_within(case: Case, fitted: Fit, x: Floats) -> tuple[float, str, float]:
@@ -362,9 +356,9 @@ def contradicted(
     said += f"({w[k]:.0f} standard deviations)"
     numbers = {"between": ends, "value": stated.value, "sigma": stated.sigma}
     numbers |= {"found": found, "normalized_residual": w[k]}
-    severity: Severity = "error" if abs(apart) > CONTRADICTED else "warning"
     remedy = f"measure this {what} again, or state its true sigma"
-    yield told("known-distance", severity, said, numbers, remedy)
+    error = abs(apart) > CONTRADICTED
+    yield told("known-distance", said, numbers, remedy, error=error)
 
 
 def _scaled_without(fitted: Fit, distance: int) -> bool:
@@ -403,8 +397,8 @@ def families(case: Case) -> Iterator[Finding]:
     asked = ",".join(lines["parameters"])
     remedy = f"estimate them: --parameters {asked}, or state in the setup file: "
     remedy += written(lines)
-    severity: Severity = "warning" if left < HALVED else "info"
-    yield told("model-lacks", severity, said, numbers, remedy, lines, BY_JOINT)
+    info = left >= HALVED
+    yield told("model-lacks", said, numbers, remedy, lines, BY_JOINT, info=info)
 
 
 def population(case: Case) -> Iterator[Finding]:
@@ -443,5 +437,4 @@ def population(case: Case) -> Iterator[Finding]:
     numbers = {"chi2": square, "dof": len(rest), "parameter": name}
     numbers |= {"deviations": off[k]}
     remedy = "look for damage or another type, and calibrate it without the prior"
-    severity: Severity = "error" if spoiled else "warning"
-    yield told("unlike-fleet", severity, said, numbers, remedy)
+    yield told("unlike-fleet", said, numbers, remedy, error=spoiled)

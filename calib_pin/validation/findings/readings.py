@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import CalibPinError, RobotError, enumerated
-from calib_pin.estimation.evidence import Finding, Severity
+from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.terms import FRAME, Term
@@ -30,7 +30,6 @@ from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.setup import (
     AXES,
     HELD,
-    STATED,
     ConvertedSetup,
     FrameSetup,
     JointMap,
@@ -47,7 +46,7 @@ from calib_pin.validation.findings.sentences import (
     shown,
     told,
 )
-from calib_pin.validation.findings.setup_lines import JointReading, lines_of
+from calib_pin.validation.findings.setup_lines import JointReading, lines_of, written
 
 TURNS, GEARS = (90.0, -90.0, 180.0), (2.0, 0.5)
 """Offsets between the zeros of a controller and of a URDF [deg], and gears of which the
@@ -213,8 +212,10 @@ def orientations(case: Case) -> Iterator[Hypothesis]:
         reading, found = trials[k]
         if left[k] < LIKELY * left[0]:
             tools = {key: (terms[key], tool) for key, (_, tool) in found.items()}
+            words = f"orientations are written otherwise ({written(lines_of(reading))})"
             yield Hypothesis(
-                *("orientation-convention", _words(reading)),
+                "orientation-convention",
+                words,
                 "convention of orientations",
                 ReadingSetup(orientation=reading),
                 change=partial(_nearest, reading=reading, tools=tools),
@@ -234,20 +235,6 @@ def _conventions(columns: Iterable[str]) -> Iterator[OrientationSetup]:
             if not said and (hold != "wxyz") == angles:
                 yield OrientationSetup(way, hold)
                 yield OrientationSetup(way, hold, inverse=True)
-
-
-def _words(reading: OrientationSetup) -> str:
-    names = ", ".join(STATED[reading.columns]) if reading.columns else ""
-    held = f"the columns {names} hold " if names else "the orientations are "
-    if reading.hold is None:
-        if reading.inverse:
-            return f"{held}inverse rotations"
-        return held + ("degrees" if reading.factor < 1.0 else "radians read as degrees")
-    what = {
-        "wxyz": "a quaternion in the order w, x, y, z",
-        "rotation-vector": "a rotation vector",
-    }.get(reading.hold, f"the angles '{reading.hold}'")
-    return held + what + (" of the inverse rotation" if reading.inverse else "")
 
 
 def _located(case: Case, blocks: Sequence[Measurements]) -> dict[BlockKey, Term]:
@@ -335,7 +322,9 @@ def target_frames(case: Case) -> Iterator[Hypothesis]:
         words += "fit together, and each fits alone"
         for frame in ("station", "tool"):
             yield Hypothesis(
-                *("target-frames", words, "frames of targets"),
+                "target-frames",
+                words,
+                "frames of targets",
                 change=partial(_apart, group=group, frame=frame),
                 advice=f"give each a {frame} of its own (a column '{frame}')",
                 absorbs=ABSORBED,
@@ -456,20 +445,19 @@ def joint_sets(case: Case) -> Iterator[Finding]:
         if not (here.redundant and abs(ratio) > UNLIKELY):
             continue
         better, names = ratio > 0.0, [*columns.values()]
-        severity: Severity = "error" if there.rms < FITTED * here.rms else "warning"
         ends = " to ".join(f"'{n}'" for n in dict.fromkeys((names[0], names[-1])))
         before, after = (shown(x.errors, case.quantity.unit, 3) for x in (here, there))
         said = f"with the joint positions in {ends} the {case.quantity.name} errors of "
         said += f"a fit are {after} instead of {before}"
-        numbers = {"rms_before": here.errors, "rms_after": there.errors}
-        yield told(
-            "joint-columns",
-            severity if better else "info",
-            said + ("" if better else ": those that were used are the better ones"),
-            {"columns": ", ".join(names), **numbers, "log_likelihood_ratio": ratio},
-            lines={"joints": _exchanged(columns, maps)} if better else {},
-            figure=BY_JOINT if better else "",
-        )
+        numbers = {"columns": ", ".join(names), "log_likelihood_ratio": ratio}
+        numbers |= {"rms_before": here.errors, "rms_after": there.errors}
+        if better:
+            lines = {"joints": _exchanged(columns, maps)}
+            error = there.rms < FITTED * here.rms
+            yield told("joint-columns", said, numbers, "", lines, BY_JOINT, error=error)
+        else:
+            said += ": those that were used are the better ones"
+            yield told("joint-columns", said, numbers, info=True)
 
 
 _Maps = Mapping[str, tuple[str, JointMap]]

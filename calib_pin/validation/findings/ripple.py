@@ -17,23 +17,18 @@ import numpy as np
 from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.transmission import MotorRipple, Transmission
-from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.case import CHANCE, Case
 from calib_pin.validation.findings.quick_fit import QuickFit
 from calib_pin.validation.findings.sentences import shown, told
 from calib_pin.validation.findings.setup_lines import written
-
-CHANCE = 1e-3
-"""Probability by chance, over all frequencies and joints, below which it is told."""
 
 LOWEST, HIGHEST = 4.0, 400.0
 """Frequencies that are sought, in waves per turn: below are eccentric wheels and what
 no parameter describes; a strain-wave gear of 200 has its wave generator above."""
 
-WAVES = 3.0
-"""Least number of waves over the motion of a joint."""
-
-FINER = 4
-"""Frequencies within the resolution of the motion."""
+WAVES, FINER = 3.0, 4
+"""Least number of waves over the motion of a joint, and frequencies within its
+resolution."""
 
 AROUND, PEAKS = np.linspace(-1.0, 1.0, 65), 3
 """Where better frequencies are sought around one, in steps, and around how many."""
@@ -105,7 +100,8 @@ def ripples(case: Case) -> Iterator[Finding]:
     )
     remedy += f"motor) and estimate the waves: {written(lines)}"
     said, numbers = f"joints ripple as gears do: {words}", first._asdict()
-    yield told("gear-ripple", "info", said, {**numbers, "left": left}, remedy, lines)
+    numbers["left"] = left
+    yield told("gear-ripple", said, numbers, remedy, lines, info=True)
 
 
 def _motion(fit: QuickFit, joint: str) -> tuple[Floats, Floats]:

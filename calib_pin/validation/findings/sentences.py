@@ -22,17 +22,31 @@ BY_JOINT, OVER_ORDER = "residuals-by-joint", "residuals-over-order"
 
 def told(
     code: str,
-    severity: Severity,
     message: str,
     numbers: Mapping[str, Any],
     remedy: str = "",
     lines: Mapping[str, Any] | None = None,
     figure: str = "",
+    *,
+    error: bool = False,
+    info: bool = False,
 ) -> Finding:
-    """A finding; where nothing else is the remedy, it is to state the lines."""
+    """A finding, by default a warning; where nothing else is, its lines are the remedy.
+
+    Args:
+        code: Its code.
+        message: One sentence with numbers.
+        numbers: The numbers by name, SI units.
+        remedy: Advice on how to correct it.
+        lines: Lines of a setup file that correct it.
+        figure: Name of a figure that shows it.
+        error: Whether it takes the trust.
+        info: Whether it is no more than a remark.
+    """
     if lines and not remedy:
         remedy = f"state in the setup file: {written(lines)}"
     evidence = {k: v if isinstance(v, str) else float(v) for k, v in numbers.items()}
+    severity: Severity = "error" if error else "info" if info else "warning"
     return Finding(code, severity, message, evidence, remedy, lines or {}, figure)
 
 

@@ -1,0 +1,219 @@
+"""Facts that measurements show: steps, copies, ranges, gauges that count backwards."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.measurement_models.orientations import numbers_of, quaternions
+from calib_pin.measurement_models.readings import read_otherwise
+from calib_pin.observations import Measurements, Observations
+from calib_pin.setup import (
+    DistanceSetup,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    ReadingSetup,
+    Setup,
+    SphereSetup,
+)
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.facts import coarse_step
+
+RANDOM = np.random.default_rng(0).uniform(-2.0, 2.0, 60)
+
+
+@pytest.mark.parametrize("step", [1e-3, 2.54e-3, 1e-6])
+def test_the_largest_step_of_all_values(step: float) -> None:
+    assert coarse_step(step * np.round(RANDOM / step), "m") == pytest.approx(step)
+
+
+def test_no_step() -> None:
+    assert coarse_step(RANDOM, "m") == 0.0
+    # Ten of them may stand on a grid because someone wanted them there.
+    assert coarse_step(np.repeat(np.arange(10.0), 6), "m") == 0.0
+    degrees = np.radians(0.1 * np.round(np.degrees(RANDOM) / 0.1))
+    assert coarse_step(degrees, "rad") == pytest.approx(np.radians(0.1))
+
+
+@pytest.fixture(scope="module")
+def judged():
+    """Findings of a whole calibration by the configurations that were measured."""
+    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
+    setup = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1)))
+    problem = nominal_problem(chain, "position", setup)
+    theta = calib_pin.draw_errors(problem.parameters, np.random.default_rng(0))
+
+    def of(q):
+        rng = np.random.default_rng(1)
+        rows = calib_pin.simulate(problem, theta, rng, q=q, noise=1e-4)
+        result = calib_pin.calibrate(chain, rows, Setup(), validate=False)
+        return {f.code: f for f in result.findings}
+
+    return of
+
+
+def test_a_third_of_the_range_is_a_warning_where_far_more_is_expected(judged) -> None:
+    q = np.random.default_rng(2).uniform(-1.0, 1.0, (60, 6))
+    assert judged(q)["small-range"].severity == "warning"
+    q = np.random.default_rng(2).uniform(-np.pi, np.pi, (60, 6))
+    assert judged(q * [1, 1, 1, 1, 1, 0.2])["small-range"].severity == "info"
+    # Of the whole range the order does not matter, also if it is that of a path.
+    assert judged(q[np.argsort(q[:, 0])]) == {}
+
+
+def test_few_configurations_are_too_few_and_nothing_else(judged) -> None:
+    """Three anywhere lie in a tenth of a joint's range, and move in two directions."""
+    q = np.random.default_rng(3).uniform(-np.pi, np.pi, (3, 6))
+    q[:, 5] = 0.5 + 0.3 * q[:, 5]
+    assert set(judged(np.repeat(q, 20, axis=0))) == {"few-configurations"}
+
+
+ARM = calib_pin.load_chain("space6", tip="tool")
+TOOL = FrameSetup((0.05, 0.08, 0.12), estimate=True)
+NOISE = 2e-5
+STATED: dict[str, dict[str, Any]] = {
+    "sphere-contact": {
+        "spheres": {
+            "a": SphereSetup((0.6, 0.3, 0.4), 0.15),
+            "b": SphereSetup((0.6, -0.4, 0.5), 0.1),
+            "c": SphereSetup((-0.3, 0.5, 0.6), 0.12),
+        },
+    },
+    "plane-contact": {
+        "planes": {
+            "a": PlaneSetup((0.0, 0.0, 1.0), -0.3),
+            "b": PlaneSetup((0.0, 0.0, 1.0), -0.55),
+            "c": PlaneSetup((1.0, 0.0, 0.0), 0.5),
+            "d": PlaneSetup((0.0, 1.0, 0.0), -0.4),
+        },
+        "distances": (DistanceSetup(("a", "b"), 0.25, 1e-5),),
+    },
+    "fixed-point": {
+        "sockets": {
+            "a": PointSetup((0.6, 0.3, 0.4)),
+            "b": PointSetup((0.5, -0.2, 0.6)),
+        },
+        "distances": (DistanceSetup(("a", "b"), 0.3**0.5, 1e-5),),
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def gauged(simulated):
+    """A job with readings of +-0.5 mm: measurements, setup and the true robot."""
+    made: dict[str, Any] = {}
+
+    def make(model: str) -> tuple[Measurements, Setup, CalibratedModel]:
+        if model not in made:
+            noise = {"contact": NOISE, "position": NOISE}
+            setup = Setup(tool_frame=TOOL, noise=noise, gauge=5e-4, **STATED[model])
+            problem, theta = simulated(model, setup, 160, 1.0, robot=ARM, noise=NOISE)
+            true = CalibratedModel.create(problem, theta)
+            made[model] = problem.data.only, setup, true
+        return made[model]
+
+    return make
+
+
+def off(found: CalibratedModel, true: CalibratedModel) -> float:
+    """Errors of the touching point over the workspace, but for a displacement [m]."""
+    q = ARM.random_configurations(200, np.random.default_rng(9))
+    a, b = (model.of().poses(q)[:, :3, 3] for model in (found, true))
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    U, _, Vt = np.linalg.svd(a.T @ b)
+    return float(np.sqrt(np.mean(np.sum((a @ U @ Vt - b) ** 2, axis=1))))
+
+
+@pytest.mark.parametrize("model", STATED)
+def test_readings_count(gauged, model: str) -> None:
+    """With them the true error is of the size of the noise; without, of the readings.
+
+    A contact tells one number at a configuration, and over the workspace its noise is
+    a few times as large.
+    """
+    rows, setup, true = gauged(model)
+    found = calib_pin.calibrate(ARM, rows, setup, validate=False)
+    assert not {f.code for f in found.findings} & {"gauge-sign", "noise"}
+    assert off(found.model, true) < 4.0 * NOISE
+    blind = replace(rows, values=rows.values[:, :0])
+    assert off(calib_pin.calibrate(ARM, blind, setup, validate=False).model, true) > (
+        5.0 * off(found.model, true)
+    )
+
+
+@pytest.mark.parametrize("model", STATED)
+def test_the_opposite_sign_is_told(gauged, model: str) -> None:
+    rows, setup, _ = gauged(model)
+    wrong = replace(rows, values=-rows.values)
+    found = calib_pin.calibrate(ARM, wrong, setup, validate=False)
+    (told,) = (f for f in found.findings if f.code == "gauge-sign")
+    assert found.verdict == "untrusted" and told.setup == {
+        "reading": {"opposite": True}
+    }
+    right = read_otherwise(Observations.of(wrong), ReadingSetup(opposite=True))
+    np.testing.assert_array_equal(right.only.values, rows.values)
+
+
+def test_a_normal_that_points_inwards_is_told(gauged) -> None:
+    rows, setup, _ = gauged("plane-contact")
+    plane = setup.planes["c"]
+    turned = PlaneSetup(tuple(-k for k in plane.normal), -plane.offset)
+    planes = {**setup.planes, "c": turned}
+    found = calib_pin.calibrate(
+        ARM, rows, replace(setup, planes=planes), validate=False
+    )
+    (told,) = (f for f in found.findings if f.code == "gauge-sign")
+    assert " at c have " in told.message and "normals" in told.remedy
+
+
+def test_coarse_joint_positions(told) -> None:
+    step = np.radians(0.02)
+    found = told(lambda rows: {"q": step * np.round(rows.q / step)})
+    assert found["coarse-steps"].severity == "warning"
+    assert " 0.02 deg" in found["coarse-steps"].message
+
+
+def test_coarse_orientations(told) -> None:
+    def change(block):
+        angles = numbers_of(block.values[:, 3:], "roll-pitch-yaw")[0]
+        coarse = quaternions(np.round(angles, 3), "roll-pitch-yaw")
+        return {"values": np.hstack([block.values[:, :3], coarse])}
+
+    found = told(change, model="pose")["coarse-steps"]
+    assert found.evidence["step"] == pytest.approx(1e-3)
+    assert "orientations" in found.message
+
+
+def test_a_grid_repeats_values_by_chance(moved_job) -> None:
+    """Readings of one configuration, alike to the millimeter, are no copies."""
+    job = moved_job((), (), 60)
+    rows = job.plain.only.rows(np.append(np.arange(60), np.arange(20)))
+    rows = replace(rows, values=np.round(rows.values, 3), sigma=None)
+    found = calib_pin.calibrate(job.chain, rows, validate=False).findings
+    assert [finding.code for finding in found] == ["coarse-steps"]
+
+
+def test_fine_steps_of_a_robot_that_bends_are_no_copies() -> None:
+    """Readings repeat on a grid of 1 um, beside 0.3 mm that no fit explains."""
+    chain = calib_pin.load_chain("space6")
+    rng = np.random.default_rng(4)
+    q = np.repeat(chain.random_configurations(25, rng), 4, axis=0)
+    bent = np.repeat(rng.normal(0.0, 3e-4, (25, 3)), 4, axis=0)
+    points = chain.poses(q)[:, :3, 3] + bent + rng.normal(0.0, 3e-7, (100, 3))
+    values = np.round(points, 6)
+
+    def codes(values):
+        rows = calib_pin.Measurements(chain.joints, q, "position", values)
+        result = calib_pin.calibrate(chain, rows, validate=False)
+        return {finding.code for finding in result.findings}
+
+    assert "copied-measurements" not in codes(values)
+    values = points + rng.normal(0.0, 3e-5, (100, 3))
+    values[[1, 42]] = values[[0, 41]]
+    assert "copied-measurements" in codes(values)

@@ -1,6 +1,6 @@
 """Faults of the data: each kind a hypothesis, its gain against chance, its remedy.
 
-A kind is one file and one line here. There are two sorts. Explanations say how
+A kind is one function and one line here. There are two sorts. Explanations say how
 measurements could be read otherwise; they are tried, alone and together, where errors
 are left that no robot explains (`explanations.explain`). Faults that hide in a fit that
 looks good are sought in every fit, by a few further columns of its Jacobian

@@ -215,11 +215,11 @@ def copies(case: Case) -> Iterator[Finding]:
 def repetitions(case: Case) -> Iterator[Finding]:
     """Few configurations, or most measurements at one of them."""
     data, problem = case.data, case.fit.problem
-    labels = np.unique(_things_there(data), return_inverse=True)[1]
+    labels = _things_there(data)
     there, configurations = np.bincount(labels), data.configurations
     free = int(problem.parameters.free.sum())
-    few = distinct_values(problem) < 2 * free
-    if len(data) >= REPEATED * len(there) and few:
+    many = len(data) >= REPEATED * len(there)
+    if many and distinct_values(problem) < 2 * free:
         said = f"{len(data)} measurements are at only {configurations} distinct "
         said += f"configurations: repetitions tell the noise, not the {free} unknowns"
         numbers = {"configurations": configurations, "measurements": len(data)}
@@ -273,7 +273,8 @@ def _by_chance(case: Case, pairs: int) -> bool:
 
 def _things_there(data: Observations) -> Indices:
     """Label of the measurements of one thing at one configuration, shape (N,)."""
-    return np.asarray(data.groups() * (data.things().max() + 1) + data.things())
+    labels = data.groups() * (data.things().max() + 1) + data.things()
+    return np.asarray(np.unique(labels, return_inverse=True)[1])
 
 
 def still_joints(problem: Problem) -> tuple[str, ...]:

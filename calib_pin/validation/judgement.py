@@ -206,7 +206,6 @@ def judge(
         fitted_errors.counted(data.weight),
         ModelErrors.joined(parts) if parts else None,
     )
-    validation = held_out.measurements if held_out.apart else None
     counting = data.weight > 0.0
     accuracies = dict.fromkeys(model.problem.by_chain, ToolAccuracy())
     if fitted.noise:
@@ -215,7 +214,7 @@ def judge(
             name: tool_accuracy(model, term, kept, np.random.default_rng(seed))
             for name, term in model.problem.by_chain.items()
         }
-    case = Case.of(fitted, chains, validation, progress, others, accuracies)
+    case = Case.of(fitted, chains, progress, others, accuracies)
     found = find(case, seek)
     findings = (*found.causes, *held_out.findings, *found.others)
     groups = data.groups()

@@ -16,7 +16,6 @@ from calib_pin.estimation.problem import EXACT, Problem, error_table
 from calib_pin.estimation.statistics.systematic import candidates
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import expected_size
@@ -82,7 +81,6 @@ class Case:
         rank: Place of each of these in the order of the files, among all, (N,).
         nominal: Parameter values of the registered nominal robot, shape (P,).
         fitted: The whole fit; None where measurements are only compared with a robot.
-        held_out: Validation measurements; None without.
         progress: Told how far the search for explanations is.
         others: Other robots that may have been measured.
         accuracies: Accuracy to expect of each chain; empty where nothing is known.
@@ -94,7 +92,6 @@ class Case:
     rank: Indices
     nominal: Floats
     fitted: Fit | None = None
-    held_out: Observations | None = None
     progress: Progress | None = None
     others: Others = tuple
     accuracies: Mapping[str, ToolAccuracy] = field(default_factory=dict)
@@ -145,11 +142,6 @@ class Case:
     def _revolute(self) -> dict[str, bool]:
         chains = self.chains
         return dict(zip(chains.joints, chains.revolute.tolist(), strict=True))
-
-    @property
-    def quantity(self) -> Quantity:
-        """The first quantity, whose errors findings tell."""
-        return self.fit.problem.layout.quantities[0]
 
     @property
     def setup(self) -> Setup:

@@ -265,7 +265,7 @@ def _by_chance(case: Case, pairs: int) -> bool:
     if not np.isfinite(sigma) or case.fit.rms < EXACT:
         return True  # Exact measurements repeat themselves.
     values = [b.values[:, :3] for b in case.data.blocks if b.values.shape[1]]
-    steps = [coarse_step(v.ravel(), case.quantity.unit) for v in values]
+    steps = [coarse_step(v.ravel(), case.fit.quantity.unit) for v in values]
     once = [step / (2.0 * np.sqrt(np.pi) * sigma) for step in steps]
     chance = max(x ** v.shape[1] for x, v in zip(once, values, strict=True))
     return bool(chance * (len(case.data) - case.data.configurations + pairs) > CHANCE)

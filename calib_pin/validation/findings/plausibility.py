@@ -384,14 +384,16 @@ def families(case: Case) -> Iterator[Finding]:
     names, left = case.lacking
     if not names:
         return
-    before, unit = case.fit.errors, case.quantity.unit
+    before, unit = case.fit.errors, case.fit.quantity.unit
     after = before * float(np.sqrt(left))
     # Placements have the offsets of joints.
     covered = {JointOffset.name} if Placement.name in names else set()
     lines = {"parameters": [*(n for n in case.setup.parameters if n not in covered)]}
     lines["parameters"] += names
     said = f"{enumerated(names)}, not estimated here, explains most of it: the "
-    said += f"{case.quantity.name} errors of a fit fall from {shown(before, unit, 3)} "
+    said += (
+        f"{case.fit.quantity.name} errors of a fit fall from {shown(before, unit, 3)} "
+    )
     said += f"to about {shown(after, unit, 3)}"
     numbers = {"families": ", ".join(names), "rms_before": before, "rms_after": after}
     asked = ",".join(lines["parameters"])

@@ -14,6 +14,7 @@ from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import refine
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Observations
 
 REDUNDANCY = 2.0
@@ -218,12 +219,17 @@ class QuickFit:
         return error_table(self.problem, self.theta)[self.problem.data.weight > 0.0]
 
     @property
+    def quantity(self) -> Quantity:
+        """The first quantity, whose errors findings tell."""
+        return self.problem.layout.quantities[0]
+
+    @property
     def errors(self) -> float:
         """Errors left of the first quantity, rms [its unit].
 
         What was set aside does not count.
         """
-        errors = self.problem.layout.quantities[0].errors(self.table)
+        errors = self.quantity.errors(self.table)
         return float(np.sqrt(np.mean(errors**2)))
 
     @cached_property

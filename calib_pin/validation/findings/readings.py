@@ -446,9 +446,12 @@ def joint_sets(case: Case) -> Iterator[Finding]:
             continue
         better, names = ratio > 0.0, [*columns.values()]
         ends = " to ".join(f"'{n}'" for n in dict.fromkeys((names[0], names[-1])))
-        before, after = (shown(x.errors, case.quantity.unit, 3) for x in (here, there))
-        said = f"with the joint positions in {ends} the {case.quantity.name} errors of "
-        said += f"a fit are {after} instead of {before}"
+        quantity = here.quantity
+        before, after = (shown(x.errors, quantity.unit, 3) for x in (here, there))
+        said = (
+            f"with the joint positions in {ends} the {quantity.name} errors of a fit "
+        )
+        said += f"are {after} instead of {before}"
         numbers = {"columns": ", ".join(names), "log_likelihood_ratio": ratio}
         numbers |= {"rms_before": here.errors, "rms_after": there.errors}
         if better:

@@ -84,10 +84,10 @@ LIMITS = 1e-3
 VALUES = 20
 """Least number of different values from which a step is no chance."""
 
-COARSE, DOUBTFUL, MOST = 0.3, 0.7, 2.0
-"""Parts of the remaining errors that steps make, from which they are told, from which
-there is a warning, and beyond which values cannot have been rounded: the errors would
-be larger, but for what was set aside. Joints are often commanded to round numbers."""
+COARSE, MOST = 0.5, 2.0
+"""Parts of the remaining errors that steps make, from which they are told, and beyond
+which values cannot have been rounded: the errors would be larger, but for what was set
+aside. Joints are often commanded to round numbers."""
 
 ROUNDED = 1.0 / np.sqrt(12.0)
 """Standard deviation of what rounding adds, in steps."""
@@ -423,8 +423,8 @@ def coarse_values(case: Case) -> Iterator[Finding]:
                 said += f"which makes {parts[0]} of the {parts[1]} of {quantity.name} "
                 said += "errors that are left"
                 numbers = {"step": step, "noise": noise, "left": left}
-                remedy, small = "write them with more digits", noise < DOUBTFUL * left
-                yield told("coarse-steps", said, numbers, remedy, info=small)
+                remedy = "write them with more digits"
+                yield told("coarse-steps", said, numbers, remedy)
 
 
 def _step_of(case: Case, quantity: Quantity) -> float:

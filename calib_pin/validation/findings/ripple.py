@@ -10,7 +10,7 @@ one, W p sqrt(-ln p), W being the width of the band by the resolution.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.transmission import MotorRipple, Transmission
 from calib_pin.validation.findings.case import CHANCE, Case
-from calib_pin.validation.findings.quick_fit import QuickFit
+from calib_pin.validation.findings.quick_fit import QuickFit, Score
 from calib_pin.validation.findings.sentences import shown, told
 from calib_pin.validation.findings.setup_lines import written
 
@@ -33,27 +33,8 @@ resolution."""
 AROUND, PEAKS = np.linspace(-1.0, 1.0, 65), 3
 """Where better frequencies are sought around one, in steps, and around how many."""
 
-EVEN = 2.0
-"""Loss of log-likelihood for which a whole number is taken for a frequency."""
-
-
-class Ripple(NamedTuple):
-    """A wave of a joint.
-
-    Attributes:
-        chance: Bound of the probability that any frequency of the joint comes as high
-            by chance.
-        joint: Name of the joint.
-        frequency: Waves per turn of the joint.
-        amplitude: Its amplitude [rad].
-        left: Part of the sum of squares that it leaves.
-    """
-
-    chance: float
-    joint: str
-    frequency: float
-    amplitude: float
-    left: float
+EVEN = 0.1
+"""Likelihood of a whole number, by that of the best frequency, that is enough."""
 
 
 def ripples(case: Case) -> Iterator[Finding]:
@@ -61,32 +42,33 @@ def ripples(case: Case) -> Iterator[Finding]:
     if not case.informed:
         return
     joints = [name for name in case.data.joints if case.unit(name) == "rad"]
-    fit, found, ratios = case.fit, list[Ripple](), dict[str, float]()
+    fit, words, ratios, left = case.fit, list[str](), dict[str, float](), 1.0
+    numbers: dict[str, Any] = {}
     # Eccentric and elliptic wheels are no ripple.
-    low = [waves(*_motion(fit, joint), k) for joint in joints for k in (1.0, 2.0)]
+    low = [_waves(*_motion(fit, joint), k) for joint in joints for k in (1.0, 2.0)]
     if low and np.isfinite(low).all():
         fit = fit.explaining(np.hstack(low))
     while len(ratios) < len(joints):
         # One after the other: a large one leaks into the other joints.
         rest = [joint for joint in joints if joint not in ratios]
-        best = min(filter(None, (ripple_of(fit, j) for j in rest)), default=None)
-        if best is None or best.chance * len(joints) > CHANCE:
+        found = {joint: one for joint in rest if (one := _ripple(fit, joint))}
+        joint = min(found, key=lambda joint: found[joint][0], default="")
+        if not joint or found[joint][0] * len(joints) > CHANCE:
             break
-        q, motion = _motion(fit, best.joint)
-        fit = fit.explaining(waves(q, motion, best.frequency))
+        chance, frequency, score = found[joint]
+        q, motion = _motion(fit, joint)
+        fit = fit.explaining(_waves(q, motion, frequency))
         # The wave generator of a strain-wave gear comes twice per turn of its motor,
         # which has an error of its own: half the frequency where that is seen as well.
-        half = 0.5 * best.frequency
-        seen = _chance(fit, fit.score(waves(q, motion, half)).left) < CHANCE
-        ratios[best.joint] = float(f"{half if seen else best.frequency:.4g}")
-        found.append(best)
-    if not found:
+        half = 0.5 * frequency
+        seen = _chance(fit, fit.score(_waves(q, motion, half)).left) < CHANCE
+        ratios[joint] = float(f"{half if seen else frequency:.4g}")
+        size, left = float(np.linalg.norm(score.values)), left * score.left
+        words += [f"'{joint}' {frequency:.4g} times per turn by {shown(size, 'rad')}"]
+        first = {"frequency": frequency, "amplitude": size, "chance": chance}
+        numbers = numbers or {"joint": joint, **first}
+    if not words:
         return
-    words = ", ".join(
-        f"'{one.joint}' {one.frequency:.4g} times per turn by "
-        f"{shown(one.amplitude, 'rad')}"
-        for one in found
-    )
     names = case.setup.parameters
     if not {Transmission.name, MotorRipple.name}.intersection(names):
         names = (*names, MotorRipple.name)
@@ -94,14 +76,12 @@ def ripples(case: Case) -> Iterator[Finding]:
         "parameters": [*names],
         "gear_ratios": {**case.setup.gear_ratios, **ratios},
     }
-    first, left = found[0], float(np.prod([one.left for one in found]))
     remedy = (
         "look up the gear ratios (a strain-wave gear ripples twice per turn of its "
     )
     remedy += f"motor) and estimate the waves: {written(lines)}"
-    said, numbers = f"joints ripple as gears do: {words}", first._asdict()
-    numbers["left"] = left
-    yield told("gear-ripple", said, numbers, remedy, lines, info=True)
+    said = f"joints ripple as gears do: {', '.join(words)}"
+    yield told("gear-ripple", said, {**numbers, "left": left}, remedy, lines, info=True)
 
 
 def _motion(fit: QuickFit, joint: str) -> tuple[Floats, Floats]:
@@ -111,14 +91,18 @@ def _motion(fit: QuickFit, joint: str) -> tuple[Floats, Floats]:
     return fit.problem.data.q[row, column], fit.by_joints[:, column]
 
 
-def waves(q: Floats, motion: Floats, frequency: float) -> Floats:
+def _waves(q: Floats, motion: Floats, frequency: float) -> Floats:
     """Sine and cosine of a frequency along the motion of a joint, shape (M, 2)."""
     angle = frequency * q
     return np.asarray(motion[:, None] * np.stack([np.sin(angle), np.cos(angle)], 1))
 
 
-def ripple_of(fit: QuickFit, joint: str) -> Ripple | None:
-    """The ripple of a joint that explains most; None where it hardly moves."""
+def _ripple(fit: QuickFit, joint: str) -> tuple[float, float, Score] | None:
+    """The wave of a joint that explains most; None where it hardly moves.
+
+    A bound of the probability that any frequency of the joint comes as high by chance,
+    waves per turn, and the gain of sine and cosine.
+    """
     q, motion = _motion(fit, joint)
     span = float(np.ptp(q)) if len(q) else 0.0
     lowest = max(LOWEST, 2.0 * np.pi * WAVES / max(span, 1e-300))
@@ -130,34 +114,28 @@ def ripple_of(fit: QuickFit, joint: str) -> Ripple | None:
     rest = fit.unexplained[1][: len(q)]
     peaks = np.argsort(-periodogram(q, motion, rest, frequencies), kind="stable")
     around = [frequencies[k] + step * AROUND for k in peaks[:PEAKS]]
-    gains = [periodogram(q, motion, rest, near) for near in around]
-    tried = [float(f[np.argmax(gain)]) for f, gain in zip(around, gains, strict=True)]
-    scores = {f: fit.score(waves(q, motion, f)) for f in tried}
+    tried = [f[np.argmax(periodogram(q, motion, rest, f))].item() for f in around]
+    scores = {f: fit.score(_waves(q, motion, f)) for f in tried}
     best = min(tried, key=lambda f: scores[f].left)
-    even = fit.score(waves(q, motion, round(best)))
-    score = scores[best]
-    if 0.5 * _dof(fit) * np.log(even.left / max(score.left, 1e-300)) < EVEN:
-        best, score = float(round(best)), even
+    score, whole = scores[best], float(round(best))
+    even = fit.score(_waves(q, motion, whole))
+    if _chance(fit, score.left / max(even.left, 1e-300)) > EVEN:
+        best, score = whole, even
     # Effective length of the motion and width of the band, in waves.
     width = np.sqrt(4.0 * np.pi * np.var(q)) * (HIGHEST - lowest) / (2.0 * np.pi)
     alone = max(_chance(fit, score.left), 1e-300)
-    chance = min(1.0, float(width * alone * np.sqrt(max(-np.log(alone), 1.0))))
-    amplitude = float(np.linalg.norm(score.values))
-    return Ripple(chance, joint, best, amplitude, score.left)
-
-
-def _dof(fit: QuickFit) -> float:
-    """Values that are left, a configuration counted as one whatever is measured there.
-
-    What a model lacks is no white noise: it moves all values of a configuration.
-    """
-    rows = len(fit.problem.layout.row)
-    return fit.left * len(fit.problem.data) / max(rows, 1)
+    chance = float(width * alone * np.sqrt(max(-np.log(alone), 1.0)))
+    return min(1.0, chance), best, score
 
 
 def _chance(fit: QuickFit, left: float) -> float:
-    """Probability that one frequency leaves so little by chance (F test)."""
-    return float(left ** (0.5 * _dof(fit)))
+    """Probability that one frequency leaves such a part of squares by chance (F test).
+
+    A configuration counts as one value whatever is measured there: what a model lacks
+    is no white noise, it moves all values of a configuration.
+    """
+    rows = len(fit.problem.layout.row)
+    return float(left ** (0.5 * fit.left * len(fit.problem.data) / max(rows, 1)))
 
 
 def periodogram(

@@ -71,10 +71,8 @@ def older_calibration(
     assert new.recalibration is not None
     step = new.recalibration.last
     day = f" of {step.created[:10]}" if step.created else ""
-    errors = " and ".join(
-        f"{name} errors of {shown(accuracy.rms, unit)} rms"
-        for name, unit, accuracy in new.recalibration.errors
-    )
+    sizes = [(n, shown(x.rms, unit)) for n, unit, x in new.recalibration.errors]
+    errors = " and ".join(f"{name} errors of {size} rms" for name, size in sizes)
     by = f"it predicts these measurements with {errors}, chi-square {step.chi2:.0f} "
     by += f"(expected: {step.dof})"
     promises = [one.accuracy.workspace for one in (older, new)]

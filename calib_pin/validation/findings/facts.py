@@ -382,12 +382,10 @@ def joint_turns(case: Case) -> Iterator[Finding]:
     position itself counts: in limits, in commands that are computed from the robot.
     """
     chains, data = case.chains, case.data
-    for joint, lower, upper in zip(
-        chains.joints, chains.lower, chains.upper, strict=True
-    ):
+    for k, joint in enumerate(chains.joints):
         if case.unit(joint) != "rad" or joint not in data.joints:
             continue
-        j = data.joints.index(joint)
+        j, lower, upper = data.joints.index(joint), chains.lower[k], chains.upper[k]
         least, most = data.q[:, j].min(), data.q[:, j].max()
         first = np.ceil((lower - LIMITS - least) / TURN)
         last = np.floor((upper + LIMITS - most) / TURN)

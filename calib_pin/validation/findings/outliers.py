@@ -117,13 +117,10 @@ def _together(data: Observations, rows: Indices) -> tuple[str, str]:
 
 def displaced(fitted: Fit, squared: Fit) -> float:
     """How far two fits have the tool apart, over the workspace, rms [m]."""
-    first, second = (
-        CalibratedModel.create(fit.problem, fit.theta) for fit in (fitted, squared)
-    )
-    return max(
-        tip_drift(first.of(n), second.of(n), base=True, tool=True).position.rms
-        for n in first.measured_chains
-    )
+    first = CalibratedModel.create(fitted.problem, fitted.theta)
+    second = CalibratedModel.create(squared.problem, squared.theta)
+    pairs = [(first.of(name), second.of(name)) for name in first.measured_chains]
+    return max(tip_drift(*p, base=True, tool=True).position.rms for p in pairs)
 
 
 def _pairs(data: Observations, out: Sequence[Outlier]) -> list[tuple[int, int]]:

@@ -328,10 +328,8 @@ def contradicted(
     v, J = known.residual(fitted.theta), known.jacobian(fitted.theta)
     # By noise alone, or what a distance decides would be more than all.
     _, result, moved = fitted.held
-    h = np.sum(
-        (J @ half_covariance(result.jac, moved, problem.parameters)) ** 2, axis=1
-    )
-    left = np.maximum(1.0 - h, ROUNDING)
+    half = half_covariance(result.jac, moved, problem.parameters)
+    left = np.maximum(1.0 - np.sum((J @ half) ** 2, axis=1), ROUNDING)
     if fitted.robust.squared is not None and left.min() <= ROUNDING:
         # All measurements of an end are set aside, for one of both must be wrong.
         yield from contradicted(fitted.robust.squared, errors, fitted)
@@ -347,13 +345,11 @@ def contradicted(
     # A wrong distance takes all measurements for coarse ones.
     if not _scaled_without(robust or fitted, k):
         return
-    ends, (unit, factor) = " - ".join(stated.between), DISPLAY[stated.unit]
-    what, found = stated.key.removesuffix("s"), stated.value + apart
+    ends, what = " - ".join(stated.between), stated.key.removesuffix("s")
+    (unit, factor), found = DISPLAY[stated.unit], stated.value + apart
+    sizes = [f"{factor * size:.1f} {unit}" for size in (found, stated.value)]
     said = f"the measurements contradict the known {what} {ends}: without it they find "
-    said += (
-        f"{factor * found:.1f} {unit} instead of {factor * stated.value:.1f} {unit} "
-    )
-    said += f"({w[k]:.0f} standard deviations)"
+    said += f"{sizes[0]} instead of {sizes[1]} ({w[k]:.0f} standard deviations)"
     numbers = {"between": ends, "value": stated.value, "sigma": stated.sigma}
     numbers |= {"found": found, "normalized_residual": w[k]}
     remedy = f"measure this {what} again, or state its true sigma"
@@ -366,16 +362,13 @@ def _scaled_without(fitted: Fit, distance: int) -> bool:
 
     Contacts alone draw a robot together, so what they say of the scale is no check.
     """
-    problem = fitted.problem
+    problem, rng = fitted.problem, np.random.default_rng(0)
     stated = problem.further.distances.stated[distance]
     others = tuple(d for d in problem.setup.distances if d is not stated)
     setup = replace(problem.setup, distances=others)
     # What is touched must be where the tool can touch it.
     about = np.where(problem.parameters.nuisance, fitted.before, 0.0)
-    problem, rng = (
-        replace(problem, setup=setup, expected=None),
-        np.random.default_rng(0),
-    )
+    problem = replace(problem, setup=setup, expected=None)
     return analyze_structure(problem, about, rng)[0].scaled
 
 
@@ -384,21 +377,18 @@ def families(case: Case) -> Iterator[Finding]:
     names, left = case.lacking
     if not names:
         return
-    before, unit = case.fit.errors, case.fit.quantity.unit
+    before, quantity = case.fit.errors, case.fit.quantity
     after = before * float(np.sqrt(left))
+    sizes = [shown(size, quantity.unit, 3) for size in (before, after)]
     # Placements have the offsets of joints.
     covered = {JointOffset.name} if Placement.name in names else set()
-    lines = {"parameters": [*(n for n in case.setup.parameters if n not in covered)]}
-    lines["parameters"] += names
+    kept = [name for name in case.setup.parameters if name not in covered]
+    lines = {"parameters": [*kept, *names]}
     said = f"{enumerated(names)}, not estimated here, explains most of it: the "
-    said += (
-        f"{case.fit.quantity.name} errors of a fit fall from {shown(before, unit, 3)} "
-    )
-    said += f"to about {shown(after, unit, 3)}"
+    said += f"{quantity.name} errors of a fit fall from {sizes[0]} to about {sizes[1]}"
     numbers = {"families": ", ".join(names), "rms_before": before, "rms_after": after}
-    asked = ",".join(lines["parameters"])
-    remedy = f"estimate them: --parameters {asked}, or state in the setup file: "
-    remedy += written(lines)
+    remedy = f"estimate them: --parameters {','.join([*kept, *names])}, or state in "
+    remedy += f"the setup file: {written(lines)}"
     info = left >= HALVED
     yield told("model-lacks", said, numbers, remedy, lines, BY_JOINT, info=info)
 

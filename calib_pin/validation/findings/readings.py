@@ -158,9 +158,7 @@ def axes(case: Case) -> Iterator[Hypothesis]:
     Where nothing else shows how the measurement frame is turned, every frame is right
     but a left-handed one.
     """
-    blocks = [
-        b for b in case.data.blocks if tuple(declared(b.model).columns)[:3] == AXES
-    ]
+    blocks = [b for b in case.data.blocks if (*declared(b.model).columns,)[:3] == AXES]
     terms, free = case.fit.problem.terms, case.fit.problem.parameters.free
     turned = any(
         declared(b.model).oriented
@@ -239,15 +237,10 @@ def _conventions(columns: Iterable[str]) -> Iterator[OrientationSetup]:
 
 def _located(case: Case, blocks: Sequence[Measurements]) -> dict[BlockKey, Term]:
     """The terms of blocks where positions alone find the robot."""
-    some = [block.sample(ROWS) for block in blocks]
-    positions = [
-        replace(block, model="position", values=block.values[:, :3], sigma=None)
-        for block in some
-    ]
+    some = [replace(b.sample(ROWS), model="position", sigma=None) for b in blocks]
+    data = Observations.of(*(replace(b, values=b.values[:, :3]) for b in some))
     setup = replace(case.setup, parameters=(), learned=None, fixed=(), bounds={})
-    problem = make_problem(
-        case.chains, Observations(tuple(positions)), replace(setup, prior={})
-    )
+    problem = make_problem(case.chains, data, replace(setup, prior={}))
     problem, found = register(problem, np.zeros(len(problem.parameters)))
     terms = problem.rebased(found.x)[0].terms
     return {b.key: terms[b.key._replace(model="position")] for b in blocks}
@@ -405,9 +398,7 @@ def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
         seen: list[tuple[object, ...]] = []
         for link in (links[k], *chain.robot.links):
             try:
-                other = Chain(
-                    chain.robot, **{"base": links[0], "tip": links[1], end: link}
-                )
+                other = Chain(chain.robot, *(*links[:k], link, *links[k + 1 :]))
             except RobotError:
                 continue
             # A frame that is estimated absorbs where on its body a link is.
@@ -435,10 +426,9 @@ def joint_sets(case: Case) -> Iterator[Finding]:
         maps = {given.joint: (c, given) for c, given in setup.joints.items()}
         maps = {j: maps.get(j, (j, JointMap(j))) for j in some.joints}
         try:
-            here, there = (
-                QuickFit.of(make_problem(case.chains, data, setup), STEPS)
-                for data in (some, _moved(some, columns, maps))
-            )
+            both = [some, _moved(some, columns, maps)]
+            problems = [make_problem(case.chains, data, setup) for data in both]
+            here, there = (QuickFit.of(problem, STEPS) for problem in problems)
         except CalibPinError:
             continue  # No robot is there.
         ratio = here.left * float(np.log(here.rms / there.rms))
@@ -448,10 +438,8 @@ def joint_sets(case: Case) -> Iterator[Finding]:
         ends = " to ".join(f"'{n}'" for n in dict.fromkeys((names[0], names[-1])))
         quantity = here.quantity
         before, after = (shown(x.errors, quantity.unit, 3) for x in (here, there))
-        said = (
-            f"with the joint positions in {ends} the {quantity.name} errors of a fit "
-        )
-        said += f"are {after} instead of {before}"
+        said = f"with the joint positions in {ends} the {quantity.name} errors of a "
+        said += f"fit are {after} instead of {before}"
         numbers = {"columns": ", ".join(names), "log_likelihood_ratio": ratio}
         numbers |= {"rms_before": here.errors, "rms_after": there.errors}
         if better:
@@ -494,10 +482,9 @@ def _moved(data: Observations, columns: Mapping[str, str], maps: _Maps) -> Obser
 def _exchanged(columns: Mapping[str, str], maps: _Maps) -> dict[str, dict[str, Any]]:
     """Entries of `joints` in a setup file, of all that other columns change."""
     new = {maps[joint][0]: column for joint, column in columns.items()}
-    return {
-        new.get(column, column): lines_of(
-            replace(own, coupled={new.get(c, c): f for c, f in own.coupled.items()})
-        )
-        for column, own in maps.values()
-        if {column, *own.coupled} & new.keys()
-    }
+    found = {}
+    for column, own in maps.values():
+        if {column, *own.coupled} & new.keys():
+            coupled = {new.get(c, c): factor for c, factor in own.coupled.items()}
+            found[new.get(column, column)] = lines_of(replace(own, coupled=coupled))
+    return found

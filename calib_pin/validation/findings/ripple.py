@@ -72,14 +72,10 @@ def ripples(case: Case) -> Iterator[Finding]:
     names = case.setup.parameters
     if not {Transmission.name, MotorRipple.name}.intersection(names):
         names = (*names, MotorRipple.name)
-    lines = {
-        "parameters": [*names],
-        "gear_ratios": {**case.setup.gear_ratios, **ratios},
-    }
-    remedy = (
-        "look up the gear ratios (a strain-wave gear ripples twice per turn of its "
-    )
-    remedy += f"motor) and estimate the waves: {written(lines)}"
+    every = {**case.setup.gear_ratios, **ratios}
+    lines = {"parameters": [*names], "gear_ratios": every}
+    remedy = "look up the gear ratios (a strain-wave gear ripples twice per turn of "
+    remedy += f"its motor) and estimate the waves: {written(lines)}"
     said = f"joints ripple as gears do: {', '.join(words)}"
     yield told("gear-ripple", said, {**numbers, "left": left}, remedy, lines, info=True)
 

@@ -38,9 +38,8 @@ class JointReading:
 
     def after(self, first: JointReading) -> JointReading:
         """This one of positions that another one has read."""
-        return JointReading(
-            self.factors @ first.factors, self.factors @ first.offsets + self.offsets
-        )
+        offsets = self.factors @ first.offsets + self.offsets
+        return JointReading(self.factors @ first.factors, offsets)
 
     def maps(
         self, joints: Sequence[str], stated: Mapping[str, JointMap]
@@ -70,9 +69,8 @@ class JointReading:
         has = factors[:, :count] != 0.0
         _, chosen = linear_sum_assignment(has * (count + np.eye(count)), maximize=True)
         result = {}
-        for joint, k, row, offset in zip(
-            joints, chosen.tolist(), factors, offsets.tolist(), strict=True
-        ):
+        rows = zip(joints, chosen.tolist(), factors, offsets.tolist(), strict=True)
+        for joint, k, row, offset in rows:
             factor = float(row[k])
             others = [j for j in np.flatnonzero(row).tolist() if j != k]
             coupled = {names[j]: float(row[j]) / factor for j in others}
@@ -94,12 +92,8 @@ def merged(readings: Iterable[ReadingSetup]) -> ReadingSetup:
 def _changed(section: Section) -> dict[str, Any]:
     """The attributes of a section that are not at their defaults."""
     assert is_dataclass(section)
-    values = {f.name: (getattr(section, f.name), f.default) for f in fields(section)}
-    return {
-        name: value
-        for name, (value, default) in values.items()
-        if value != default and value not in ({}, ())
-    }
+    values = [(f.name, getattr(section, f.name), f.default) for f in fields(section)]
+    return {k: v for k, v, default in values if v != default and v not in ({}, ())}
 
 
 def lines_of(section: Section) -> dict[str, Any]:

@@ -160,12 +160,11 @@ def gauge_readings(case: Case) -> Iterator[Finding]:
     every = len(wrong) == len(factors)
     said = f"the gauge readings at {enumerated(wrong)} have the opposite sign: they fit"
     said += f" best times {np.mean([factors[name] for name in wrong]):.2g}"
+    numbers = {"left": score.left, "chance": score.chance, **factors}
     remedy = "state these planes with normals that point the other way, or exchange "
     remedy += "'deviation' and 'dial' in the names of their columns"
-    lines = {"reading": {"opposite": True}} if every else {}
-    numbers = {"left": score.left, "chance": score.chance, **factors}
-    remedy = "" if every else remedy
-    yield told("gauge-sign", said, numbers, remedy, lines, error=True)
+    cure = ("", {"reading": {"opposite": True}}) if every else (remedy, {})
+    yield told("gauge-sign", said, numbers, *cure, error=True)
 
 
 def computed_values(case: Case) -> Iterator[Finding]:
@@ -279,13 +278,9 @@ def _things_there(data: Observations) -> Indices:
 
 def still_joints(problem: Problem) -> tuple[str, ...]:
     """Names of the joints of the chains that no measurement moves."""
-    moved = {
-        joint
-        for term, data, _, _ in problem.blocks
-        for joint, span in zip(data.joints, np.ptp(data.q, axis=0), strict=True)
-        if span > 0.0
-    }
-    mimics = problem.chains.mimics
+    moved, mimics = set[str](), problem.chains.mimics
+    for _, data, _, _ in problem.blocks:
+        moved |= {data.joints[k] for k in np.flatnonzero(np.ptp(data.q, axis=0))}
     # One that others follow moves with them, be it in a chain or not.
     moved |= {mimics[joint].leader for joint in moved & mimics.keys()}
     return tuple(joint for joint in problem.chains.joints if joint not in moved)
@@ -293,19 +288,14 @@ def still_joints(problem: Problem) -> tuple[str, ...]:
 
 def unmoved_joints(case: Case) -> Iterator[Finding]:
     """The joints of which nothing can be said; of a single chain this is a fault."""
-    chains, names = case.fit.problem.chains, [*still_joints(case.fit.problem)]
-    single = len(chains.names) == 1
-    if not single:
-        names += [n for n in chains.robot.model.names[1:] if n not in chains.joints]
-    names = [name for name in names if name not in chains.robot.mimics]
+    chains = case.fit.problem.chains
+    still = [n for n in still_joints(case.fit.problem) if n not in chains.robot.mimics]
     # Nobody asks measurements for errors that are not fitted.
-    if names and case.fitted is not None:
-        said = "no measurement moves or sees some joints, and errors that only their "
-        said += f"motion shows stay at nominal: {enumerated(names)}"
-        numbers = {"joints": ", ".join(names)}
-        figure = BY_JOINT if single else ""
-        remedy = MORE if single else ""
-        yield told("unmoved-joints", said, numbers, remedy, {}, figure, info=not single)
+    if still and case.fitted is not None:
+        said = "no measurement moves some joints, and errors that only their motion "
+        said += f"shows stay at nominal: {enumerated(still)}"
+        numbers, several = {"joints": ", ".join(still)}, len(chains.names) > 1
+        yield told("unmoved-joints", said, numbers, MORE, {}, BY_JOINT, info=several)
 
 
 def design(case: Case) -> Iterator[Finding]:

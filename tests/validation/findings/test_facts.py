@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Measurements, Observations
@@ -42,17 +41,14 @@ def test_no_step() -> None:
 
 
 @pytest.fixture(scope="module")
-def judged():
+def judged(ur10):
     """Findings of a whole calibration by the configurations that were measured."""
-    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
-    setup = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1)))
-    problem = nominal_problem(chain, "position", setup)
-    theta = calib_pin.draw_errors(problem.parameters, np.random.default_rng(0))
 
     def of(q):
-        rng = np.random.default_rng(1)
-        rows = calib_pin.simulate(problem, theta, rng, q=q, noise=1e-4)
-        result = calib_pin.calibrate(chain, rows, Setup(), validate=False)
+        chain = calib_pin.load_chain(
+            "example:ur10_robot", base="base_link", tip="tool0"
+        )
+        result = calib_pin.calibrate(chain, ur10(q=q), Setup(), validate=False)
         return {f.code: f for f in result.findings}
 
     return of

@@ -437,7 +437,7 @@ ELSEWHERE = {
     "tool-frame": "test_robot",
     "base-frame": "test_robot",
     "implausible-correction": "test_plausibility",
-    "unlike-fleet": "test_population",
+    "unlike-fleet": "test_plausibility",
     "approach-by-order": "test_approach",
     "old-calibration-holds": "test_recalibration",
     "old-calibration-no-longer-holds": "test_recalibration",

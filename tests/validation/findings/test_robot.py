@@ -23,15 +23,6 @@ TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
 UR5, UR10 = "example:ur5_robot", "example:ur10_robot"
 
 
-def measured(tip="tool0"):
-    """Measurements of a UR10 that errs by some millimeters."""
-    chain = calib_pin.load_chain(UR10, base="base_link", tip=tip)
-    problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
-    rng = np.random.default_rng(0)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    return calib_pin.simulate(problem, theta, rng, count=50, noise=1e-4)
-
-
 def told(chains, rows, setup=None, known=tuple):
     case = Case.of_robot(Chains.of(chains), rows, setup or Setup(), known)
     assert case.doubtful
@@ -40,9 +31,9 @@ def told(chains, rows, setup=None, known=tuple):
 
 
 @pytest.fixture(scope="module")
-def file(tmp_path_factory):
+def file(tmp_path_factory, ur10):
     path = tmp_path_factory.mktemp("robot") / "rows.csv"
-    calib_pin.write_measurements(path, measured())
+    calib_pin.write_measurements(path, ur10(count=50))
     return path
 
 
@@ -108,11 +99,11 @@ NEAR = FrameSetup((0.08, 0.08, 0.12), TOOL.rpy, estimate=False)
         ("tool-frame", FrameSetup((0.05, 0.08, 0.27), TOOL.rpy), KNOWN),
     ],
 )
-def test_a_frame_that_is_stated_wrongly(code, frame, known) -> None:
+def test_a_frame_that_is_stated_wrongly(code, frame, known, ur10) -> None:
     """Half a turn, too, where nothing is fitted from what was stated."""
     chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
     end = code.removesuffix("-frame")
     wrong = {f"{end}_frame": replace(frame, estimate=False)}
-    (found,) = told(chain, measured(), Setup(**{**known, **wrong}))
+    (found,) = told(chain, ur10(count=50), Setup(**{**known, **wrong}))
     assert found.code == code
     assert found.setup == {"frames": {end: {"estimate": True}}}

@@ -239,10 +239,16 @@ def _equal(data: Observations) -> list[int]:
     place, same, found = np.argsort(data.in_order), _things_there(data), list[int]()
     several = np.bincount(same)[same] > 1
     for block, rows in zip(data.blocks, data.slices, strict=True):
-        own = rows.start + np.flatnonzero(several[rows])
+        if not block.values.shape[1]:
+            continue  # Of contacts the joint positions are what is measured.
+        at = np.flatnonzero(several[rows])
+        _, which, counts = np.unique(
+            block.values[at, 0], return_inverse=True, return_counts=True
+        )
+        # Where the first number is there once, the others need not be compared.
+        own = rows.start + at[counts[which] > 1]
         own = own[np.argsort(place[own])]
-        # Of contacts the joint positions are what is measured.
-        if block.values.shape[1] and len(own):
+        if len(own):
             start = block.start if block.start.size else block.q[:, :0]
             numbers = np.column_stack([block.values, start])[own - rows.start]
             table = np.column_stack([same[own], numbers])

@@ -31,19 +31,13 @@ from calib_pin.observations import Indices, Observations
 from calib_pin.validation.findings.case import CHANCE, Case
 from calib_pin.validation.findings.hypotheses import setup_lines
 from calib_pin.validation.findings.readings import offset_by
-from calib_pin.validation.findings.sentences import (
-    BY_JOINT,
-    NAMED,
-    named,
-    shown,
-    told,
-    without,
-)
+from calib_pin.validation.findings.sentences import listed, named, shown, told, without
 
 MORE = (
     "measure configurations that differ more: calib-pin plan ROBOT --add 10 --to FILE"
 )
-"""The advice about configurations that are too much alike."""
+_alike = partial(told, remedy=MORE, residuals="by-joint")
+"""Makes a finding of configurations that are too much alike."""
 
 REPEATED, SHARE = 3.0, 0.5
 """Measurements of a thing at a configuration, in the mean, from which they are many,
@@ -301,7 +295,7 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
         said = "no measurement moves some joints, and errors that only their motion "
         said += f"shows stay at nominal: {enumerated(still)}"
         numbers, several = {"joints": ", ".join(still)}, len(chains.names) > 1
-        yield told("unmoved-joints", said, numbers, MORE, {}, BY_JOINT, info=several)
+        yield _alike("unmoved-joints", said, numbers, info=several)
 
 
 def design(case: Case) -> Iterator[Finding]:
@@ -314,10 +308,9 @@ def design(case: Case) -> Iterator[Finding]:
     moved = np.array([j not in chains.mimics for j in chains.joints]) & (span > 0.0)
     part = np.divide(span, room, out=np.ones(len(span)), where=room > 0.0)
     elsewhere = _elsewhere(case) if count > FEWEST else ""
-    alike = partial(told, remedy=MORE, figure=BY_JOINT)
     if elsewhere and _smooth(q[case.data.in_order][:, moved]):
         said = f"all configurations lie on one path, and {elsewhere}"
-        yield alike("one-path", said, {})
+        yield _alike("one-path", said, {})
         elsewhere = ""
     limit, within = WIDE if elsewhere else SMALL, np.minimum(part, 1.0)
     by_chance = moved.sum() * (count - (count - 1) * within) * within ** (count - 1)
@@ -325,17 +318,16 @@ def design(case: Case) -> Iterator[Finding]:
     worst = few[np.argsort(part[few])].tolist()
     if worst:
         ranges = []
-        for j in worst[:NAMED]:
+        for j in worst:
             unit = case.unit(chains.joints[j])
             low, high = (shown(end, unit, 3) for end in (q[:, j].min(), q[:, j].max()))
             ranges.append(f"{chains.joints[j]} from {low.split()[0]} to {high}")
-        more = f" and {len(few) - NAMED} more" if len(few) > NAMED else ""
-        said = f"the measurements move {', '.join(ranges)}{more}, less than "
+        said = f"the measurements move {listed(ranges)}, less than "
         said += f"{100 * limit:.0f} % of the range; "
         said += elsewhere or "elsewhere the accuracy is uncertain"
         narrow = elsewhere or part[worst[0]] < NARROW
         numbers = {chains.joints[j]: part[j] for j in worst}
-        yield alike("small-range", said, numbers, info=not narrow)
+        yield _alike("small-range", said, numbers, info=not narrow)
     if moved.sum() < 2 or len(q) <= moved.sum():
         return
     scaled = (q - q.mean(axis=0))[:, moved] / q[:, moved].std(axis=0)
@@ -346,7 +338,7 @@ def design(case: Case) -> Iterator[Finding]:
         said = f"the {moved.sum()} joints that move do so in few independent directions"
         said += f" ({directions}); errors that cancel along them show elsewhere"
         numbers = {"directions": directions, "joints": moved.sum()}
-        yield alike("joints-move-together", said, numbers, info=directions > FEW)
+        yield _alike("joints-move-together", said, numbers, info=directions > FEW)
 
 
 def _elsewhere(case: Case) -> str:

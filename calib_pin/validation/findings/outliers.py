@@ -21,14 +21,7 @@ from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.sentences import (
-    NAMED,
-    OVER_ORDER,
-    named,
-    shown,
-    told,
-    without,
-)
+from calib_pin.validation.findings.sentences import NAMED, named, shown, told, without
 from calib_pin.validation.findings.setup_lines import lines_of
 from calib_pin.validation.tip_drift import tip_drift
 
@@ -64,7 +57,7 @@ def outliers(case: Case) -> Iterator[Finding]:
         remedy = "" if len(pairs) <= NAMED else remedy
         numbers |= {"pairs": len(pairs)}
         code = "measurements-exchanged"
-        yield told(code, said, numbers, remedy, lines, OVER_ORDER)
+        yield told(code, said, numbers, remedy, lines, "over-order")
     alone = [o for o in out if not any(o.row in pair for pair in pairs)]
     if not alone:
         return
@@ -93,7 +86,7 @@ def _aside(
     said = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{why}"
     numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
     remedy, lines = without(data, rows, "measure them again, or leave them out")
-    return told(code, said, numbers, remedy, lines, OVER_ORDER, **severity)
+    return told(code, said, numbers, remedy, lines, "over-order", **severity)
 
 
 def _together(data: Observations, rows: Indices) -> tuple[str, str]:

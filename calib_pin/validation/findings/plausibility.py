@@ -37,7 +37,7 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.setup import PopulationPrior, Setup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import CHANCE, Case
-from calib_pin.validation.findings.sentences import BY_JOINT, shown, told
+from calib_pin.validation.findings.sentences import shown, told
 from calib_pin.validation.findings.setup_lines import written
 
 SIGNIFICANT = 4.5
@@ -390,7 +390,7 @@ def families(case: Case) -> Iterator[Finding]:
     remedy = f"estimate them: --parameters {','.join([*kept, *names])}, or state in "
     remedy += f"the setup file: {written(lines)}"
     info = left >= HALVED
-    yield told("model-lacks", said, numbers, remedy, lines, BY_JOINT, info=info)
+    yield told("model-lacks", said, numbers, remedy, lines, "by-joint", info=info)
 
 
 def population(case: Case) -> Iterator[Finding]:

@@ -40,12 +40,7 @@ from calib_pin.validation.findings.case import STEPS, Case
 from calib_pin.validation.findings.explanations import NEIGHBORS, UNLIKELY
 from calib_pin.validation.findings.hypotheses import FITTED, Hypothesis
 from calib_pin.validation.findings.quick_fit import QuickFit
-from calib_pin.validation.findings.sentences import (
-    BY_JOINT,
-    OVER_ORDER,
-    shown,
-    told,
-)
+from calib_pin.validation.findings.sentences import shown, told
 from calib_pin.validation.findings.setup_lines import JointReading, lines_of, written
 
 TURNS, GEARS = (90.0, -90.0, 180.0), (2.0, 0.5)
@@ -119,7 +114,7 @@ def geared(joints: Sequence[str], joint: int, factor: float) -> Hypothesis:
     """A joint that moves some times as far as its column says."""
     words = f"moves {factor:.5g} times as far as read"
     found = _joint("joint-gear", joints, joint, words, {joint: factor})
-    return replace(found, joint="", figure=BY_JOINT)
+    return replace(found, joint="", figure="residuals-by-joint")
 
 
 def _joint(
@@ -297,11 +292,14 @@ def targets(case: Case) -> Iterator[Hypothesis]:
     some = (counts >= FEWEST) & (counts < len(data) / 2)
     for code in np.flatnonzero(some).tolist():
         rows = np.flatnonzero(target.codes == code).tolist()
-        words = f"the measurements of target '{target.names[code]}' contradict all "
-        reading = ReadingSetup(without=places_of(data, rows))
-        yield Hypothesis(
-            "target", f"{words}others", "target", reading, figure=OVER_ORDER
+        words = (
+            f"the measurements of target '{target.names[code]}' contradict all others"
         )
+        reading, figure = (
+            ReadingSetup(without=places_of(data, rows)),
+            "residuals-over-order",
+        )
+        yield Hypothesis("target", words, "target", reading, figure=figure)
 
 
 def target_frames(case: Case) -> Iterator[Hypothesis]:
@@ -445,7 +443,9 @@ def joint_sets(case: Case) -> Iterator[Finding]:
         if better:
             lines = {"joints": _exchanged(columns, maps)}
             error = there.rms < FITTED * here.rms
-            yield told("joint-columns", said, numbers, "", lines, BY_JOINT, error=error)
+            yield told(
+                "joint-columns", said, numbers, "", lines, "by-joint", error=error
+            )
         else:
             said += ": those that were used are the better ones"
             yield told("joint-columns", said, numbers, info=True)

@@ -16,9 +16,6 @@ NAMED, SHORT = 3, 12
 """Things that a sentence names, and measurements that a remedy does; the lines of the
 setup file have all of them."""
 
-BY_JOINT, OVER_ORDER = "residuals-by-joint", "residuals-over-order"
-"""Names of figures."""
-
 
 def told(
     code: str,
@@ -26,7 +23,7 @@ def told(
     numbers: Mapping[str, Any],
     remedy: str = "",
     lines: Mapping[str, Any] | None = None,
-    figure: str = "",
+    residuals: str = "",
     *,
     error: bool = False,
     info: bool = False,
@@ -39,7 +36,8 @@ def told(
         numbers: The numbers by name, SI units.
         remedy: Advice on how to correct it.
         lines: Lines of a setup file that correct it.
-        figure: Name of a figure that shows it.
+        residuals: What the figure of residuals that shows it has them over, such as
+            `by-joint`.
         error: Whether it takes the trust.
         info: Whether it is no more than a remark.
     """
@@ -47,6 +45,7 @@ def told(
         remedy = f"state in the setup file: {written(lines)}"
     evidence = {k: v if isinstance(v, str) else float(v) for k, v in numbers.items()}
     severity: Severity = "error" if error else "info" if info else "warning"
+    figure = f"residuals-{residuals}" if residuals else ""
     return Finding(code, severity, message, evidence, remedy, lines or {}, figure)
 
 
@@ -56,13 +55,19 @@ def shown(size: float, unit: str, digits: int = 2) -> str:
     return f"{factor * size:.{digits}g} {name}"
 
 
+def listed(words: Sequence[str], more: int = 0) -> str:
+    """The first of some words, and how many more there are."""
+    more += max(len(words) - NAMED, 0)
+    return ", ".join(words[:NAMED]) + (f" and {more} more" if more else "")
+
+
 def named(data: Observations, rows: Sequence[int]) -> str:
     """Measurements in words, such as `lines 12, 31, 40 and 2 more`."""
-    words = ", ".join(places_of(data, rows[:NAMED]))
-    if len(rows) > NAMED:
-        words += f" and {len(rows) - NAMED} more"
     kind = "line" if data.files[rows[0]] else "measurement"
-    return f"{kind}{'s' if len(rows) > 1 else ''} {words}"
+    more = max(len(rows) - NAMED, 0)
+    return (
+        f"{kind}{'s' * (len(rows) > 1)} {listed(places_of(data, rows[:NAMED]), more)}"
+    )
 
 
 def without(

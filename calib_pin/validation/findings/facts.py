@@ -236,11 +236,9 @@ def _equal(data: Observations) -> list[int]:
         if not block.values.shape[1]:
             continue  # Of contacts the joint positions are what is measured.
         at = np.flatnonzero(several[rows])
-        _, which, counts = np.unique(
-            block.values[at, 0], return_inverse=True, return_counts=True
-        )
+        _, which = np.unique(block.values[at, 0], return_inverse=True)
         # Where the first number is there once, the others need not be compared.
-        own = rows.start + at[counts[which] > 1]
+        own = rows.start + at[np.bincount(which)[which] > 1]
         own = own[np.argsort(place[own])]
         if len(own):
             start = block.start if block.start.size else block.q[:, :0]
@@ -459,9 +457,7 @@ def coarse_step(values: Floats, unit: str) -> float:
         unit: SI unit of the values.
     """
     of_each = product(STEPS[unit], range(0, -7, -1), (5.0, 2.0, 1.0))
-    steps = -np.sort(
-        [-digit * 10.0**power * factor for factor, power, digit in of_each]
-    )
+    steps = -np.sort([-a * 10.0**power * factor for factor, power, a in of_each])
     for some in (values[:: max(1, len(values) // 50)], values):
         parts = some / steps[:, None]
         steps = steps[np.all(np.abs(parts - np.round(parts)) < 1e-6, axis=1)]

@@ -206,14 +206,10 @@ def orientations(case: Case) -> Iterator[Hypothesis]:
         if left[k] < LIKELY * left[0]:
             tools = {key: (terms[key], tool) for key, (_, tool) in found.items()}
             words = f"orientations are written otherwise ({written(lines_of(reading))})"
-            yield Hypothesis(
-                "orientation-convention",
-                words,
-                "convention of orientations",
-                ReadingSetup(orientation=reading),
-                change=partial(_nearest, reading=reading, tools=tools),
-                gross=True,
-            )
+            held = ReadingSetup(orientation=reading)
+            of, change = "orientations", partial(_nearest, reading=reading, tools=tools)
+            one = Hypothesis("orientation-convention", words, of, held, gross=True)
+            yield replace(one, change=change)
 
 
 def _conventions(columns: Iterable[str]) -> Iterator[OrientationSetup]:
@@ -292,14 +288,10 @@ def targets(case: Case) -> Iterator[Hypothesis]:
     some = (counts >= FEWEST) & (counts < len(data) / 2)
     for code in np.flatnonzero(some).tolist():
         rows = np.flatnonzero(target.codes == code).tolist()
-        words = (
-            f"the measurements of target '{target.names[code]}' contradict all others"
-        )
-        reading, figure = (
-            ReadingSetup(without=places_of(data, rows)),
-            "residuals-over-order",
-        )
-        yield Hypothesis("target", words, "target", reading, figure=figure)
+        words = f"the measurements of target '{target.names[code]}' contradict all "
+        reading = ReadingSetup(without=places_of(data, rows))
+        found = Hypothesis("target", f"{words}others", "target", reading)
+        yield replace(found, figure="residuals-over-order")
 
 
 def target_frames(case: Case) -> Iterator[Hypothesis]:
@@ -312,14 +304,10 @@ def target_frames(case: Case) -> Iterator[Hypothesis]:
         words = f"the targets {enumerated([f'{name}/..' for name in names])} do not "
         words += "fit together, and each fits alone"
         for frame in ("station", "tool"):
-            yield Hypothesis(
-                "target-frames",
-                words,
-                "frames of targets",
-                change=partial(_apart, group=group, frame=frame),
-                advice=f"give each a {frame} of its own (a column '{frame}')",
-                absorbs=ABSORBED,
-            )
+            found = Hypothesis("target-frames", words, "frames of targets")
+            change = partial(_apart, group=group, frame=frame)
+            advice = f"give each a {frame} of its own (a column '{frame}')"
+            yield replace(found, change=change, advice=advice, absorbs=ABSORBED)
 
 
 def _groups(data: Observations) -> Iterator[dict[str, str]]:
@@ -359,15 +347,12 @@ def robots(case: Case) -> Iterator[Hypothesis]:
     """Explanations by what was measured: the robot, its links, the tool."""
     for code, end in (("tool-frame", "tool"), ("base-frame", "base")):
         if getattr(case.setup, f"{end}_frame").estimate is False:
-            yield Hypothesis(
-                code,
-                f"the frame of the {end} is not the stated one",
-                f"{end} frame",
-                # Half a turn away the stated one is no start.
-                setup={f"{end}_frame": FrameSetup(estimate=True)},
-                stated={"frames": {end: {"estimate": True}}},
-                absorbs=ABSORBED,
-            )
+            words, of = f"the frame of the {end} is not the stated one", f"{end} frame"
+            found = Hypothesis(code, words, of, absorbs=ABSORBED)
+            # Half a turn away the stated one is no start.
+            setup = {f"{end}_frame": FrameSetup(estimate=True)}
+            stated = {"frames": {end: {"estimate": True}}}
+            yield replace(found, setup=setup, stated=stated)
     # A shorter chain touches one point the better the less it moves.
     touching = any(declared(model).contact for model in case.data.models)
     if case.chains.names == ("",) and not touching:
@@ -406,10 +391,8 @@ def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
                 seen.append(body)
                 if link != links[k]:
                     words = f"the {end} link is '{link}', not '{links[k]}'"
-                    found, stated = Chains.of(other), {end: link}
-                    yield Hypothesis(
-                        code, words, "the chain", chains=found, stated=stated
-                    )
+                    found = Hypothesis(code, words, "the chain", stated={end: link})
+                    yield replace(found, chains=Chains.of(other))
 
 
 def joint_sets(case: Case) -> Iterator[Finding]:
@@ -441,11 +424,9 @@ def joint_sets(case: Case) -> Iterator[Finding]:
         numbers = {"columns": ", ".join(names), "log_likelihood_ratio": ratio}
         numbers |= {"rms_before": here.errors, "rms_after": there.errors}
         if better:
-            lines = {"joints": _exchanged(columns, maps)}
             error = there.rms < FITTED * here.rms
-            yield told(
-                "joint-columns", said, numbers, "", lines, "by-joint", error=error
-            )
+            how = ("", {"joints": _exchanged(columns, maps)}, "by-joint")
+            yield told("joint-columns", said, numbers, *how, error=error)
         else:
             said += ": those that were used are the better ones"
             yield told("joint-columns", said, numbers, info=True)

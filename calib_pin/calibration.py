@@ -42,8 +42,8 @@ from calib_pin.validation.assessment import (
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings import explained
+from calib_pin.validation.findings.calibrations import older_calibration
 from calib_pin.validation.findings.case import Others
-from calib_pin.validation.findings.older_calibration import older_calibration
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.joint_errors import encoder_steps
 from calib_pin.validation.judgement import (

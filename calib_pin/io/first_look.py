@@ -42,7 +42,7 @@ from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
 from calib_pin.units import DISPLAY, steps_of
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.findings.case import some_of
-from calib_pin.validation.findings.computed_values import COMPUTED, spread
+from calib_pin.validation.findings.facts import COMPUTED, spread
 
 TOUCHES = ("fixed-point", "plane-contact", "sphere-contact")
 DISTANCES = ("plane-distance", "point-distance", "relative-distance")

@@ -27,7 +27,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.observations import BlockKey
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.validation.findings.different_robots import different_robots
+from calib_pin.validation.findings.calibrations import different_robots
 from calib_pin.validation.result import (
     CalibrationResult,
     Coefficient,

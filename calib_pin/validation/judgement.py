@@ -205,8 +205,7 @@ def judge(
         for name, term in model.problem.by_chain.items():
             rng = np.random.default_rng(seed)
             accuracies[name] = tool_accuracy(model, term, kept, rng)
-    validation = held_out.measurements if held_out.apart else None
-    about = validation, progress, others, accuracies
+    about = progress, others, accuracies
     found = find(Case.of(fitted, Chains.of(chains), *about), seek)
     findings = (*found.causes, *held_out.findings, *found.others)
     seen = data.rows(counting).configurations / max(data.configurations, 1)

@@ -26,7 +26,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
 from calib_pin.parameterizations.linearization import ordered_screws
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.findings.unmoved_joints import still_joints
+from calib_pin.validation.findings.facts import still_joints
 from calib_pin.validation.judgement import quantity_errors
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.result import (

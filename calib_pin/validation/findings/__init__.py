@@ -1,6 +1,6 @@
 """Faults of the data: each kind a hypothesis, its gain against chance, its remedy.
 
-A kind is one file and one line here. There are two sorts. Explanations say how
+A kind is one function and one line here. There are two sorts. Explanations say how
 measurements could be read otherwise; they are tried, alone and together, where errors
 are left that no robot explains (`explanations.explain`). Faults that hide in a fit that
 looks good are sought in every fit, by a few further columns of its Jacobian
@@ -24,38 +24,38 @@ from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.approach import approach, approach_order
-from calib_pin.validation.findings.axes import axes
 from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
-from calib_pin.validation.findings.coarse_values import coarse_values
-from calib_pin.validation.findings.computed_values import (
-    computed_values,
-    constant_orientation,
-)
-from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.drift import drift
 from calib_pin.validation.findings.explanations import Family, explain
-from calib_pin.validation.findings.families import families, lacking
-from calib_pin.validation.findings.gauge_readings import gauge_readings
+from calib_pin.validation.findings.facts import (
+    FACTS,
+    constant_orientation,
+    gauge_readings,
+)
 from calib_pin.validation.findings.hypotheses import Explanation, finding
-from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
-from calib_pin.validation.findings.joint_sets import joint_sets
-from calib_pin.validation.findings.joint_turns import joint_turns
 from calib_pin.validation.findings.line_order import line_order
 from calib_pin.validation.findings.modeled_drift import modeled_drift, modeled_warm_up
 from calib_pin.validation.findings.moved_frames import move_findings
 from calib_pin.validation.findings.noise import noise
-from calib_pin.validation.findings.orientations import orientations
 from calib_pin.validation.findings.outliers import outliers
-from calib_pin.validation.findings.plausibility import plausibility
-from calib_pin.validation.findings.population import population
+from calib_pin.validation.findings.plausibility import (
+    families,
+    plausibility,
+    population,
+)
+from calib_pin.validation.findings.readings import (
+    axes,
+    joint_columns,
+    joint_sets,
+    orientations,
+    robots,
+    target_frames,
+    targets,
+)
 from calib_pin.validation.findings.rehomed import rehomed
-from calib_pin.validation.findings.repetitions import repetitions
 from calib_pin.validation.findings.ripple import ripples
-from calib_pin.validation.findings.robot import robots
-from calib_pin.validation.findings.targets import target_frames, targets
 from calib_pin.validation.findings.units import units, units_of_some
-from calib_pin.validation.findings.unmoved_joints import unmoved_joints
 
 _Fault = TypeVar("_Fault")
 _Given = TypeVar("_Given")
@@ -86,13 +86,8 @@ CONSEQUENCES: tuple[Kind, ...] = (
 )
 """Faults in every fit that may follow from another one, and then are not told."""
 
-FACTS: tuple[Kind, ...] = (
-    computed_values,
-    repetitions,
-    unmoved_joints,
-    design,
-    joint_turns,
-    coarse_values,
+SHOWN: tuple[Kind, ...] = (
+    *FACTS,
     approach_order,
     modeled_drift,
     modeled_warm_up,
@@ -142,7 +137,7 @@ def find(case: Case, seek: bool = True) -> Found:
     """
     sought = _sought(case) if seek else ()
     causes = tuple(found for found in sought if found.severity == "error")
-    kinds = FACTS if causes else CONSEQUENCES + FACTS
+    kinds = SHOWN if causes else CONSEQUENCES + SHOWN
     others = [] if causes else [*sought]
     others += [found for kind in kinds for found in _told(kind, case)]
     told = {found.code for found in others if found.severity != "info"}
@@ -204,7 +199,7 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     sure = _tried(joint_motion, case)
     if sure is not None and sure.fitted:
         # What bends follows joints as well, and the position of one most of all.
-        _, left = _tried(lacking, case) or ((), 1.0)
+        _, left = _tried(lambda case: case.lacking, case) or ((), 1.0)
         bent = case.fit.errors * np.sqrt(left)
         sure = None if bent < CLEARER * sure.after else sure
     if sure is not None and not _left(turned) < CLEARER * sure.after:

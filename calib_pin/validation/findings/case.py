@@ -5,16 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import Problem, error_table
+from calib_pin.estimation.problem import EXACT, Problem, error_table
+from calib_pin.estimation.statistics.variance_components import candidates
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations
+from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import expected_size
+from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.progress import Progress
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.quick_fit import QuickFit, below_sheet, located
@@ -53,9 +58,12 @@ ROUNDS = 3
 """Most rounds in which they are found."""
 
 
-LINKS = {"base": "base-link", "tip": "tip-link"}
-"""Codes of findings that say which link is measured, by the end of the chain."""
+CHANCE = 1e-4
+"""Probability by chance below which a fault is told: parameters that are missing,
+copies, a ripple of a gear, a robot unlike its fleet."""
 
+LACKING = 0.5
+"""Part of the sum of squares that they leave at most."""
 
 Others = Callable[[], Iterable[Chains]]
 """Chains with the same joints of other robots that may have been measured; asked only
@@ -73,7 +81,6 @@ class Case:
         rank: Place of each of these in the order of the files, among all, (N,).
         nominal: Parameter values of the registered nominal robot, shape (P,).
         fitted: The whole fit; None where measurements are only compared with a robot.
-        held_out: Validation measurements; None without.
         progress: Told how far the search for explanations is.
         others: Other robots that may have been measured.
         accuracies: Accuracy to expect of each chain; empty where nothing is known.
@@ -85,36 +92,18 @@ class Case:
     rank: Indices
     nominal: Floats
     fitted: Fit | None = None
-    held_out: Observations | None = None
     progress: Progress | None = None
     others: Others = tuple
     accuracies: Mapping[str, ToolAccuracy] = field(default_factory=dict)
 
     @staticmethod
-    def of(
-        fitted: Fit,
-        chains: Chains,
-        held_out: Observations | None = None,
-        progress: Progress | None = None,
-        others: Others = tuple,
-        accuracies: Mapping[str, ToolAccuracy] = {},
-    ) -> Case:
-        """The case of a whole fit."""
+    def of(fitted: Fit, chains: Chains, *more: Any, **named: Any) -> Case:
+        """The case of a whole fit, with further attributes."""
         data = fitted.problem.data
         some, rank = some_of(data)
         problem = replace(fitted.problem, data=some, expected=None)
-        return Case(
-            chains,
-            data,
-            QuickFit(problem, fitted.theta, whole=True),
-            rank,
-            fitted.before,
-            fitted,
-            held_out,
-            progress,
-            others,
-            accuracies,
-        )
+        fit = QuickFit(problem, fitted.theta, whole=True)
+        return Case(chains, data, fit, rank, fitted.before, fitted, *more, **named)
 
     @staticmethod
     def of_robot(
@@ -125,13 +114,11 @@ class Case:
         Raises:
             CalibPinError: If a part of the measurements cannot be registered.
         """
-        some, rank = some_of(data)
-        problem = make_problem(chains, some, replace(setup, learned=None))
-        problem = replace(problem, data=_without_outliers(problem))
-        fit = QuickFit.of(problem, STEPS)
-        robot = ~fit.problem.parameters.nuisance
-        nominal = np.where(robot, 0.0, fit.theta)
-        return Case(chains, data, fit, rank, nominal, others=others)
+        none = Case.of_none(chains, data, setup, others)
+        problem = none.fit.problem
+        fit = QuickFit.of(replace(problem, data=_without_outliers(problem)), STEPS)
+        nominal = np.where(fit.problem.parameters.nuisance, fit.theta, 0.0)
+        return replace(none, fit=fit, nominal=nominal)
 
     @staticmethod
     def of_none(
@@ -146,6 +133,15 @@ class Case:
         problem = make_problem(chains, some, replace(setup, learned=None))
         zero = np.zeros(len(problem.parameters))
         return Case(chains, data, QuickFit(problem, zero), rank, zero, others=others)
+
+    def unit(self, joint: str) -> str:
+        """Unit of a joint's position; one that is in no chain turns."""
+        return "rad" if self._revolute.get(joint, True) else "m"
+
+    @cached_property
+    def _revolute(self) -> dict[str, bool]:
+        chains = self.chains
+        return dict(zip(chains.joints, chains.revolute.tolist(), strict=True))
 
     @property
     def setup(self) -> Setup:
@@ -189,15 +185,43 @@ class Case:
         return error_table(self.fit.problem, self.nominal)
 
     def _errors(self, table: Floats) -> float:
-        problem = self.fit.problem
-        sizes = [np.inf if below_sheet(problem) else 0.0]
-        for quantity in problem.layout.quantities:
+        sizes = [np.inf if below_sheet(self.fit.problem) else 0.0]
+        for quantity in self.fit.problem.layout.quantities:
             squares = np.sort(quantity.errors(table) ** 2)
             usual = squares[: int(np.ceil((1.0 - SOME) * len(squares)))]
             if len(usual):
                 size = float(np.sqrt(np.mean(usual)))
                 sizes.append(size / expected_size(quantity.unit))
         return max(sizes)
+
+    @cached_property
+    def lacking(self) -> tuple[tuple[str, ...], float]:
+        """Families that explain most, and the part of the squares that they leave.
+
+        None of them, and all of it, where none stands out. One or two families of
+        parameters that were not asked for are tried at once, with all columns that they
+        add to the Jacobian; placements where only joint offsets were estimated.
+        """
+        fit, names = self.fit, self.setup.parameters
+        if self.fitted is None or not names or fit.rms <= EXACT:
+            return (), 1.0
+        families = [PARAMETERIZATIONS[name] for name in names]
+        placed = any(f.geometric and f.name != JointOffset.name for f in families)
+        effects = candidates(fit.problem, () if placed else (Placement.name,))
+        if effects is None:
+            return (), 1.0
+        X, kinds = effects.rows(fit.problem, fit.theta), np.array(effects.kinds)
+        if not np.isfinite(X).all():
+            return (), 1.0
+        each, found = dict.fromkeys(effects.kinds), []
+        for some in (*((kind,) for kind in each), *combinations(each, 2)):
+            own = np.isin(kinds, some)
+            score = fit.score(X[:, own])
+            if score.chance < CHANCE and score.left < LACKING:
+                # By Schwarz's criterion: two families explain more than one anyway.
+                cost = fit.left * np.log(max(score.left, 1e-300))
+                found.append((cost + own.sum() * np.log(fit.left), some, score.left))
+        return min(found)[1:] if found else ((), 1.0)
 
 
 def _without_outliers(problem: Problem) -> Observations:

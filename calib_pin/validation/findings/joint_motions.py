@@ -27,10 +27,13 @@ from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import DOUBTFUL, Case
 from calib_pin.validation.findings.explanations import DECISIVE, UNLIKELY
 from calib_pin.validation.findings.hypotheses import Explanation, Hypothesis, read_so
-from calib_pin.validation.findings.joint_columns import geared, offset_by
-from calib_pin.validation.findings.plausibility import OPTIONS
+from calib_pin.validation.findings.plausibility import IMPLAUSIBLE
 from calib_pin.validation.findings.quick_fit import QuickFit
-from calib_pin.validation.findings.robot import turned_by_base
+from calib_pin.validation.findings.readings import (
+    geared,
+    offset_by,
+    turned_by_base,
+)
 from calib_pin.validation.findings.setup_lines import JointReading
 
 LEFT = 0.42
@@ -284,10 +287,7 @@ def _small(case: Case) -> Explanation | None:
         fit, size = step
         if not (abs(size) < LARGEST or motion.of.startswith("early")):
             return None
-    if (
-        not fit.rms**2 < LEFT * first.rms**2
-        or fit.largest_correction > OPTIONS.implausible
-    ):
+    if not fit.rms**2 < LEFT * first.rms**2 or fit.largest_correction > IMPLAUSIBLE:
         # A robot of other lengths explains a prismatic joint that goes farther.
         return None
     return Explanation(

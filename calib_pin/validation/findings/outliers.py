@@ -6,22 +6,23 @@ was exchanged is known as a pair of which each fits the values of the other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from calib_pin.errors import enumerated
-from calib_pin.estimation.evidence import Finding, Outlier, Severity
+from calib_pin.estimation.evidence import Finding, Outlier
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.robust import exchanged_with
-from calib_pin.measurement_models.readings import place_of
+from calib_pin.measurement_models.readings import place_of, places_of
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.places import NAMED, named, without
-from calib_pin.validation.findings.setup_lines import lines_of, written
+from calib_pin.validation.findings.sentences import NAMED, named, shown, told, without
+from calib_pin.validation.findings.setup_lines import lines_of
 from calib_pin.validation.tip_drift import tip_drift
 
 STRETCH, FULL, CONFIGURATIONS = 0.1, 0.9, 6
@@ -31,57 +32,61 @@ which outliers are one that was measured with something else."""
 
 def outliers(case: Case) -> Iterator[Finding]:
     """Measurements that are set aside; of a whole fit exchanged ones apart."""
-    fitted = case.fitted
+    fitted, data = case.fitted, case.data
     if fitted is None:
-        yield from _far(case.fit.problem.data)
-        return
-    if fitted.robust.squared is None:
+        data = case.fit.problem.data
+        rows = data.in_order[data.weight[data.in_order] == 0.0].tolist()
+        why = " that were looked at do not fit the nominal robot as the others do"
+        if rows:
+            yield _aside("outliers", data, rows, why, {})
         return
     out = [o for o in fitted.robust.outliers if o.weight == 0.0]
-    if not out:
+    if fitted.robust.squared is None or not out:
         return
-    data, moved = case.data, displaced(fitted, fitted.robust.squared)
-    numbers: dict[str, float | str] = {"displaced": moved, "all": float(len(data))}
-    severity: Severity = "warning" if moved > LENGTH_SCALE else "info"
-    with_them = f"with them the tool point would move by {1e3 * moved:.2g} mm"
+    moved = displaced(fitted, fitted.robust.squared)
+    numbers: dict[str, Any] = {"displaced": moved, "all": len(data)}
+    keeping = f"; keeping them would move the tool point by {shown(moved, 'm')}"
     pairs = _pairs(data, out)
     if pairs:
-        places = tuple((place_of(data, a), place_of(data, b)) for a, b in pairs)
+        places = tuple(places_of(data, pair) for pair in pairs)
+        said = f"measurements {' and '.join(places[0])}"
+        said += f", and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+        said += f" fit if exchanged, and were excluded{keeping}"
         lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
-        yield Finding(
-            "measurements-exchanged",
-            "warning",
-            f"{_told(data, pairs)} fit if exchanged, and were set aside; {with_them}",
-            {**numbers, "pairs": float(len(pairs))},
-            f"state in the setup file: {written(lines)}"
-            if len(pairs) <= NAMED
-            else "exchange their joint positions ('reading: exchanged' in the setup)",
-            lines,
-            "residuals-over-order",
-        )
-    paired = {row for pair in pairs for row in pair}
-    alone = [o for o in out if o.row not in paired]
+        remedy = "exchange their joint positions ('reading: exchanged' in the setup)"
+        remedy = "" if len(pairs) <= NAMED else remedy
+        numbers |= {"pairs": len(pairs)}
+        code = "measurements-exchanged"
+        yield told(code, said, numbers, remedy, lines, "over-order")
+    alone = [o for o in out if not any(o.row in pair for pair in pairs)]
     if not alone:
         return
     rest = np.array([o.row for o in alone])
     rows = rest[np.argsort(np.argsort(data.in_order)[rest])].tolist()
     code, together = _together(data, rest)
-    severity = "error" if together else severity
     targets = {data.target[row] for row in rows}
     if len(targets) == 1 and any(targets):
         numbers["target"] = targets.pop()
-    causes = [*dict.fromkeys(o.cause for o in alone if o.cause)]
-    shared = f" ({', '.join(causes[:NAMED])})" if causes else ""
-    yield Finding(
-        code,
-        severity,
-        f"{named(data, rows)}{shared}: {len(rows)} of {len(data)} measurements "
-        f"{'does' if len(rows) == 1 else 'do'} not fit and "
-        f"{'was' if len(rows) == 1 else 'were'} set aside{together}; {with_them}",
-        {**numbers, "outliers": float(len(rows)), "first": place_of(data, rows[0])},
-        *without(data, rows, "measure them again, or leave them out"),
-        figure="residuals-over-order",
-    )
+    causes = [*dict.fromkeys(o.cause for o in alone if o.cause)][:NAMED]
+    shared = f" ({', '.join(causes)})" if causes else ""
+    why = f" excluded as outliers{shared}{together}{keeping}"
+    error, info = bool(together), moved <= LENGTH_SCALE
+    yield _aside(code, data, rows, why, numbers, error=error, info=info)
+
+
+def _aside(
+    code: str,
+    data: Observations,
+    rows: Sequence[int],
+    why: str,
+    numbers: Mapping[str, Any],
+    **severity: bool,
+) -> Finding:
+    """The finding of measurements, in the order of the files, to leave out."""
+    said = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{why}"
+    numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
+    remedy, lines = without(data, rows, "measure them again, or leave them out")
+    return told(code, said, numbers, remedy, lines, "over-order", **severity)
 
 
 def _together(data: Observations, rows: Indices) -> tuple[str, str]:
@@ -103,31 +108,12 @@ def _together(data: Observations, rows: Indices) -> tuple[str, str]:
     return "outlying-stretch", words
 
 
-def _far(data: Observations) -> Iterator[Finding]:
-    """Measurements that the nominal robot fits far worse than the others."""
-    rows = data.in_order[data.weight[data.in_order] == 0.0].tolist()
-    if rows:
-        yield Finding(
-            "outliers",
-            "warning",
-            f"{named(data, rows)}: {len(rows)} of {len(data)} measurements that were "
-            f"looked at {'does' if len(rows) == 1 else 'do'} not fit the nominal robot "
-            "as the others do",
-            {"outliers": float(len(rows)), "first": place_of(data, rows[0])},
-            *without(data, rows, "measure them again, or leave them out"),
-            figure="residuals-over-order",
-        )
-
-
 def displaced(fitted: Fit, squared: Fit) -> float:
     """How far two fits have the tool apart, over the workspace, rms [m]."""
-    first, second = (
-        CalibratedModel.create(fit.problem, fit.theta) for fit in (fitted, squared)
-    )
-    return max(
-        tip_drift(first.of(n), second.of(n), base=True, tool=True).position.rms
-        for n in first.measured_chains
-    )
+    first = CalibratedModel.create(fitted.problem, fitted.theta)
+    second = CalibratedModel.create(squared.problem, squared.theta)
+    pairs = [(first.of(name), second.of(name)) for name in first.measured_chains]
+    return max(tip_drift(*p, base=True, tool=True).position.rms for p in pairs)
 
 
 def _pairs(data: Observations, out: Sequence[Outlier]) -> list[tuple[int, int]]:
@@ -135,10 +121,3 @@ def _pairs(data: Observations, out: Sequence[Outlier]) -> list[tuple[int, int]]:
     of_cause = {exchanged_with(data, o.row): o.row for o in out}
     partner = {o.row: of_cause[o.cause] for o in out if o.cause in of_cause}
     return [(a, b) for a, b in sorted(partner.items()) if a < b and partner.get(b) == a]
-
-
-def _told(data: Observations, pairs: Sequence[tuple[int, int]]) -> str:
-    (a, b), more = pairs[0], len(pairs) - 1
-    of = "the measurements of lines" if data.files[a] else "measurements"
-    told = f"{of} {place_of(data, a)} and {place_of(data, b)}"
-    return told + (f", and {more} more pair{'s' if more > 1 else ''}," if more else "")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -15,7 +14,8 @@ from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import refine
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements, Observations
+from calib_pin.measurement_models.declaration import Quantity
+from calib_pin.observations import Observations
 
 REDUNDANCY = 2.0
 """Least number of values, by unknowns, to tell errors of the robot from others."""
@@ -197,8 +197,8 @@ class QuickFit:
         if not rows:
             return 0
         R, rounding = np.linalg.qr(A[:rows], mode="r"), rows * np.finfo(float).eps
-        rank = int(np.linalg.matrix_rank(R, rtol=rounding))
-        return measured_count(self.problem) - rank
+        rank = np.linalg.matrix_rank(R, rtol=rounding)
+        return measured_count(self.problem) - int(rank)
 
     @cached_property
     def rms(self) -> float:
@@ -219,12 +219,17 @@ class QuickFit:
         return error_table(self.problem, self.theta)[self.problem.data.weight > 0.0]
 
     @property
+    def quantity(self) -> Quantity:
+        """The first quantity, whose errors findings tell."""
+        return self.problem.layout.quantities[0]
+
+    @property
     def errors(self) -> float:
         """Errors left of the first quantity, rms [its unit].
 
         What was set aside does not count.
         """
-        errors = self.problem.layout.quantities[0].errors(self.table)
+        errors = self.quantity.errors(self.table)
         return float(np.sqrt(np.mean(errors**2)))
 
     @cached_property
@@ -233,39 +238,28 @@ class QuickFit:
 
         By differences; where a relative measurement starts does not move.
         """
-        return self._by_positions(lambda block, h: replace(block, q=block.q + h))
+        return self._by_positions("q")
 
     @cached_property
     def by_starts(self) -> Floats:
         """The same by the joint positions where relative measurements start, (M, n)."""
+        return self._by_positions("start")
 
-        def moved(block: Measurements, h: Floats) -> Measurements:
-            return replace(block, start=block.start + h) if block.start.size else block
-
-        data = self.problem.data
-        if not any(block.start.size for block in data.blocks):
-            return np.zeros((len(self.problem.layout.row), len(data.joints)))
-        return self._by_positions(moved)
-
-    def _by_positions(
-        self, moved: Callable[[Measurements, Floats], Measurements]
-    ) -> Floats:
-        """Whitened residual by what moves by h of shape (N, n), shape (M, n)."""
+    def _by_positions(self, name: str) -> Floats:
+        """Whitened residual by the positions of a name in every block, shape (M, n)."""
         here, _ = self.linear
         blocks, count = self.problem.data.blocks, len(self.problem.data.joints)
+        if not any(getattr(block, name).size for block in blocks):
+            return np.zeros((len(here), count))
         # All at once, one joint after the other: most of an evaluation is overhead.
-        joint = [np.repeat(np.arange(count), len(block)) for block in blocks]
-        pairs = zip(blocks, joint, strict=True)
-        data = Observations(
-            tuple(
-                moved(
-                    block.rows(np.tile(np.arange(len(block)), count)),
-                    STEP * np.eye(count)[own],
-                )
-                for block, own in pairs
-            )
-        )
-        problem = replace(self.problem, data=data)
+        joint, moved = [], []
+        for block in blocks:
+            joint.append(np.repeat(np.arange(count), len(block)))
+            copies = block.rows(np.tile(np.arange(len(block)), count))
+            at = getattr(copies, name)
+            there = at + STEP * np.eye(count)[joint[-1]] if at.size else at
+            moved.append(replace(copies, **{name: there}))
+        problem = replace(self.problem, data=Observations(tuple(moved)))
         row = problem.layout.row
         order = np.argsort(np.concatenate(joint)[row], kind="stable")
         there = problem.residual(self.theta)[: len(row)][order].reshape(count, -1)
@@ -277,13 +271,14 @@ class QuickFit:
         Args:
             columns: Change of the whitened residual by each, shape (M, k).
         """
-        Q, r = self.unexplained
-        U = column_space(self.beyond(columns))
+        (Q, r), U = self.unexplained, column_space(self.beyond(columns))
         result = replace(self)
-        known = self.linear, self.by_joints, self.left - U.shape[1]
-        for name, value in zip(("linear", "by_joints", "left"), known, strict=True):
-            result.__dict__[name] = value
-        result.__dict__["unexplained"] = np.hstack([Q, U]), r - U @ (U.T @ r)
+        result.__dict__.update(
+            linear=self.linear,
+            by_joints=self.by_joints,
+            left=self.left - U.shape[1],
+            unexplained=(np.hstack([Q, U]), r - U @ (U.T @ r)),
+        )
         return result
 
     def beyond(self, columns: Floats) -> Floats:
@@ -300,24 +295,17 @@ class QuickFit:
         Args:
             columns: Change of the whitened residual by each, shape (M, k).
         """
-        _, r = self.unexplained
-        X, size = self.beyond(columns), float(np.linalg.norm(columns))
-        total = float(r @ r)
+        X, (_, r), count = self.beyond(columns), self.unexplained, columns.shape[1]
         U, s, Vt = np.linalg.svd(X, full_matrices=False)
         # What the fit can do already leaves rounding.
-        kept = s > max(1e-6 * size, 1e-300)
-        U, s, Vt = U[:, kept], s[kept], Vt[kept]
-        along = U.T @ r
-        gain, dof = float(along @ along), self.left - len(s)
-        if not len(s) or dof <= 0 or total <= 0.0:
-            none = np.zeros(columns.shape[1])
-            return Score(1.0, 1.0, none, np.full(columns.shape[1], np.inf))
+        kept = s > max(1e-6 * float(np.linalg.norm(columns)), 1e-300)
+        U, inverse = U[:, kept], Vt[kept].T / s[kept]
+        along, total, k = U.T @ r, float(r @ r), int(kept.sum())
+        dof = self.left - k
+        if not k or dof <= 0 or total <= 0.0:
+            return Score(1.0, 1.0, np.zeros(count), np.full(count, np.inf))
+        gain = float(along @ along)
         rest = max(total - gain, 1e-300)
-        F = (gain / len(s)) / (rest / dof)
-        inverse = Vt.T / s
-        return Score(
-            rest / total,
-            f_tail(F, len(s), dof),
-            -inverse @ along,
-            np.sqrt(rest / dof * np.sum(inverse**2, axis=1)),
-        )
+        chance = f_tail((gain / k) / (rest / dof), k, dof)
+        deviations = np.sqrt(rest / dof * np.sum(inverse**2, axis=1))
+        return Score(rest / total, chance, -inverse @ along, deviations)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,9 +38,8 @@ class JointReading:
 
     def after(self, first: JointReading) -> JointReading:
         """This one of positions that another one has read."""
-        return JointReading(
-            self.factors @ first.factors, self.factors @ first.offsets + self.offsets
-        )
+        offsets = self.factors @ first.offsets + self.offsets
+        return JointReading(self.factors @ first.factors, offsets)
 
     def maps(
         self, joints: Sequence[str], stated: Mapping[str, JointMap]
@@ -53,93 +52,69 @@ class JointReading:
         """
         of_joint = {given.joint: name for name, given in stated.items()}
         columns = [of_joint.get(joint, joint) for joint in joints]
+        pairs = zip(joints, columns, strict=True)
+        given = [stated.get(column, JointMap(joint)) for joint, column in pairs]
         # Every position as it has been read is an affine function of file columns.
-        read: list[tuple[dict[str, float], float]] = []
-        for joint, column in zip(joints, columns, strict=True):
-            given = stated.get(column, JointMap(joint))
-            factor = given.sign * given.gear
-            parts = {column: factor}
-            for name, added in given.coupled.items():
-                parts[name] = parts.get(name, 0.0) + factor * added
-            read.append((parts, given.offset))
-        found: list[tuple[dict[str, float], float]] = []
-        for factors, offset in zip(self.factors, self.offsets.tolist(), strict=True):
-            parts = {}
-            for k in np.flatnonzero(factors).tolist():
-                factor = float(factors[k])
-                offset += factor * read[k][1]
-                for name, part in read[k][0].items():
-                    parts[name] = parts.get(name, 0.0) + factor * part
-            found.append(({n: p for n, p in parts.items() if p}, offset))
+        names = [*dict.fromkeys([*columns, *(n for g in given for n in g.coupled)])]
+        read = np.zeros((len(joints), len(names)))
+        for row, column, own in zip(read, columns, given, strict=True):
+            for name, part in [(column, 1.0), *own.coupled.items()]:
+                row[names.index(name)] += own.sign * own.gear * part
+        factors = self.factors @ read
+        offsets = self.factors @ [own.offset for own in given] + self.offsets
         # Every joint has a column that no other one has, its own where it can.
         from scipy.optimize import linear_sum_assignment  # Slow to import.
 
-        has = np.array([[c in parts for c in columns] for parts, _ in found])
-        chosen = linear_sum_assignment(
-            has * (len(has) + np.eye(len(has))), maximize=True
-        )[1]
+        count = len(joints)
+        has = factors[:, :count] != 0.0
+        _, chosen = linear_sum_assignment(has * (count + np.eye(count)), maximize=True)
         result = {}
-        for joint, k, (terms, offset) in zip(
-            joints, chosen.tolist(), found, strict=True
-        ):
-            column = columns[k]
-            entry: dict[str, Any] = {"joint": joint}
-            factor = terms.pop(column)
-            if factor < 0.0:
-                entry["sign"] = -1
-            if abs(factor) != 1.0:
-                entry["gear"] = abs(factor)
-            if offset:
-                entry["offset"] = offset
-            if terms:
-                entry["coupled"] = {n: part / factor for n, part in terms.items()}
-            if entry != {"joint": column} or column in stated:
-                result[column] = entry
+        rows = zip(joints, chosen.tolist(), factors, offsets.tolist(), strict=True)
+        for joint, k, row, offset in rows:
+            factor = float(row[k])
+            others = [j for j in np.flatnonzero(row).tolist() if j != k]
+            coupled = {names[j]: float(row[j]) / factor for j in others}
+            sign = 1 if factor > 0.0 else -1
+            entry = lines_of(JointMap(joint, sign, abs(factor), offset, coupled))
+            if entry != {"joint": columns[k]} or columns[k] in stated:
+                result[columns[k]] = entry
         return result
 
 
 def merged(readings: Iterable[ReadingSetup]) -> ReadingSetup:
     """Everything that several readings change."""
-    result, plain = ReadingSetup(), ReadingSetup()
+    result = ReadingSetup()
     for reading in readings:
-        changed = {
-            f.name: getattr(reading, f.name)
-            for f in fields(ReadingSetup)
-            if getattr(reading, f.name) != getattr(plain, f.name)
-        }
-        result = replace(result, **changed)
+        result = replace(result, **_changed(reading))
     return result
+
+
+def _changed(section: Section) -> dict[str, Any]:
+    """The attributes of a section that are not at their defaults."""
+    assert is_dataclass(section)
+    values = [(f.name, getattr(section, f.name), f.default) for f in fields(section)]
+    return {k: v for k, v, default in values if v != default and v not in ({}, ())}
 
 
 def lines_of(section: Section) -> dict[str, Any]:
     """The keys of a section that are not at their defaults, as plain data."""
+    return {name: _plain(value) for name, value in _changed(section).items()}
 
-    def plain(value: Any) -> Any:
-        if isinstance(value, tuple):
-            return [plain(entry) for entry in value]
-        if isinstance(value, Mapping):
-            return {key: plain(entry) for key, entry in value.items()}
-        if isinstance(value, str) and value.isdigit():
-            return int(value)
-        return changed(value) if hasattr(value, "__dataclass_fields__") else value
 
-    def changed(value: Any) -> dict[str, Any]:
-        default = {f.name: f.default for f in fields(value)}
-        return {
-            f.name: plain(getattr(value, f.name))
-            for f in fields(value)
-            if getattr(value, f.name) != default[f.name]
-            and getattr(value, f.name) not in ({}, ())
-        }
-
-    return changed(section)
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, str) and value.isdigit():
+        return int(value)
+    return lines_of(value) if isinstance(value, Section) else value
 
 
 def written(lines: Any) -> str:
     """Lines of a setup file as YAML on one line."""
     if isinstance(lines, Mapping):
-        inner = ", ".join(f"{written(k)}: {_nested(v)}" for k, v in lines.items())
-        return inner
+        return ", ".join(f"{written(k)}: {_nested(v)}" for k, v in lines.items())
     return _nested(lines)
 
 

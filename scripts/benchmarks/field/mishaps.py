@@ -212,7 +212,7 @@ def _lost(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
     values = rows.values.copy()
     index = rng.permutation(len(rows))[: max(2, len(rows) // 12)]
     values[index, :3] = rng.choice([0.0, -1.0, -9.99])
-    right = _says("set aside", "no reading", "the same")
+    right = _says("excluded", "no reading", "the same")
     return given(job, replace(rows, values=values), right)
 
 

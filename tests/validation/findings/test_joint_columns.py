@@ -27,7 +27,7 @@ from calib_pin.validation.findings.hypotheses import (
     read_so,
     setup_lines,
 )
-from calib_pin.validation.findings.joint_columns import joint_columns
+from calib_pin.validation.findings.readings import joint_columns
 
 KNOWN = FrameSetup((0.4, -0.2, 0.3), (0.1, 0.2, 0.3), estimate=False)
 TOOL = FrameSetup((0.05, 0.08, 0.12))

@@ -10,21 +10,14 @@ import pytest
 
 import calib_pin
 from calib_pin.cli.files import open_chains, open_measurements
-from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.setup import FrameSetup, JointMap, Setup
+from calib_pin.setup import JointMap, Setup
 
 SETUP = Setup(base="base_link", tip="tool0")
 
 
 @pytest.fixture(scope="module")
-def measured():
-    """Measurements of a UR10 that errs by some millimeters."""
-    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
-    frame = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
-    problem = nominal_problem(chain, "position", Setup(tool_frame=frame))
-    rng = np.random.default_rng(0)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    return calib_pin.simulate(problem, theta, rng, count=60, noise=1e-4).only
+def measured(ur10):
+    return ur10(count=60).only
 
 
 @pytest.fixture

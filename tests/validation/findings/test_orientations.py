@@ -18,7 +18,7 @@ from calib_pin.observations import Observations
 from calib_pin.setup import STATED
 from calib_pin.validation.findings.explanations import explain
 from calib_pin.validation.findings.hypotheses import finding
-from calib_pin.validation.findings.orientations import orientations
+from calib_pin.validation.findings.readings import orientations
 from calib_pin.validation.findings.setup_lines import written
 
 Job = Callable[..., Any]

@@ -1,4 +1,4 @@
-"""What no real robot has: lengths that all grew, distances missed, joints far away."""
+"""What no robot has: lengths that grew, joints far away, errors unlike its fleet."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fit import fit, fit_model
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import growth
@@ -27,7 +27,7 @@ from calib_pin.setup import (
 )
 from calib_pin.simulation import simulate
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.plausibility import plausibility
+from calib_pin.validation.findings.plausibility import plausibility, population
 
 ARM = calib_pin.load_chain("space6")
 BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
@@ -60,7 +60,7 @@ def fitted(rows: Measurements, setup: Setup) -> Fit:
 
 
 def found_in(fitted: Fit) -> tuple[Finding, ...]:
-    return plausibility(Case.of(fitted, fitted.problem.chains))
+    return tuple(plausibility(Case.of(fitted, fitted.problem.chains)))
 
 
 def found(rows: Measurements, setup: Setup) -> tuple[Finding, ...]:
@@ -163,6 +163,38 @@ def test_zeros_of_servos_are_no_wonder() -> None:
     # As a part of whole placements they are looked at as before.
     both = replace(setup, parameters=("joint-offset", "placement"))
     assert found(replace(rows, sigma=None), both)
+
+
+def unlike(fleet, seed: int, count: int, spreads: float, prior: bool = True):
+    """Findings about a robot of which one error is so many spreads off."""
+    chain = fleet.problem.chains[""]
+    joint = chain.joints[2]
+    name = f"{joint}.placement.rx"
+    change = {name: spreads * fleet.spread[fleet.problem.parameters.index(name)]}
+    data, _ = fleet.measured(seed, count, change)
+    setup = Setup(prior=fleet.population.prior() if prior else {})
+    own = fit_model(chain, data, setup, 0).fit
+    return list(population(Case.of(own, own.problem.chains))), name
+
+
+def test_one_of_them_and_one_without_a_prior(fleet) -> None:
+    assert unlike(fleet, 300, 12, 0.0)[0] == []
+    assert unlike(fleet, 300, 12, 30.0, prior=False)[0] == []
+
+
+def test_a_bent_one(fleet) -> None:
+    (finding,), name = unlike(fleet, 310, 12, 30.0)
+    assert finding.code == "unlike-fleet"
+    assert finding.evidence["chi2"] > 3.0 * finding.evidence["dof"]
+    joint = name.split(".")[0]
+    assert str(finding.evidence["parameter"]).startswith(joint)
+    assert np.isfinite(finding.evidence["deviations"])
+
+
+def test_a_prior_that_spoils_the_fit(fleet) -> None:
+    """Far off, a few measurements look like noise to the prior."""
+    (finding,), _ = unlike(fleet, 311, 10, 300.0)
+    assert finding.severity == "error"
 
 
 REAL = {

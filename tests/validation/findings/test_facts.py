@@ -1,4 +1,4 @@
-"""Gauges that count the other way, and what their readings are worth."""
+"""Facts that measurements show: steps, copies, ranges, gauges that count backwards."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.measurement_models.orientations import numbers_of, quaternions
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import (
@@ -21,6 +22,53 @@ from calib_pin.setup import (
     SphereSetup,
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.facts import coarse_step
+
+RANDOM = np.random.default_rng(0).uniform(-2.0, 2.0, 60)
+
+
+@pytest.mark.parametrize("step", [1e-3, 2.54e-3, 1e-6])
+def test_the_largest_step_of_all_values(step: float) -> None:
+    assert coarse_step(step * np.round(RANDOM / step), "m") == pytest.approx(step)
+
+
+def test_no_step() -> None:
+    assert coarse_step(RANDOM, "m") == 0.0
+    # Ten of them may stand on a grid because someone wanted them there.
+    assert coarse_step(np.repeat(np.arange(10.0), 6), "m") == 0.0
+    degrees = np.radians(0.1 * np.round(np.degrees(RANDOM) / 0.1))
+    assert coarse_step(degrees, "rad") == pytest.approx(np.radians(0.1))
+
+
+@pytest.fixture(scope="module")
+def judged(ur10):
+    """Findings of a whole calibration by the configurations that were measured."""
+
+    def of(q):
+        chain = calib_pin.load_chain(
+            "example:ur10_robot", base="base_link", tip="tool0"
+        )
+        result = calib_pin.calibrate(chain, ur10(q=q), Setup(), validate=False)
+        return {f.code: f for f in result.findings}
+
+    return of
+
+
+def test_a_third_of_the_range_is_a_warning_where_far_more_is_expected(judged) -> None:
+    q = np.random.default_rng(2).uniform(-1.0, 1.0, (60, 6))
+    assert judged(q)["small-range"].severity == "warning"
+    q = np.random.default_rng(2).uniform(-np.pi, np.pi, (60, 6))
+    assert judged(q * [1, 1, 1, 1, 1, 0.2])["small-range"].severity == "info"
+    # Of the whole range the order does not matter, also if it is that of a path.
+    assert judged(q[np.argsort(q[:, 0])]) == {}
+
+
+def test_few_configurations_are_too_few_and_nothing_else(judged) -> None:
+    """Three anywhere lie in a tenth of a joint's range, and move in two directions."""
+    q = np.random.default_rng(3).uniform(-np.pi, np.pi, (3, 6))
+    q[:, 5] = 0.5 + 0.3 * q[:, 5]
+    assert set(judged(np.repeat(q, 20, axis=0))) == {"few-configurations"}
+
 
 ARM = calib_pin.load_chain("space6", tip="tool")
 TOOL = FrameSetup((0.05, 0.08, 0.12), estimate=True)
@@ -118,3 +166,50 @@ def test_a_normal_that_points_inwards_is_told(gauged) -> None:
     )
     (told,) = (f for f in found.findings if f.code == "gauge-sign")
     assert " at c have " in told.message and "normals" in told.remedy
+
+
+def test_coarse_joint_positions(told) -> None:
+    step = np.radians(0.02)
+    found = told(lambda rows: {"q": step * np.round(rows.q / step)})
+    assert found["coarse-steps"].severity == "warning"
+    assert " 0.02 deg" in found["coarse-steps"].message
+
+
+def test_coarse_orientations(told) -> None:
+    def change(block):
+        angles = numbers_of(block.values[:, 3:], "roll-pitch-yaw")[0]
+        coarse = quaternions(np.round(angles, 3), "roll-pitch-yaw")
+        return {"values": np.hstack([block.values[:, :3], coarse])}
+
+    found = told(change, model="pose")["coarse-steps"]
+    assert found.evidence["step"] == pytest.approx(1e-3)
+    assert "orientations" in found.message
+
+
+def test_a_grid_repeats_values_by_chance(moved_job) -> None:
+    """Readings of one configuration, alike to the millimeter, are no copies."""
+    job = moved_job((), (), 60)
+    rows = job.plain.only.rows(np.append(np.arange(60), np.arange(20)))
+    rows = replace(rows, values=np.round(rows.values, 3), sigma=None)
+    found = calib_pin.calibrate(job.chain, rows, validate=False).findings
+    assert [finding.code for finding in found] == ["coarse-steps"]
+
+
+def test_fine_steps_of_a_robot_that_bends_are_no_copies() -> None:
+    """Readings repeat on a grid of 1 um, beside 0.3 mm that no fit explains."""
+    chain = calib_pin.load_chain("space6")
+    rng = np.random.default_rng(4)
+    q = np.repeat(chain.random_configurations(25, rng), 4, axis=0)
+    bent = np.repeat(rng.normal(0.0, 3e-4, (25, 3)), 4, axis=0)
+    points = chain.poses(q)[:, :3, 3] + bent + rng.normal(0.0, 3e-7, (100, 3))
+    values = np.round(points, 6)
+
+    def codes(values):
+        rows = calib_pin.Measurements(chain.joints, q, "position", values)
+        result = calib_pin.calibrate(chain, rows, validate=False)
+        return {finding.code for finding in result.findings}
+
+    assert "copied-measurements" not in codes(values)
+    values = points + rng.normal(0.0, 3e-5, (100, 3))
+    values[[1, 42]] = values[[0, 41]]
+    assert "copied-measurements" in codes(values)

@@ -1,0 +1,478 @@
+"""Facts that measurements show by themselves, whatever is wrong with them besides.
+
+Copies, few or equal configurations, joints that stand still or were read turns away,
+values that nobody measured or that have few digits, gauges that count the other way.
+Each is a function that yields its findings, and stands in the list at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import product
+
+import numpy as np
+
+from calib_pin.errors import enumerated
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.problem import (
+    EXACT,
+    Problem,
+    distinct_values,
+    error_table,
+    measured_count,
+)
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import declared
+from calib_pin.measurement_models.declaration import Quantity
+from calib_pin.measurement_models.orientations import numbers_of
+from calib_pin.observations import Indices, Observations
+from calib_pin.validation.findings.case import CHANCE, Case
+from calib_pin.validation.findings.hypotheses import setup_lines
+from calib_pin.validation.findings.readings import offset_by
+from calib_pin.validation.findings.sentences import listed, named, shown, told, without
+
+MORE = (
+    "measure configurations that differ more: calib-pin plan ROBOT --add 10 --to FILE"
+)
+_alike = partial(told, remedy=MORE, residuals="by-joint")
+"""Makes a finding of configurations that are too much alike."""
+
+REPEATED, SHARE = 3.0, 0.5
+"""Measurements of a thing at a configuration, in the mean, from which they are many,
+and part of all that is one configuration's from which it is told."""
+
+NARROW, SMALL, WIDE = 0.1, 0.25, 0.4
+"""Parts of the range of a joint below which there is a warning, and a remark, and a
+warning where far more errors are expected elsewhere."""
+
+ELSEWHERE = 3.0
+"""Expected errors over the workspace, by those where it was measured, from which the
+configurations are too much alike.
+
+Random ones have 1.0 to 1.6, those of narrow ranges and paths that cost more than twice
+the noise 3.5 and more.
+"""
+
+SMOOTH = 0.05
+"""Squared steps between neighbors of a path, by those of random configurations."""
+
+FEWEST = 8
+"""Configurations below which frames alone may explain positions, and fewer than which
+are never too much alike: more is wrong with them."""
+
+ALONE, FEW = 0.03, 2
+"""Motion along a direction, by that along the largest, that counts as independent, and
+so many that do not tell the errors of a robot.
+
+Three of six joints that repeat the others have told them to 0.06 mm.
+"""
+
+TURN = 2.0 * np.pi
+"""Range of a revolute joint that counts; turns beyond it show the same again [rad]."""
+
+LIMITS = 1e-3
+"""By how much limits may be exceeded, which are rounded [rad]."""
+
+VALUES = 20
+"""Least number of different values from which a step is no chance."""
+
+COARSE, MOST = 0.5, 2.0
+"""Parts of the remaining errors that steps make, from which they are told, and beyond
+which values cannot have been rounded: the errors would be larger, but for what was set
+aside. Joints are often commanded to round numbers."""
+
+ROUNDED = 1.0 / np.sqrt(12.0)
+"""Standard deviation of what rounding adds, in steps."""
+
+ANGLES = ("rotation-vector", "roll-pitch-yaw")
+"""Ways to state orientations whose numbers can be had from quaternions."""
+
+STEPS = {"m": (1.0, 0.0254), "rad": (1.0, np.pi / 180.0), "px": (1.0,), "": (1.0,)}
+"""Units in which a file may count decimal steps, by the one of the values."""
+
+COMPUTED = 3e-6
+"""Errors of the nominal robot, in parts of how far the tool moved, below which it has
+computed them: a micrometer in a meter is what six digits leave, and the best tracker
+sees ten times that on a robot without errors."""
+
+FINE, TIMES = 1e-5, 1.2
+"""Steps of written values up to which errors of so many times what rounding makes are
+those of a controller that rounds: no robot is as near to its URDF [m]."""
+
+OPPOSITE, NEAR = -1.0, 0.5
+"""Factor of readings with which they fit best if they count the other way, and by how
+much it may be missed: half-way to those that say nothing."""
+
+
+def constant_orientation(case: Case) -> Iterator[Finding]:
+    """Orientations that are the same at all configurations, and were not measured."""
+    blocks = [b for b in case.data.blocks if declared(b.model).oriented]
+    if case.data.configurations < FEWEST or not blocks:
+        return
+    if not any(np.ptp(block.values[:, 3:], axis=0).any() for block in blocks):
+        said = "the measured orientation is the same at all configurations: no "
+        said += "instrument has measured it"
+        numbers = {"configurations": case.data.configurations}
+        remedy = "take the positions alone: --model position"
+        yield told("constant-orientation", said, numbers, remedy, error=True)
+
+
+def gauge_readings(case: Case) -> Iterator[Finding]:
+    """Places whose contacts fit far better with readings of the opposite sign.
+
+    A dial gauge is positive where it is pushed in, a deviation is positive away from
+    the surface, and planes have normals that point to either side.
+    """
+    if not case.informed:
+        return
+    # A place that is wrong as a whole has been set aside.
+    data, things = case.fit.problem.data, case.fit.problem.data.things()
+    share = np.bincount(things, data.weight > 0.0) / np.bincount(things).clip(1)
+    data = data.weighted(np.where(share[things] < 0.5, 1.0, data.weight))
+    problem = replace(case.fit.problem, data=data)
+    fit, touched = replace(case.fit, problem=problem), {}
+    for _, block, _, values in problem.blocks:
+        stated = declared(block.model)
+        if not stated.contact or not block.values.any():
+            continue
+        for name, axis in product(block.target.distinct, stated.components):
+            column = np.zeros(problem.layout.row.shape)
+            along = np.array(stated.components) == axis
+            own = block.target.where(name)[:, None] & along
+            column[values] = np.where(own, -block.values, 0.0).ravel()
+            words = name or stated.naming.noun, axis * (len(stated.components) > 1)
+            touched[" ".join(words).strip()] = column / problem.sigma
+    if not touched:
+        return
+    score = fit.score(np.column_stack([*touched.values()]))
+    factors = dict(zip(touched, 1.0 + score.values, strict=True))
+    wrong = [n for n, factor in factors.items() if abs(factor - OPPOSITE) < NEAR]
+    if score.chance > CHANCE or not wrong:
+        return
+    every = len(wrong) == len(factors)
+    said = f"the gauge readings at {enumerated(wrong)} have the opposite sign: they fit"
+    said += f" best times {np.mean([factors[name] for name in wrong]):.2g}"
+    numbers = {"left": score.left, "chance": score.chance, **factors}
+    remedy = "state these planes with normals that point the other way, or exchange "
+    remedy += "'deviation' and 'dial' in the names of their columns"
+    cure = ("", {"reading": {"opposite": True}}) if every else (remedy, {})
+    yield told("gauge-sign", said, numbers, *cure, error=True)
+
+
+def computed_values(case: Case) -> Iterator[Finding]:
+    """Positions that fit to the nominal robot as those of no instrument can."""
+    problem = case.fit.problem
+    blocks = [b for b in problem.data.blocks if b.model in ("position", "pose")]
+    if not blocks or problem.data.configurations < FEWEST:
+        return
+    errors = error_table(problem, case.nominal)
+    # Beside those of another model they have its name too, and rows of nan.
+    at = (q for q in problem.layout.quantities if q.name.startswith("position"))
+    rms = min(float(np.sqrt(np.nanmean(q.errors(errors) ** 2))) for q in at)
+    moved = spread([block.values[:, :3] for block in blocks])
+    step = max(coarse_step(b.values[:, :3].ravel(), "m") for b in blocks)
+    rounding = TIMES * step * ROUNDED * np.sqrt(3.0) if step <= FINE else 0.0
+    if rms < max(COMPUTED * moved, rounding):
+        said = f"the positions fit to the nominal robot to {shown(rms, 'm')}, which no "
+        said += "instrument does: they were computed from the joints"
+        remedy = "take the columns that an instrument measured; 'calib-pin init' finds "
+        numbers = {"rms": rms, "moved": moved}
+        yield told("computed-values", said, numbers, f"{remedy}them", error=True)
+
+
+def spread(blocks: Sequence[Floats]) -> float:
+    """Root mean square distance of points from the mean of their block.
+
+    Args:
+        blocks: Points, each of shape (N, k).
+    """
+    away = np.concatenate([np.sum((p - p.mean(0)) ** 2, axis=1) for p in blocks])
+    return float(np.sqrt(away.mean()))
+
+
+def copies(case: Case) -> Iterator[Finding]:
+    """Measurements that are equal to another one to the last digit."""
+    data = case.data
+    rows = _equal(data)
+    if not rows or _by_chance(case, len(rows)):
+        return
+    said = f"{len(rows)} of {len(data)} measurements are copies of others to the last "
+    said += f"digit, which count twice: {named(data, rows)}"
+    numbers = {"copies": len(rows), "all": len(data)}
+    remedy = without(data, rows, "leave them out")
+    yield told("copied-measurements", said, numbers, *remedy)
+
+
+def repetitions(case: Case) -> Iterator[Finding]:
+    """Few configurations, or most measurements at one of them."""
+    data, problem = case.data, case.fit.problem
+    labels = _things_there(data)
+    there, configurations = np.bincount(labels), data.configurations
+    free = int(problem.parameters.free.sum())
+    many = len(data) >= REPEATED * len(there)
+    if many and distinct_values(problem) < 2 * free:
+        said = f"{len(data)} measurements are at only {configurations} distinct "
+        said += f"configurations: repetitions tell the noise, not the {free} unknowns"
+        numbers = {"configurations": configurations, "measurements": len(data)}
+        numbers |= {"unknowns": free}
+        remedy = "measure other configurations instead of repeating these"
+        yield told("few-configurations", said, numbers, remedy)
+    elif (most := int(there.max())) > max(SHARE * len(data), REPEATED):
+        row = int(np.argmax(there[labels] == most))
+        said = f"{most} of {len(data)} measurements are at one configuration "
+        said += f"({named(data, [row])})"
+        numbers = {"there": most, "all": len(data)}
+        remedy = "measure other configurations as well"
+        yield told("one-configuration", said, numbers, remedy)
+
+
+def _equal(data: Observations) -> list[int]:
+    """Measurements that repeat all numbers of one before them in the files."""
+    place, same, found = np.argsort(data.in_order), _things_there(data), list[int]()
+    several = np.bincount(same)[same] > 1
+    for block, rows in zip(data.blocks, data.slices, strict=True):
+        if not block.values.shape[1]:
+            continue  # Of contacts the joint positions are what is measured.
+        at = np.flatnonzero(several[rows])
+        _, which = np.unique(block.values[at, 0], return_inverse=True)
+        # Where the first number is there once, the others need not be compared.
+        own = rows.start + at[np.bincount(which)[which] > 1]
+        own = own[np.argsort(place[own])]
+        if len(own):
+            start = block.start if block.start.size else block.q[:, :0]
+            numbers = np.column_stack([block.values, start])[own - rows.start]
+            table = np.column_stack([same[own], numbers])
+            first = np.unique(table, axis=0, return_index=True)[1]
+            found += np.delete(own, first).tolist()
+    return sorted(found, key=place.__getitem__)
+
+
+def _by_chance(case: Case, pairs: int) -> bool:
+    """Whether noise may repeat the digits of so many measurements.
+
+    Two values of normal noise fall on one step of their grid with the probability
+    `step / (2 sqrt(pi) sigma)` where the step is small.
+    """
+    sigma = case.fit.rms * float(np.median(case.fit.problem.given_sigma))
+    # A robot that is not as its model leaves more in a fit than an instrument scatters.
+    noise = case.fitted.noise[:1] if case.fitted is not None else ()
+    sigma = min([sigma, *(part.pure for part in noise if part.pure)])
+    if not np.isfinite(sigma) or case.fit.rms < EXACT:
+        return True  # Exact measurements repeat themselves.
+    values = [b.values[:, :3] for b in case.data.blocks if b.values.shape[1]]
+    steps = [coarse_step(v.ravel(), case.fit.quantity.unit) for v in values]
+    once = [step / (2.0 * np.sqrt(np.pi) * sigma) for step in steps]
+    chance = max(x ** v.shape[1] for x, v in zip(once, values, strict=True))
+    return bool(chance * (len(case.data) - case.data.configurations + pairs) > CHANCE)
+
+
+def _things_there(data: Observations) -> Indices:
+    """Label of the measurements of one thing at one configuration, shape (N,)."""
+    labels = data.groups() * (data.things().max() + 1) + data.things()
+    return np.asarray(np.unique(labels, return_inverse=True)[1])
+
+
+def still_joints(problem: Problem) -> tuple[str, ...]:
+    """Names of the joints of the chains that no measurement moves."""
+    moved, mimics = set[str](), problem.chains.mimics
+    for _, data, _, _ in problem.blocks:
+        moved |= {data.joints[k] for k in np.flatnonzero(np.ptp(data.q, axis=0))}
+    # One that others follow moves with them, be it in a chain or not.
+    moved |= {mimics[joint].leader for joint in moved & mimics.keys()}
+    return tuple(joint for joint in problem.chains.joints if joint not in moved)
+
+
+def unmoved_joints(case: Case) -> Iterator[Finding]:
+    """The joints of which nothing can be said; of a single chain this is a fault."""
+    chains = case.fit.problem.chains
+    still = [n for n in still_joints(case.fit.problem) if n not in chains.robot.mimics]
+    # Nobody asks measurements for errors that are not fitted.
+    if still and case.fitted is not None:
+        said = "no measurement moves some joints, and errors that only their motion "
+        said += f"shows stay at nominal: {enumerated(still)}"
+        numbers, several = {"joints": ", ".join(still)}, len(chains.names) > 1
+        yield _alike("unmoved-joints", said, numbers, info=several)
+
+
+def design(case: Case) -> Iterator[Finding]:
+    """Joints that are hardly moved, and joints that only move together."""
+    if case.fitted is None or not len(case.data):
+        return
+    chains, q, count = case.chains, case.data.q, case.data.configurations
+    span, room = np.ptp(q, axis=0), chains.upper - chains.lower
+    room = np.where(chains.revolute, np.minimum(room, TURN), room)
+    moved = np.array([j not in chains.mimics for j in chains.joints]) & (span > 0.0)
+    part = np.divide(span, room, out=np.ones(len(span)), where=room > 0.0)
+    elsewhere = _elsewhere(case) if count > FEWEST else ""
+    if elsewhere and _smooth(q[case.data.in_order][:, moved]):
+        said = f"all configurations lie on one path, and {elsewhere}"
+        yield _alike("one-path", said, {})
+        elsewhere = ""
+    limit, within = WIDE if elsewhere else SMALL, np.minimum(part, 1.0)
+    by_chance = moved.sum() * (count - (count - 1) * within) * within ** (count - 1)
+    few = np.flatnonzero(moved & (part < limit) & (by_chance < CHANCE))
+    worst = few[np.argsort(part[few])].tolist()
+    if worst:
+        ranges = []
+        for j in worst:
+            unit = case.unit(chains.joints[j])
+            low, high = (shown(end, unit, 3) for end in (q[:, j].min(), q[:, j].max()))
+            ranges.append(f"{chains.joints[j]} from {low.split()[0]} to {high}")
+        said = f"the measurements move {listed(ranges)}, less than "
+        said += f"{100 * limit:.0f} % of the range; "
+        said += elsewhere or "elsewhere the accuracy is uncertain"
+        narrow = elsewhere or part[worst[0]] < NARROW
+        numbers = {chains.joints[j]: part[j] for j in worst}
+        yield _alike("small-range", said, numbers, info=not narrow)
+    if moved.sum() < 2 or len(q) <= moved.sum():
+        return
+    scaled = (q - q.mean(axis=0))[:, moved] / q[:, moved].std(axis=0)
+    s = np.linalg.svd(scaled, compute_uv=False)
+    directions = int((s > ALONE * s[0]).sum())
+    # So many configurations move in one direction less at most.
+    if directions < min(moved.sum(), count - 1):
+        said = f"the {moved.sum()} joints that move do so in few independent directions"
+        said += f" ({directions}); errors that cancel along them show elsewhere"
+        numbers = {"directions": directions, "joints": moved.sum()}
+        yield _alike("joints-move-together", said, numbers, info=directions > FEW)
+
+
+def _elsewhere(case: Case) -> str:
+    """Expected errors elsewhere in words, if they are far above those of the design."""
+    times, there = 0.0, 0.0
+    for found in case.accuracies.values():
+        if found.measured is not None and found.workspace is not None:
+            far = found.workspace.calibrated.position
+            near = max(found.measured.calibrated.position, 1e-300)
+            times, there = max((times, there), (far / near, far))
+    if times <= ELSEWHERE:
+        return ""
+    said = f"over the workspace errors of {shown(there, 'm')} are expected, {times:.2g}"
+    return f"{said} times those where it was measured"
+
+
+def _smooth(q: Floats) -> bool:
+    """Whether configurations, repeated or not, follow one another closely."""
+    changed = np.any(np.diff(q, axis=0) != 0.0, axis=1)
+    q = q[np.append(True, changed)]
+    steps = np.mean(np.diff(q, axis=0) ** 2, axis=0)
+    return float(np.mean(steps / (2.0 * q.var(axis=0)))) < SMOOTH
+
+
+def joint_turns(case: Case) -> Iterator[Finding]:
+    """Joints all of whose positions are within the limits some turns on.
+
+    A turn changes no placement, and a fit is as good with it. It shows where the
+    position itself counts: in limits, in commands that are computed from the robot.
+    """
+    chains, data = case.chains, case.data
+    for k, joint in enumerate(chains.joints):
+        if case.unit(joint) != "rad" or joint not in data.joints:
+            continue
+        j, lower, upper = data.joints.index(joint), chains.lower[k], chains.upper[k]
+        least, most = data.q[:, j].min(), data.q[:, j].max()
+        first = np.ceil((lower - LIMITS - least) / TURN)
+        last = np.floor((upper + LIMITS - most) / TURN)
+        # The fewest turns that bring all of them between the limits, if any do.
+        turns = int(max(first, min(0, last)))
+        if not first <= turns <= last or turns == 0:
+            continue
+        lines = setup_lines(case, (offset_by(data.joints, j, TURN * turns),))
+        way = "on" if turns > 0 else "back"
+        way = f"a turn {way}" if abs(turns) == 1 else f"{abs(turns)} turns {way}"
+        said = f"joint '{joint}' was read at up to {np.degrees(max(most, -least)):.0f} "
+        said += f"deg, beyond its limits; {way} all of its positions are within them"
+        numbers = {"joint": joint, "turns": turns}
+        yield told("joint-turns", said, numbers, lines=lines, info=True)
+
+
+def coarse_values(case: Case) -> Iterator[Finding]:
+    """Steps of measured values, and of joint positions, that show in the errors."""
+    fit, problem = case.fit, case.fit.problem
+    used = np.sqrt(max(fit.left, 1) / max(measured_count(problem), 1))
+    for k, quantity in enumerate(problem.layout.quantities):
+        own = fit.table[:, quantity.columns]
+        own = own[np.isfinite(own)]
+        left = float(np.sqrt(np.mean(own**2))) / used if len(own) else 0.0
+        step, unit = _step_of(case, quantity), quantity.unit
+        found = [(f"measured {quantity.name}s", step, unit, step)]
+        found += [] if k else [("joint positions", *_joint_step(case, quantity))]
+        for words, step, unit, errors in found:
+            noise = ROUNDED * errors
+            if noise > 0.0 and COARSE * left <= noise <= MOST * left:
+                parts = [shown(x, quantity.unit) for x in (noise, left)]
+                said = f"the {words} are written in steps of {shown(step, unit, 3)}, "
+                said += f"which makes {parts[0]} of the {parts[1]} of {quantity.name} "
+                said += "errors that are left"
+                numbers = {"step": step, "noise": noise, "left": left}
+                remedy = "write them with more digits"
+                yield told("coarse-steps", said, numbers, remedy)
+
+
+def _step_of(case: Case, quantity: Quantity) -> float:
+    """The step of the values of a quantity, the same in all files; zero for none."""
+    found = []
+    for block in case.fit.problem.data.blocks:
+        model = declared(block.model)
+        if quantity not in model.quantities or not block.values.shape[1]:
+            continue
+        ways = [block.values[:, quantity.columns]]
+        if model.oriented and quantity.unit == "rad":
+            ways = [numbers_of(block.values[:, 3:], way)[0] for way in ANGLES]
+        found.append(max(coarse_step(way.ravel(), quantity.unit) for way in ways))
+    return min(found, default=0.0)
+
+
+def _joint_step(case: Case, quantity: Quantity) -> tuple[float, str, float]:
+    """The step of joint positions, and the errors of a quantity that a whole one makes.
+
+    Zero where none turns in steps.
+    """
+    problem, data = case.fit.problem, case.fit.problem.data
+    units = [case.unit(joint) for joint in data.joints]
+    pairs = zip(data.q.T, units, strict=True)
+    steps = np.array([coarse_step(column, unit) for column, unit in pairs])
+    step = float(steps.max(where=np.array(units) == "rad", initial=0.0))
+    of_quantity = np.array([c.quantity == quantity for c in problem.layout.components])
+    own = of_quantity[problem.layout.component]
+    own &= data.weight[problem.layout.row] > 0.0
+    if step == 0.0 or not own.any():
+        return 0.0, "rad", 0.0
+    moved = case.fit.by_joints[own] * problem.sigma[own, None] * steps
+    # A fit follows what has leverage, such as grazing beams.
+    free = 1.0 - np.sum(case.fit.unexplained[0][: len(own)][own] ** 2, axis=1)
+    squares = np.sum(free[:, None] * moved**2) / max(free.sum(), 1e-300)
+    return step, "rad", float(np.sqrt(squares))
+
+
+def coarse_step(values: Floats, unit: str) -> float:
+    """The largest step of 1, 2 or 5 times a power of ten that all values are on.
+
+    Zero where there is none, or too few values differ to tell.
+
+    Args:
+        values: Values, shape (N,) [unit].
+        unit: SI unit of the values.
+    """
+    of_each = product(STEPS[unit], range(0, -7, -1), (5.0, 2.0, 1.0))
+    steps = -np.sort([-a * 10.0**power * factor for factor, power, a in of_each])
+    for some in (values[:: max(1, len(values) // 50)], values):
+        parts = some / steps[:, None]
+        steps = steps[np.all(np.abs(parts - np.round(parts)) < 1e-6, axis=1)]
+    if len(steps) and len(np.unique(np.round(values / steps[0]))) >= VALUES:
+        return float(steps[0])
+    return 0.0
+
+
+FACTS = (
+    computed_values,
+    copies,
+    repetitions,
+    unmoved_joints,
+    design,
+    joint_turns,
+    coarse_values,
+)
+"""Facts that are told of every case."""

@@ -1,0 +1,486 @@
+"""How a file could be read otherwise: its joints, axes, orientations, targets, robot.
+
+Each kind is a generator of hypotheses, which are tried by `explanations`; of two
+columns for the same joints it is known what the other one says, and both are fitted.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import combinations, permutations, product
+from typing import Any, Literal
+
+import numpy as np
+
+from calib_pin.errors import CalibPinError, RobotError, enumerated
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.nominal import register
+from calib_pin.estimation.terms import FRAME, Term
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats, from_quaternion, to_quaternion
+from calib_pin.measurement_models import declared
+from calib_pin.measurement_models.orientations import numbers_of, quaternions
+from calib_pin.measurement_models.readings import places_of, with_values
+from calib_pin.observations import BlockKey, Measurements, Observations
+from calib_pin.setup import (
+    AXES,
+    HELD,
+    ConvertedSetup,
+    FrameSetup,
+    JointMap,
+    OrientationSetup,
+    ReadingSetup,
+)
+from calib_pin.validation.findings.case import STEPS, Case
+from calib_pin.validation.findings.explanations import NEIGHBORS, UNLIKELY
+from calib_pin.validation.findings.hypotheses import FITTED, Hypothesis
+from calib_pin.validation.findings.quick_fit import QuickFit
+from calib_pin.validation.findings.sentences import shown, told
+from calib_pin.validation.findings.setup_lines import JointReading, lines_of, written
+
+TURNS, GEARS = (90.0, -90.0, 180.0), (2.0, 0.5)
+"""Offsets between the zeros of a controller and of a URDF [deg], and gears of which the
+motion of a joint is often told before or behind."""
+
+ROWS, SEEDS = 60, 8
+"""Measurements of a block by which conventions are compared, and those with whose
+rotation all others are."""
+
+LIKELY = 0.3
+"""Part of the disagreement as it is read that a convention may leave."""
+
+MOST = 3
+"""Conventions, and sets of columns, that are tried with the robot."""
+
+DEGREE = np.pi / 180.0
+
+FEWEST, TARGETS, GROUPS = 3, 20, 5
+"""Fewest measurements of a target that contradict together, or points of a board, and
+most targets and groups of them that are tried; each has a frame of its own to fit."""
+
+MOUNTS: dict[Literal["hand", "world"], str] = {
+    "hand": "moves with the tool",
+    "world": "stands still",
+}
+"""Where a camera may be."""
+
+ABSORBED = 4.0
+"""Factor by which six numbers of a frame make errors of a robot smaller: they are half
+as large on six joints, and less than a third on three."""
+
+
+def joint_columns(case: Case) -> Iterator[Hypothesis]:
+    """Joints reversed, offset, exchanged, in degrees, geared, coupled: likely first."""
+    joints, of_base = case.data.joints, turned_by_base(case)
+    count = len(joints)
+    turning = [j for j, joint in enumerate(joints) if case.unit(joint) == "rad"]
+    for j in range(count):
+        yield _joint("joint-reversed", joints, j, "is reversed", {j: -1.0})
+    for j, turn in product(turning, TURNS):
+        # The frame of the base, which is another explanation, tells some of them.
+        if joints[j] != of_base:
+            yield offset_by(joints, j, turn * DEGREE)
+    for order in _orders(count):
+        moved = [f"'{joints[k]}'" for k, other in enumerate(order) if k != other]
+        words = f"the columns of joints {', '.join(moved[:-1])} and {moved[-1]} are "
+        read = JointReading(np.eye(count)[list(order)], np.zeros(count))
+        of = "order of the joint columns"
+        yield Hypothesis("joints-exchanged", f"{words}exchanged", of, joints=read)
+    # Smaller angles would be next to none in degrees, and any wrong joint looks better
+    # where it stands still.
+    large = [j for j in turning if np.abs(case.data.q[:, j]).max() > 2.0 * np.pi]
+    for some in dict.fromkeys([*((j,) for j in large), tuple(large)] if large else ()):
+        names = tuple(joints[j] for j in some)
+        words = f"joints '{names[0]}' to '{names[-1]}' are in degrees"
+        words = words if len(names) > 1 else f"joint '{names[0]}' is in degrees"
+        reading = ReadingSetup(converted=(ConvertedSetup(DEGREE, joints=names),))
+        yield Hypothesis("joint-degrees", words, "unit of the joints", reading)
+    for j, factor in product(range(count), GEARS):
+        yield geared(joints, j, factor)
+    # Robots couple a joint to those before it.
+    for (other, j), factor in product(combinations(turning, 2), (1.0, -1.0)):
+        words = f"is coupled to '{joints[other]}'"
+        yield _joint("joint-coupled", joints, j, words, {other: factor})
+
+
+def offset_by(
+    joints: Sequence[str], joint: int, offset: float, turns: bool = True
+) -> Hypothesis:
+    """A joint whose zero is elsewhere, by its position among all [rad, m]."""
+    words = f"is offset by {shown(offset, 'rad' if turns else 'm', 4)}"
+    return _joint("joint-offset", joints, joint, words, {}, offset)
+
+
+def geared(joints: Sequence[str], joint: int, factor: float) -> Hypothesis:
+    """A joint that moves some times as far as its column says."""
+    words = f"moves {factor:.5g} times as far as read"
+    found = _joint("joint-gear", joints, joint, words, {joint: factor})
+    return replace(found, joint="", figure="residuals-by-joint")
+
+
+def _joint(
+    code: str,
+    joints: Sequence[str],
+    joint: int,
+    words: str,
+    factors: Mapping[int, float],
+    offset: float = 0.0,
+) -> Hypothesis:
+    """A joint, by its place, that is read with some factors of the columns."""
+    name, read = joints[joint], JointReading.plain(len(joints))
+    read.offsets[joint] = offset
+    for column, factor in factors.items():
+        read.factors[joint, column] = factor
+    words, of = f"joint '{name}' {words}", f"{code} {name}"
+    return Hypothesis(code, words, of, joints=read, joint=name)
+
+
+def _orders(count: int) -> Iterator[tuple[int, ...]]:
+    """Other orders of so many columns: two exchanged, three shifted round, reversed."""
+    plain = tuple(range(count))
+    for first, second in combinations(plain, 2):
+        swap = {first: second, second: first}
+        yield tuple(swap.get(k, k) for k in plain)
+    for k in plain[:-2]:
+        for some in ((k + 1, k + 2, k), (k + 2, k, k + 1)):
+            yield (*plain[:k], *some, *plain[k + 3 :])
+    if count > 3:
+        yield plain[::-1]
+
+
+def axes(case: Case) -> Iterator[Hypothesis]:
+    """Other axes of positions, as far as measurements can tell them apart.
+
+    Where nothing else shows how the measurement frame is turned, every frame is right
+    but a left-handed one.
+    """
+    blocks = [b for b in case.data.blocks if (*declared(b.model).columns,)[:3] == AXES]
+    terms, free = case.fit.problem.terms, case.fit.problem.parameters.free
+    turned = any(
+        declared(b.model).oriented
+        or (b.key in terms and not free[terms[b.key].index[:FRAME]].all())
+        for b in blocks
+    )
+    # Every left-handed frame is the one with all axes negated, turned.
+    mirrored = ("-x", "-y", "-z") if turned else ("x", "y", "-z")
+    negated = [*product(*((axis, f"-{axis}") for axis in AXES))]
+    ways = [held for axes in negated for held in permutations(axes)]
+    for held in ways if turned else [mirrored] * bool(blocks):
+        reading, of = ReadingSetup(axes=held), "axes of positions"
+        words = f"the columns x, y and z hold {', '.join(held)}"
+        code = "axes-negated" if held in negated else "axes-exchanged"
+        if held == mirrored:
+            code, words = "left-handed-frame", "the frame of x, y and z is left-handed "
+            words += "(two are exchanged, or one is negated)"
+        if held != AXES:
+            yield Hypothesis(code, words, of, reading, gross=True)
+
+
+def orientations(case: Case) -> Iterator[Hypothesis]:
+    """The conventions with which orientations agree best, and inverted poses.
+
+    Whatever the convention, with the right one `R = R_base R_tip R_tool` holds for all
+    measurements, where positions tell the base frame. So each convention is tried by
+    how well the rotations `R_tip^T R_base^T R` agree, which needs no fit. Angles beyond
+    those that a rotation has were lost in reading; of the rotations that they may have
+    been, the nearest to the others is taken.
+    """
+    blocks = [b for b in case.data.blocks if declared(b.model).oriented]
+    if not blocks:
+        return
+    words = "the poses are those of the measurement frame in the tool"
+    inverted = ReadingSetup(inverted=True)
+    yield Hypothesis("pose-inverted", words, "pose of what", inverted, gross=True)
+    try:
+        terms = _located(case, blocks)
+    except (CalibPinError, np.linalg.LinAlgError):
+        return
+    some = {block.key: block.sample(ROWS) for block in blocks}
+    columns = {block.orientation or "quaternion" for block in blocks}
+    trials = [
+        (reading, {key: _agreed(terms[key], reading, some[key]) for key in some})
+        for reading in (OrientationSetup(), *_conventions(columns))
+    ]
+    left = [max(apart for apart, _ in found.values()) for _, found in trials]
+    for k in 1 + np.argsort(left[1:], kind="stable")[:MOST]:
+        reading, found = trials[k]
+        if left[k] < LIKELY * left[0]:
+            tools = {key: (terms[key], tool) for key, (_, tool) in found.items()}
+            words = f"orientations are written otherwise ({written(lines_of(reading))})"
+            held = ReadingSetup(orientation=reading)
+            of, change = "orientations", partial(_nearest, reading=reading, tools=tools)
+            one = Hypothesis("orientation-convention", words, of, held, gross=True)
+            yield replace(one, change=change)
+
+
+def _conventions(columns: Iterable[str]) -> Iterator[OrientationSetup]:
+    """All that the columns of an orientation may hold, by the ways of the files."""
+    yield OrientationSetup(inverse=True)
+    for way in columns:
+        angles = way != "quaternion"
+        for factor in (DEGREE, 1.0 / DEGREE) if angles else ():
+            yield OrientationSetup(way, factor=factor)
+        for hold in HELD:
+            said = hold == way or (way, hold) == ("roll-pitch-yaw", "extrinsic-xyz")
+            if not said and (hold != "wxyz") == angles:
+                yield OrientationSetup(way, hold)
+                yield OrientationSetup(way, hold, inverse=True)
+
+
+def _located(case: Case, blocks: Sequence[Measurements]) -> dict[BlockKey, Term]:
+    """The terms of blocks where positions alone find the robot."""
+    some = [replace(b.sample(ROWS), model="position", sigma=None) for b in blocks]
+    data = Observations.of(*(replace(b, values=b.values[:, :3]) for b in some))
+    setup = replace(case.setup, parameters=(), learned=None, fixed=(), bounds={})
+    problem = make_problem(case.chains, data, replace(setup, prior={}))
+    problem, found = register(problem, np.zeros(len(problem.parameters)))
+    terms = problem.rebased(found.x)[0].terms
+    return {b.key: terms[b.key._replace(model="position")] for b in blocks}
+
+
+def _tools(
+    term: Term, reading: OrientationSetup, block: Measurements
+) -> tuple[Floats, Floats]:
+    """Quaternions that orientations may be, and the tool's with each, (A, N, 4)."""
+    columns = block.orientation or "quaternion"
+    stated = numbers_of(block.values[:, 3:], columns, turns=reading.factor != 1.0)
+    found = np.stack([quaternions(numbers, columns, reading) for numbers in stated])
+    tip = term.error.chain.poses(block.q[:, term.columns])[:, :3, :3]
+    to_tip = np.swapaxes(term.error.base.rotation @ tip, 1, 2)
+    return found, to_quaternion(to_tip @ from_quaternion(found))
+
+
+def _agreed(
+    term: Term, reading: OrientationSetup, block: Measurements
+) -> tuple[float, Floats]:
+    """Typical disagreement about the tool [rad], and what most agree on."""
+    _, tools = _tools(term, reading, block)
+    seeds = tools[:, :: max(1, tools.shape[1] // SEEDS)].reshape(-1, 4)
+    nearest = np.abs(np.einsum("sk,ank->san", seeds, tools)).max(axis=1)
+    typical = np.median(nearest, axis=1)
+    best = int(np.argmax(typical))
+    return 2.0 * float(np.arccos(min(typical[best], 1.0))), seeds[best]
+
+
+def _nearest(
+    data: Observations,
+    reading: OrientationSetup,
+    tools: Mapping[BlockKey, tuple[Term, Floats]],
+) -> Observations:
+    """Measurements as the reader of files would have read them."""
+
+    def change(block: Measurements, _: object) -> Floats:
+        if block.key not in tools:
+            return block.values
+        term, tool = tools[block.key]
+        found, of_tool = _tools(term, reading, block)
+        near = np.abs(of_tool @ tool).argmax(axis=0)
+        return np.hstack([block.values[:, :3], found[near, np.arange(len(block))]])
+
+    return with_values(data, change)
+
+
+def targets(case: Case) -> Iterator[Hypothesis]:
+    """Each of several targets left out; single outliers are found by the fit."""
+    data, target = case.data, case.data.target
+    counts = np.bincount(target.codes, minlength=len(target.names))
+    if len(data) > NEIGHBORS or not 1 < np.count_nonzero(counts) <= TARGETS:
+        return
+    some = (counts >= FEWEST) & (counts < len(data) / 2)
+    for code in np.flatnonzero(some).tolist():
+        rows = np.flatnonzero(target.codes == code).tolist()
+        words = f"the measurements of target '{target.names[code]}' contradict all "
+        reading = ReadingSetup(without=places_of(data, rows))
+        found = Hypothesis("target", f"{words}others", "target", reading)
+        yield replace(found, figure="residuals-over-order")
+
+
+def target_frames(case: Case) -> Iterator[Hypothesis]:
+    """Groups of targets each of which has a frame of its own: boards at places, say."""
+    for group in _groups(case.data):
+        names = Counter(group.values())
+        # Of fewer points a frame of their own is none: they are known elsewhere.
+        if not 1 < len(names) <= GROUPS or min(names.values()) < FEWEST:
+            continue
+        words = f"the targets {enumerated([f'{name}/..' for name in names])} do not "
+        words += "fit together, and each fits alone"
+        for frame in ("station", "tool"):
+            found = Hypothesis("target-frames", words, "frames of targets")
+            change = partial(_apart, group=group, frame=frame)
+            advice = f"give each a {frame} of its own (a column '{frame}')"
+            yield replace(found, change=change, advice=advice, absorbs=ABSORBED)
+
+
+def _groups(data: Observations) -> Iterator[dict[str, str]]:
+    """Groups of targets by the first part of their names, and of those seen together.
+
+    By name of the target.
+    """
+    from scipy.sparse import coo_array  # Slow to import.
+    from scipy.sparse.csgraph import connected_components
+
+    names, target = data.target.distinct, data.target
+    if all("/" in name for name in names):
+        yield {name: name.rpartition("/")[0] for name in names}
+    pairs, count = (target.codes, data.groups() + len(target.names)), len(target.names)
+    size = (count + data.configurations,) * 2
+    seen = coo_array((np.ones(len(data)), pairs), shape=size)
+    label = dict(zip(target.names, connected_components(seen)[1][:count], strict=True))
+    first = {label[name]: name for name in reversed(names)}
+    yield {name: first[label[name]] for name in names}
+
+
+def _apart(data: Observations, group: Mapping[str, str], frame: str) -> Observations:
+    """Measurements whose groups of targets have a station, or a tool, of their own."""
+    blocks = []
+    for block in data.blocks:
+        of_row = block.target.map(group.__getitem__)
+        for name in of_row.distinct:
+            own = block.rows(of_row.where(name))
+            if frame == "station":
+                blocks.append(replace(own, station=f"{own.station}{name}"))
+            else:
+                blocks.append(replace(own, tool=f"{own.tool}{name}"))
+    return Observations.of(*blocks)
+
+
+def robots(case: Case) -> Iterator[Hypothesis]:
+    """Explanations by what was measured: the robot, its links, the tool."""
+    for code, end in (("tool-frame", "tool"), ("base-frame", "base")):
+        if getattr(case.setup, f"{end}_frame").estimate is False:
+            words, of = f"the frame of the {end} is not the stated one", f"{end} frame"
+            found = Hypothesis(code, words, of, absorbs=ABSORBED)
+            # Half a turn away the stated one is no start.
+            setup = {f"{end}_frame": FrameSetup(estimate=True)}
+            stated = {"frames": {end: {"estimate": True}}}
+            yield replace(found, setup=setup, stated=stated)
+    if (camera := case.setup.camera) is not None:
+        (mount,) = MOUNTS.keys() - {camera.mount}
+        yield Hypothesis(
+            "camera-mount",
+            f"the camera {MOUNTS[mount]}, and is not one that {MOUNTS[camera.mount]}",
+            "the chain",
+            setup={"camera": replace(camera, mount=mount)},
+            stated={"camera": {"mount": mount}},
+        )
+    # A shorter chain touches one point the better the less it moves.
+    touching = any(declared(model).contact for model in case.data.models)
+    if case.chains.names == ("",) and not touching:
+        yield from _ends(case.chains[""], case)
+    robot = case.chains.robot
+    for other in case.others():
+        file = other.robot.file
+        words = f"the robot is '{file}', not '{robot.name}'"
+        advice = f"use '{file}' in place of '{robot.file}'"
+        yield Hypothesis("robot", words, "the chain", chains=other, advice=advice)
+
+
+def turned_by_base(case: Case) -> str:
+    """The joint whose offset is a turn of a base that is known; empty for none."""
+    chain = case.chains[case.chains.names[0]]
+    known = case.setup.base_frame.estimate is False and len(case.chains.names) == 1
+    return chain.joints[0] if known and chain.revolute[0] else ""
+
+
+def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
+    """Other links of the chain as its tip or its base."""
+    known = {*case.data.joints, *(joint for joint, _ in case.data.conditions.spare)}
+    links, free = (chain.base, chain.tip), case.fit.problem.parameters.names
+    ends = ("base", "base-link", "base.frame.x"), ("tip", "tip-link", "tool.frame.x")
+    for k, (end, code, frame) in enumerate(ends):
+        seen: list[tuple[object, ...]] = []
+        for link in (links[k], *chain.robot.links):
+            try:
+                other = Chain(chain.robot, *(*links[:k], link, *links[k + 1 :]))
+            except RobotError:
+                continue
+            # A frame that is estimated absorbs where on its body a link is.
+            place = (other.ends[k].homogeneous.round(9) + 0.0).tobytes()
+            body = other.joints, frame in free or place
+            if other.joints and {*other.joints} <= known and body not in seen:
+                seen.append(body)
+                if link != links[k]:
+                    words = f"the {end} link is '{link}', not '{links[k]}'"
+                    found = Hypothesis(code, words, "the chain", stated={end: link})
+                    yield replace(found, chains=Chains.of(other))
+
+
+def joint_sets(case: Case) -> Iterator[Finding]:
+    """Other columns of the joints, commanded or measured ones, that fit otherwise."""
+    setup, some = replace(case.setup, learned=None), case.fit.problem.data
+    near = defaultdict[str, list[str]](list)
+    for joint, column in some.conditions.spare:
+        if joint in some.joints:
+            near[joint].append(column)
+    for k in range(min(max(map(len, near.values()), default=0), MOST)):
+        columns = {j: near[j][k] for j in some.joints if k < len(near[j])}
+        maps = {given.joint: (c, given) for c, given in setup.joints.items()}
+        maps = {j: maps.get(j, (j, JointMap(j))) for j in some.joints}
+        try:
+            both = [some, _moved(some, columns, maps)]
+            problems = [make_problem(case.chains, data, setup) for data in both]
+            here, there = (QuickFit.of(problem, STEPS) for problem in problems)
+        except CalibPinError:
+            continue  # No robot is there.
+        ratio = here.left * float(np.log(here.rms / there.rms))
+        if not (here.redundant and abs(ratio) > UNLIKELY):
+            continue
+        better, names = ratio > 0.0, [*columns.values()]
+        ends = " to ".join(f"'{n}'" for n in dict.fromkeys((names[0], names[-1])))
+        quantity = here.quantity
+        before, after = (shown(x.errors, quantity.unit, 3) for x in (here, there))
+        said = f"with the joint positions in {ends} the {quantity.name} errors of a "
+        said += f"fit are {after} instead of {before}"
+        numbers = {"columns": ", ".join(names), "log_likelihood_ratio": ratio}
+        numbers |= {"rms_before": here.errors, "rms_after": there.errors}
+        if better:
+            error = there.rms < FITTED * here.rms
+            how = ("", {"joints": _exchanged(columns, maps)}, "by-joint")
+            yield told("joint-columns", said, numbers, *how, error=error)
+        else:
+            said += ": those that were used are the better ones"
+            yield told("joint-columns", said, numbers, info=True)
+
+
+_Maps = Mapping[str, tuple[str, JointMap]]
+"""The column of each joint, and how it becomes its position."""
+
+
+def _moved(data: Observations, columns: Mapping[str, str], maps: _Maps) -> Observations:
+    """Measurements with the joint positions that other columns have.
+
+    Raises:
+        CalibPinError: If those of the starts of relative measurements are not known.
+    """
+    # What a position is moved by moves those that are coupled to its column.
+    factor = {joint: given.sign * given.gear for joint, (_, given) in maps.items()}
+    factors = np.eye(len(data.joints))
+    for (k, joint), (j, other) in product(enumerate(data.joints), repeat=2):
+        part = maps[other][1].coupled.get(maps[joint][0], 0.0)
+        factors[j, k] += part * factor[other] / factor[joint]
+    blocks = []
+    for block in data.blocks:
+        if block.start.size:
+            raise CalibPinError("where these columns started is not known")
+        change = np.zeros_like(block.q)
+        for joint, column in columns.items():
+            k = data.joints.index(joint)
+            change[:, k] = block.conditions.spare[joint, column] - block.q[:, k]
+        blocks.append(replace(block, q=block.q + change @ factors.T))
+    return Observations(tuple(blocks))
+
+
+def _exchanged(columns: Mapping[str, str], maps: _Maps) -> dict[str, dict[str, Any]]:
+    """Entries of `joints` in a setup file, of all that other columns change."""
+    new = {maps[joint][0]: column for joint, column in columns.items()}
+    found = {}
+    for column, own in maps.values():
+        if {column, *own.coupled} & new.keys():
+            coupled = {new.get(c, c): factor for c, factor in own.coupled.items()}
+            found[new.get(column, column)] = lines_of(replace(own, coupled=coupled))
+    return found

@@ -1,0 +1,80 @@
+"""Findings in words: sizes, measurements, and the lines that correct them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from calib_pin.estimation.evidence import Finding, Severity
+from calib_pin.measurement_models.readings import places_of
+from calib_pin.observations import Observations
+from calib_pin.setup import ReadingSetup
+from calib_pin.units import DISPLAY
+from calib_pin.validation.findings.setup_lines import lines_of, written
+
+NAMED, SHORT = 3, 12
+"""Things that a sentence names, and measurements that a remedy does; the lines of the
+setup file have all of them."""
+
+
+def told(
+    code: str,
+    message: str,
+    numbers: Mapping[str, Any],
+    remedy: str = "",
+    lines: Mapping[str, Any] | None = None,
+    residuals: str = "",
+    *,
+    error: bool = False,
+    info: bool = False,
+) -> Finding:
+    """A finding, by default a warning; where nothing else is, its lines are the remedy.
+
+    Args:
+        code: Its code.
+        message: One sentence with numbers.
+        numbers: The numbers by name, SI units.
+        remedy: Advice on how to correct it.
+        lines: Lines of a setup file that correct it.
+        residuals: What the figure of residuals that shows it has them over, such as
+            `by-joint`.
+        error: Whether it takes the trust.
+        info: Whether it is no more than a remark.
+    """
+    if lines and not remedy:
+        remedy = f"state in the setup file: {written(lines)}"
+    evidence = {k: v if isinstance(v, str) else float(v) for k, v in numbers.items()}
+    severity: Severity = "error" if error else "info" if info else "warning"
+    figure = f"residuals-{residuals}" if residuals else ""
+    return Finding(code, severity, message, evidence, remedy, lines or {}, figure)
+
+
+def shown(size: float, unit: str, digits: int = 2) -> str:
+    """A size in the unit that people read."""
+    name, factor = DISPLAY[unit]
+    return f"{factor * size:.{digits}g} {name}"
+
+
+def listed(words: Sequence[str], more: int = 0) -> str:
+    """The first of some words, and how many more there are."""
+    more += max(len(words) - NAMED, 0)
+    return ", ".join(words[:NAMED]) + (f" and {more} more" if more else "")
+
+
+def named(data: Observations, rows: Sequence[int]) -> str:
+    """Measurements in words, such as `lines 12, 31, 40 and 2 more`."""
+    kind = "line" if data.files[rows[0]] else "measurement"
+    more = max(len(rows) - NAMED, 0)
+    return (
+        f"{kind}{'s' * (len(rows) > 1)} {listed(places_of(data, rows[:NAMED]), more)}"
+    )
+
+
+def without(
+    data: Observations, rows: Sequence[int], advice: str
+) -> tuple[str, dict[str, Any]]:
+    """The remedy to leave measurements out, after some words, and its setup lines."""
+    lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
+    if len(rows) > SHORT:
+        return f"{advice} ('reading: without' in the setup file)", lines
+    return f"{advice} (in the setup file: {written(lines)})", lines

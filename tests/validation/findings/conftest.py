@@ -1,0 +1,41 @@
+"""Measurements of a UR10, and jobs of which something was changed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.setup import FrameSetup, Setup
+
+
+@pytest.fixture(scope="session")
+def ur10():
+    """Makes measurements of a UR10 that errs by some millimeters."""
+    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
+    frame = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
+    problem = nominal_problem(chain, "position", Setup(tool_frame=frame))
+    theta = calib_pin.draw_errors(problem.parameters, np.random.default_rng(0))
+
+    def measured(**how):
+        rng = np.random.default_rng(1)
+        return calib_pin.simulate(problem, theta, rng, noise=1e-4, **how)
+
+    return measured
+
+
+@pytest.fixture(scope="module")
+def told(moved_job):
+    """The findings of a job's measurements of which something was changed."""
+
+    def of(change, **more):
+        job = moved_job((), (), 55, **more)
+        block = replace(job.plain.only, sigma=None)
+        rows = replace(block, **change(block))
+        result = calib_pin.calibrate(job.chain, rows, validate=False)
+        return {finding.code: finding for finding in result.findings}
+
+    return of

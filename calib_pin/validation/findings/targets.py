@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from calib_pin.errors import enumerated
 from calib_pin.measurement_models.readings import places_of
-from calib_pin.observations import Observations
+from calib_pin.observations import Observations, apart
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import NEIGHBORS
@@ -24,7 +24,7 @@ FEWEST = 3
 MOST = 20
 """Most targets that are tried."""
 
-FRAMES = ("station", "tool")
+FRAMES: tuple[Literal["station", "tool"], ...] = ("station", "tool")
 """Frames that targets may stand in, and columns that tell them apart."""
 
 GROUPS = 5
@@ -87,15 +87,8 @@ def _groups(data: Observations) -> Iterator[dict[str, str]]:
     yield {name: first[label[name]] for name in names}
 
 
-def _apart(data: Observations, group: dict[str, str], frame: str) -> Observations:
+def _apart(
+    data: Observations, group: dict[str, str], frame: Literal["station", "tool"]
+) -> Observations:
     """Measurements whose groups of targets have a station, or a tool, of their own."""
-    blocks = []
-    for block in data.blocks:
-        of_row = block.target.map(group.__getitem__)
-        for name in of_row.distinct:
-            own = block.rows(of_row.where(name))
-            if frame == "station":
-                blocks.append(replace(own, station=f"{block.station}{name}"))
-            else:
-                blocks.append(replace(own, tool=f"{block.tool}{name}"))
-    return Observations.of(*blocks)
+    return apart(data, frame, data.target.map(group.__getitem__))[0]

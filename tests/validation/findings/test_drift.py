@@ -12,7 +12,7 @@ from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Observations
 from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.drift import drift
+from calib_pin.validation.findings.course import drift
 
 WAY = np.array([0.6, 0.0, -0.8])
 

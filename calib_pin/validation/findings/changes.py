@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
@@ -20,60 +21,45 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import EXACT, Problem
+from calib_pin.estimation.problem import EXACT, Problem, measured_count
 from calib_pin.estimation.statistics.distributions import f_tail
-from calib_pin.estimation.terms import FRAME, Term
+from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import with_positions
-from calib_pin.observations import (
-    BlockKey,
-    Booleans,
-    Indices,
-    Labels,
-    Observations,
-    apart,
-)
+from calib_pin.observations import BlockKey, Booleans, Indices, Labels, Observations
+from calib_pin.observations import apart as named_apart
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.joint_motions import refitted
 from calib_pin.validation.findings.quick_fit import QuickFit
 
 Kind = Literal["station", "tool", "joint"]
-KINDS: tuple[Literal["station", "tool"], ...] = ("station", "tool")
+FRAMES: tuple[Literal["station", "tool"], ...] = ("station", "tool")
 
 CHANCE = 1e-6
-"""Probability that noise explains as much as an alternative, all that are tried taken
-together: the one level of significance of all that happens in the course of time."""
+"""Probability that noise explains as much as an alternative, all rows taken together:
+the one level of significance of what happens in the course of time."""
 
 LEAST = 2.0 * np.log(CHANCE)
-"""Logarithm of the likelihood that a change changes at least."""
+"""Change of the logarithm of the likelihood, doubled and negative, that it asks for."""
 
-CLEARER = 0.95
-"""Part of the errors that its rivals leave that an alternative leaves at most."""
+CLEARER, FURTHER = 0.95, 4.0
+"""Part of the errors that its rivals leave that an alternative leaves at most, and how
+many times the squares of a further change it explains."""
 
-FURTHER = 4.0
-"""Times the squares of a further change that one explains that stands out."""
+LOOKED_AT, LARGE = 0.76, 20.0
+"""Part of the squares that a change leaves at most, to first order, for a closer look
+(without a plateau it is as much and more), and errors of the nominal robot, in expected
+sizes, of which first order says little."""
 
-LOOKED_AT = 0.76
-"""Part of the squares that a change must leave at most, to first order, for a closer
-look: of errors without a plateau that is as much and more."""
-
-LARGE = 20.0
-"""Errors of the nominal robot, in expected sizes, that are looked at closely in any
-case: first order says little of them."""
-
-LEFT, LAST = 1.0 / 3.0, 0.5
-"""Parts of the errors that all changes together leave at most (a drift of the
-instrument leaves one half with one frame more), and the last of them if it does not
-stand out."""
-
-SETTLED = 1.5
-"""Errors that small changes leave at most, by those of the fit without what it has set
-aside."""
+LEFT, LAST, SETTLED = 1.0 / 3.0, 0.5, 1.5
+"""Parts of the errors that all changes leave at most (a drift of the instrument leaves
+one half with one frame more), and the last of them if it does not stand out; and errors
+that small ones leave, by those of the fit without what it has set aside."""
 
 CONFIGURATIONS, FULL, ASIDE = 6, 0.5, 0.25
-"""Configurations and part of the rows of a stretch of the files, and part of all
-measurements from which what was set aside is no outliers."""
+"""Least configurations on each side of a change and in a stretch of the files, part of
+the rows of a stretch, and largest part of all measurements that are outliers."""
 
 SEEN = 1e-4
 """Part of what a change does that the fit cannot do, below which it is none."""
@@ -82,13 +68,13 @@ MOST, TRIED, ALIKE, STEPS = 10, 3, 0.5, 6
 """Changes that are sought; those that are fitted for each of them, if what they gain to
 first order is this part of the most; and steps in which rows and sizes are found."""
 
-WAYS, FEW = 5, 1.0 / 3.0
-"""Shapes of a smooth error of a joint, and the part of the redundant values up to which
-those of all joints are rivals."""
-
 STILL, SAME = 0.1, 0.99
 """Change of a size, in its standard deviations, and part of the errors that the last
 step leaves at least."""
+
+SHAPES, FEW = 5, 1.0 / 3.0
+"""Shapes of a smooth error of a joint, and the part of the redundant values up to which
+those of all joints are rivals."""
 
 UNKNOWNS = 500
 """Most parameters of a job that is looked at."""
@@ -99,64 +85,80 @@ class Change(NamedTuple):
 
     Attributes:
         kind: Whose frame, or the zero of a joint.
-        keys: Blocks that it concerns, before they are divided.
-        rank: Place of the first measurement behind it, in the order of the files.
+        keys: Blocks that it concerns.
         joint: Column of the joint.
+        rank: Place of the first measurement behind it, in the order of the files.
         size: How much farther that joint stands [rad, m].
     """
 
     kind: Kind
     keys: frozenset[BlockKey]
-    rank: int = 0
     joint: int = 0
+    rank: int = 0
     size: float = 0.0
 
 
 @dataclass(frozen=True)
 class Job:
-    """Measurements in the order of their files.
+    """Measurements in the order of their files, without changes.
 
     Attributes:
-        data: The measurements.
+        plain: The problem of these, none of them set aside.
         rank: Place of each in that order among all of the job, shape (N,).
     """
 
-    data: Observations
+    plain: Problem
     rank: Indices
 
     @staticmethod
-    def of(data: Observations) -> Job:
-        """All measurements of a job, none of them set aside."""
-        return Job(data.weighted(np.ones(len(data))), np.argsort(data.in_order))
+    def of(plain: Problem, data: Observations, rank: Indices) -> Job:
+        """The job of some measurements."""
+        data = data.weighted(np.ones(len(data)))
+        return Job(replace(plain, data=data, units=np.zeros(0)), rank)
 
-    def rows(self, index: NDArray[np.generic]) -> Job:
-        """Those of a mask, or of ascending positions."""
-        return Job(self.data.rows(index), self.rank[index])
+    @property
+    def data(self) -> Observations:
+        """The measurements."""
+        return self.plain.data
+
+    @property
+    def subjects(self) -> Iterator[Change]:
+        """What may change."""
+        for kind in FRAMES:
+            found: dict[str, list[BlockKey]] = {}
+            for key, term in self.plain.terms.items():
+                found.setdefault(getattr(term.frames, kind), []).append(key)
+            for keys in found.values():
+                yield Change(kind, frozenset(keys))
+        if not any(block.start.size for block in self.data.blocks):
+            for joint in range(len(self.data.joints)):
+                yield Change("joint", frozenset(self.data.keys), joint)
 
     def concerned(self, change: Change) -> Booleans:
         """Mask of the measurements that have what changes, shape (N,)."""
         has = np.array([key in change.keys for key in self.data.keys])
         return np.asarray(has[self.data.block_of])
 
-    def changed(self, changes: Sequence[Change]) -> tuple[Job, Indices]:
-        """The same with a name of its own for each frame, and joints where they stood.
+    def changed(self, changes: Sequence[Change]) -> tuple[Observations, Indices]:
+        """The same with names of their own for frames, and joints where they stood.
 
         Returns:
             The measurements in their new blocks, and the position of each of these
             among what they were.
         """
-        job, index = self, np.arange(len(self.data))
-        for number, change in enumerate(changes):
-            behind = job.concerned(change) & (job.rank >= change.rank)
+        q, behind = self.data.q.copy(), np.zeros((len(FRAMES), len(self.rank)), int)
+        for change in changes:
+            own = self.concerned(change) & (self.rank >= change.rank)
             if change.kind == "joint":
-                q = job.data.q.copy()
-                q[behind, change.joint] += change.size
-                job = replace(job, data=with_positions(job.data, q))
-                continue
-            names = Labels(("", f"~{number}"), behind.astype(np.int64))
-            data, own = apart(job.data, change.kind, names)
-            job, index = Job(data, job.rank[own]), index[own]
-        return job, index
+                q[own, change.joint] += change.size
+            else:
+                behind[FRAMES.index(change.kind)] += own
+        data, index = with_positions(self.data, q), np.arange(len(q))
+        names = ("", *(f"~{k + 1}" for k in range(len(changes))))
+        for kind, count in zip(FRAMES, behind, strict=True):
+            data, rows = named_apart(data, kind, Labels(names, count[index]))
+            index = index[rows]
+        return data, index
 
 
 @dataclass(frozen=True)
@@ -164,40 +166,35 @@ class Trial(QuickFit):
     """Measurements with their changes, fitted.
 
     Attributes:
-        job: The measurements without changes.
+        job: The measurements.
         changes: The changes, in the order in which they were found.
-        fitted: The measurements with them.
+        index: Position of each measurement in its new block among those of the job.
     """
 
     job: Job
     changes: tuple[Change, ...]
-    fitted: Job
+    index: Indices
 
     @staticmethod
-    def at(plain: Problem, job: Job, changes: tuple[Change, ...]) -> Trial:
-        """A fit of the chains and the setup of a problem, with changes at these rows.
+    def at(job: Job, changes: tuple[Change, ...]) -> Trial:
+        """A fit with changes at these rows.
 
         Raises:
             CalibPinError: If a part of the measurements cannot be registered.
             LinAlgError: If their errors have no derivative where the robot is.
         """
-        own, _ = job.changed(changes)
-        problem = make_problem(plain.chains, own.data, plain.setup)
-        trial = Trial.of(problem, job=job, changes=changes, fitted=own)
+        data, index = job.changed(changes)
+        problem = make_problem(job.plain.chains, data, job.plain.setup)
+        trial = Trial.of(problem, job=job, changes=changes, index=index)
         zeros = [k for k, change in enumerate(changes) if change.kind == "joint"]
         for _ in range(STEPS if zeros else 0):
-            score = trial.score(np.hstack([trial.step(changes[k]) for k in zeros]))
-            sized = [*trial.changes]
+            before, sized = trial.rms, [*trial.changes]
+            score = trial.score(np.hstack([trial.step(sized[k]) for k in zeros]))
             for k, more in zip(zeros, score.values.tolist(), strict=True):
                 sized[k] = sized[k]._replace(size=sized[k].size + more)
-            own, _ = job.changed(sized)
-            before, fit = trial.rms, refitted(trial, own.data)
+            fit = refitted(trial, job.changed(sized)[0])
             trial = replace(
-                trial,
-                theta=fit.theta,
-                problem=fit.problem,
-                changes=tuple(sized),
-                fitted=own,
+                trial, problem=fit.problem, theta=fit.theta, changes=tuple(sized)
             )
             still = (np.abs(score.values) < STILL * score.deviations).all()
             if still and trial.rms > SAME * before:
@@ -205,15 +202,13 @@ class Trial(QuickFit):
         return trial
 
     @staticmethod
-    def settled(
-        plain: Problem, job: Job, changes: tuple[Change, ...]
-    ) -> Iterator[Trial]:
+    def settled(job: Job, changes: tuple[Change, ...]) -> Iterator[Trial]:
         """The trial of changes at the rows where both sides of each fit best.
 
         None where a part of the measurements cannot be registered.
         """
         try:
-            trial = Trial.at(plain, job, changes)
+            trial = Trial.at(job, changes)
             for _ in range(STEPS):
                 moved = tuple(
                     change._replace(rank=trial.place(k, job))
@@ -221,71 +216,68 @@ class Trial(QuickFit):
                 )
                 if moved == trial.changes:
                     break
-                trial = Trial.at(plain, job, moved)
+                trial = Trial.at(job, moved)
             yield trial
         except (CalibPinError, np.linalg.LinAlgError):
             return
 
-    @property
-    def cost(self) -> float:
-        """Logarithm of its likelihood, by what its parameters are worth."""
-        count = len(self.problem.layout.row)
-        worth = -self.left * np.log(count)
-        return float(count * np.log(max(squares(self), 1e-300)) + worth)
+    @cached_property
+    def redundant(self) -> bool:
+        """Whether errors of the robot are fitted: steps stand out of fewer values."""
+        free = int(self.problem.parameters.free.sum())
+        return measured_count(self.problem) > free
 
     @property
-    def subjects(self) -> Iterator[Change]:
-        """What may have changed."""
-        data = self.problem.data
-        for kind in KINDS:
-            found: dict[str, list[Term]] = {}
-            for term in self.problem.terms.values():
-                found.setdefault(getattr(term.frames, kind), []).append(term)
-            for terms in found.values():
-                yield Change(kind, frozenset(term.key for term in terms))
-        if not any(block.start.size for block in data.blocks):
-            for joint in range(len(data.joints)):
-                yield Change("joint", frozenset(data.keys), joint=joint)
+    def cost(self) -> float:
+        """Minus twice its log-likelihood, with what its parameters are worth (BIC)."""
+        count = len(self.problem.layout.row)
+        fits = count * np.log(max(squares(self), 1e-300))
+        return float(fits - self.left * np.log(count))
 
     def columns(self, change: Change) -> Floats:
         """Whitened residual by what changes, if it does so everywhere, shape (M, k)."""
         if change.kind == "joint":
             return self.by_joints[:, [change.joint]]
-        term = next(self.problem.terms[key] for key in change.keys)
-        count = len(term.error.screws)
-        own = term.index[:FRAME]
-        if change.kind == "tool":
-            own = term.index[:count][-FRAME:]
-        own = own[self.problem.parameters.free[own]]
-        concerned = self.fitted.concerned(change)[self.problem.layout.row]
-        return np.asarray(self.linear[1][:, own] * concerned[:, None])
+        row, J = self.problem.layout.row, self.linear[1]
+        found = np.zeros((len(row), FRAME))
+        concerned = self.job.concerned(change)[self.index]
+        for term, rows in zip(
+            map(self.problem.terms.__getitem__, self.problem.data.keys),
+            self.problem.data.slices,
+            strict=True,
+        ):
+            own = term.index[:FRAME]
+            if change.kind == "tool":
+                own = term.index[: len(term.error.screws)][-FRAME:]
+            values = (row >= rows.start) & (row < rows.stop) & concerned[row]
+            found[values] = J[np.ix_(values, own)] * self.problem.parameters.free[own]
+        return found[:, found.any(axis=0)]
 
     def step(self, change: Change) -> Floats:
         """The same of what changes at its row."""
-        behind = self.fitted.rank >= change.rank
+        behind = self.job.rank[self.index] >= change.rank
         return self.columns(change) * behind[self.problem.layout.row, None]
 
     @property
     def candidates(self) -> list[tuple[float, float, Change]]:
         """The best row of each change, the likeliest first.
 
-        With the logarithm of its likelihood, by what its parameters are worth, and the
-        part of the sum of squares that it leaves to first order.
+        With its gain, as `cost` counts it, and the part of the sum of squares that it
+        leaves, both to first order.
         """
-        found, groups = [], self.problem.data.groups()
-        for subject in self.subjects:
+        found, rank, groups = [], self.job.rank[self.index], self.problem.data.groups()
+        for subject in self.job.subjects:
             columns = self.columns(subject)
-            rows = np.flatnonzero(self.fitted.concerned(subject))
-            rows = rows[np.argsort(self.fitted.rank[rows])]
+            rows = np.flatnonzero(self.job.concerned(subject)[self.index])
+            rows = rows[np.argsort(rank[rows])]
             allowed = divisible(groups[rows])
-            if not columns.shape[1] or not allowed.any():
+            if not columns.size or not allowed.any():
                 continue
             gain = np.where(allowed, self._gains(columns, rows), 0.0)
             best, count = int(np.argmax(gain)), len(columns)
             left = max(1.0 - gain[best], 1e-12)
             cost = count * np.log(left) + columns.shape[1] * np.log(count)
-            at = subject._replace(rank=int(self.fitted.rank[rows[best]]))
-            found.append((cost, left, at))
+            found.append((cost, left, subject._replace(rank=int(rank[rows[best]]))))
         return sorted(found, key=lambda candidate: candidate[0])
 
     def _gains(self, columns: Floats, rows: Indices) -> Floats:
@@ -324,50 +316,43 @@ class Trial(QuickFit):
             before: The trial without these changes.
         """
         new = self.changes[len(before.changes) :]
-        columns, left = before.columns(new[0]), squares(self)
+        columns, left, rank = before.columns(new[0]), squares(self), before.job.rank
         further = min((left for _, left, _ in self.candidates), default=1.0)
         if squares(before) - left < FURTHER * left * (1.0 - further):
             return False
-        rivals = smooth(before, columns, before.fitted.rank)
-        count, tried = len(new) * columns.shape[1], len(before.fitted.rank)
-        return surpasses(before, left, count, rivals, tried)
-
-    def concerned(self, k: int, job: Job) -> Indices:
-        """Those of some measurements that a change concerns, in their order."""
-        own, index = job.changed(self.changes[:k])
-        found = index[own.concerned(self.changes[k])]
-        return np.asarray(found[np.argsort(job.rank[found])])
+        rivals = smooth(before, columns, rank[before.index])
+        return surpasses(before, left, len(new) * columns.shape[1], rivals, len(rank))
 
     def place(self, k: int, job: Job) -> int:
         """The best rank of a change if nothing else does.
 
         Args:
             k: Position of the change.
-            job: Measurements without changes among which it is sought.
+            job: The job of measurements among which it is sought.
         """
-        change = self.changes[k]
-        others = [other.rank for other in self.changes if other.rank != change.rank]
-        first = max((at for at in others if at < change.rank), default=0)
-        last = min((at for at in others if at > change.rank), default=np.inf)
-        job = job.rows((job.rank >= first) & (job.rank < last))
-        squares = np.zeros((2, len(job.data)))
-        for side, at in enumerate((int(job.rank.max()) + 1, 0)):
-            moved = change._replace(rank=at)
-            own, index = job.changed((*self.changes[:k], moved, *self.changes[k + 1 :]))
-            if any(key not in self.problem.terms for key in own.data.keys):
+        change, others = self.changes[k], [*self.changes[:k], *self.changes[k + 1 :]]
+        ranks = [c.rank for c in others if c[:3] == change[:3]]
+        first = max((at for at in ranks if at <= change.rank), default=0)
+        last = min(
+            (at for at in ranks if at > change.rank), default=int(job.rank.max()) + 1
+        )
+        squares = np.zeros((2, len(job.rank)))
+        for side, at in enumerate((last, first)):
+            data, index = job.changed([*others, change._replace(rank=at)])
+            if any(key not in self.problem.terms for key in data.keys):
                 return change.rank
-            there = replace(self.problem, data=own.data)
+            there = replace(self.problem, data=data)
             row = there.layout.row
             r = there.residual(self.theta)[: len(row)]
             r = np.where(np.isfinite(r), r, 1e6)
             squares[side, index] = np.bincount(row, r**2, len(index))
-        mine = self.concerned(k, job)
+        within = (job.rank >= first) & (job.rank < last)
+        mine = np.flatnonzero(job.concerned(change) & within)
+        mine = mine[np.argsort(job.rank[mine])]
         # Those before a row have the old one, the others the new one.
         old, new = squares[:, mine]
         total = np.cumsum(old) - old + sums_behind(new)
-        allowed = divisible(job.data.groups()[mine])
-        if not allowed.any():
-            return change.rank
+        allowed = divisible(job.data.groups()[mine]) | (job.rank[mine] == change.rank)
         return int(job.rank[mine[np.argmin(np.where(allowed, total, np.inf))]])
 
 
@@ -381,30 +366,25 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
         case: The case; what its fit has set aside is looked at as well.
     """
     problem = case.fit.problem
-    # Trials fit the robot's errors only where measurements tell them.
-    fit = case.fit if case.fit.redundant else replace(case.fit, whole=False)
+    fit = case.fit
     if problem.parameters.free.sum() > UNKNOWNS or fit.rms < EXACT:
         return None
-    data = problem.data
-    job = Job(data.weighted(np.ones(len(data))), case.rank)
-    plain = replace(problem, data=job.data, units=np.zeros(0))
-    first = Trial(plain, case.fit.theta, job, (), job)
+    job = Job.of(problem, problem.data, case.rank)
+    seen = Trial(job.plain, case.fit.theta, job, (), np.arange(len(job.rank)))
     sizes = (
         q.errors(case.nominal_table) / expected_size(q.unit)
         for q in problem.layout.quantities
     )
     large = any(np.sqrt(np.mean(size**2)) > LARGE for size in sizes)
-    if not large and all(left > LOOKED_AT for _, left, _ in first.candidates):
+    if not large and all(left > LOOKED_AT for _, left, _ in seen.candidates):
         return None
-    trials = list(Trial.settled(plain, job, ()))
+    trials = list(Trial.settled(job, ()))
     while 0 < len(trials) <= MOST:
         last = trials[-1]
-        found = [(cost, change) for cost, _, change in last.candidates[:TRIED]]
-        worth = min([ALIKE * cost for cost, _ in found] + [LEAST])
-        tried = [change for cost, change in found if cost <= worth]
-        fitted = [
-            t for c in tried for t in Trial.settled(plain, job, (*last.changes, c))
-        ]
+        found = last.candidates[:TRIED]
+        worth = min([LEAST, *(ALIKE * gain for gain, _, _ in found)])
+        tried = [(*last.changes, c) for gain, _, c in found if gain <= worth]
+        fitted = [trial for changes in tried for trial in Trial.settled(job, changes)]
         best = min(fitted, key=lambda trial: trial.cost, default=last)
         if not best.cost < last.cost + LEAST:
             break
@@ -416,7 +396,10 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
     if len(trials) < 2:
         return None
     first, last = trials[0], trials[-1]
-    if _few_aside(case) and fit.rms <= SETTLED * last.rms:
+    data = problem.data
+    out = data.weight == 0.0
+    few = 0.0 < out.mean() <= ASIDE and not is_stretch(data, out)
+    if few and fit.rms <= SETTLED * last.rms:
         return None
     # Outliers look like small moves; of these the fit without outliers leaves no more.
     if (last.rms <= LEFT * first.rms and last.stands_out(first)) or (
@@ -443,7 +426,7 @@ def smooth(fit: QuickFit, columns: Floats, rank: Indices) -> Floats:
     row = fit.problem.layout.row
     time, q = (rank / max(int(rank.max()), 1))[row, None], fit.problem.data.q[row]
     found = [columns * time, columns * time**2]
-    if WAYS * q.shape[1] < FEW * fit.left:
+    if SHAPES * q.shape[1] < FEW * fit.left:
         shapes = (time, time**2, q, np.sin(q), np.cos(q))
         found += [fit.by_joints * shape for shape in shapes]
     return np.hstack(found)
@@ -471,17 +454,10 @@ def surpasses(
 
 
 def is_stretch(data: Observations, rows: NDArray[np.generic]) -> bool:
-    """Whether some measurements are one stretch of the files, and not of chance."""
+    """Whether some measurements are one stretch of the files, and not by chance."""
     places = np.argsort(data.in_order)[rows]
     enough = len(np.unique(data.groups()[rows])) >= CONFIGURATIONS
-    return enough and np.ptp(places) < len(places) / FULL
-
-
-def _few_aside(case: Case) -> bool:
-    """Whether what a fit has set aside is little, and no stretch of the files."""
-    data = case.fit.problem.data
-    out = data.weight == 0.0
-    return bool(out.any() and out.mean() <= ASIDE and not is_stretch(data, out))
+    return bool(enough and np.ptp(places) < len(places) / FULL)
 
 
 def sums_behind(values: Floats) -> Floats:

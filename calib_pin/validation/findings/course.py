@@ -86,15 +86,18 @@ def changed(case: Case) -> tuple[Finding, ...]:
 
 def _steps(case: Case, first: Trial, last: Trial) -> Iterator[Finding]:
     """What changed at a row, with its size, its line and the lines that undo it."""
-    data, every, found = case.data, Job.of(case.data), []
+    data, found = case.data, list[Finding]()
+    every = Job.of(last.job.plain, data, np.argsort(data.in_order))
     places: dict[str, list[str]] = {key: [] for key in KEYS.values()}
     errors = {"rms_before": first.errors, "rms_after": last.errors}
     for k in sorted(range(len(last.changes)), key=lambda k: last.changes[k].rank):
         kind, at = last.changes[k].kind, last.changes[k].rank
         if len(every.rank) > len(last.job.rank):
             step = len(every.rank) // len(last.job.rank)
-            at = last.place(k, every.rows(np.abs(every.rank - at) < AROUND + step))
-        own = last.concerned(k, every)
+            near = np.abs(every.rank - at) < AROUND + step
+            at = last.place(k, Job.of(every.plain, data.rows(near), every.rank[near]))
+        own = np.flatnonzero(every.concerned(last.changes[k]))
+        own = own[np.argsort(every.rank[own])]
         rows = own[np.searchsorted(every.rank[own], at) + np.array([-1, 0])]
         if kind in KEYS:
             places[KEYS[kind]].append(place_of(data, rows[1]))
@@ -157,11 +160,13 @@ def _frame(
         block: A block of the measurements behind it, by its own names.
     """
     change, (settled, _) = trial.changes[k], trial.problem.rebased(trial.theta)
-    ranks = trial.job.rank[trial.concerned(k, trial.job)]
-    behind, fitted = int(np.searchsorted(ranks, change.rank)), trial.fitted
+    data, rank = trial.problem.data, trial.job.rank[trial.index]
+    own = np.flatnonzero(trial.job.concerned(change)[trial.index])
+    own = own[np.argsort(rank[own])]
+    behind = int(np.searchsorted(rank[own], change.rank))
     one, other = (
-        settled.terms[fitted.data.keys[fitted.data.block_of[fitted.rank == at][0]]]
-        for at in (ranks[behind - 1], ranks[behind])
+        settled.terms[data.keys[data.block_of[row]]]
+        for row in own[[behind - 1, behind]]
     )
     A, B = one.error.tool, other.error.tool
     if change.kind == "station":

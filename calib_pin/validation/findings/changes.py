@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,14 @@ from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import with_positions
-from calib_pin.observations import BlockKey, Booleans, Indices, Labels, Observations
-from calib_pin.observations import apart as named_apart
-from calib_pin.parameterizations.base import expected_size
+from calib_pin.observations import (
+    BlockKey,
+    Booleans,
+    Indices,
+    Labels,
+    Observations,
+    apart,
+)
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.joint_motions import refitted
 from calib_pin.validation.findings.quick_fit import QuickFit
@@ -47,10 +52,9 @@ CLEARER, FURTHER = 0.95, 4.0
 """Part of the errors that its rivals leave that an alternative leaves at most, and how
 many times the squares of a further change it explains."""
 
-LOOKED_AT, LARGE = 0.76, 20.0
-"""Part of the squares that a change leaves at most, to first order, for a closer look
-(without a plateau it is as much and more), and errors of the nominal robot, in expected
-sizes, of which first order says little."""
+LOOKED_AT = 0.76
+"""Part of the squares that a change leaves at most, to first order, for a closer look:
+without a plateau it is as much and more."""
 
 LEFT, LAST, SETTLED = 1.0 / 3.0, 0.5, 1.5
 """Parts of the errors that all changes leave at most (a drift of the instrument leaves
@@ -98,67 +102,53 @@ class Change(NamedTuple):
     size: float = 0.0
 
 
-@dataclass(frozen=True)
-class Job:
-    """Measurements in the order of their files, without changes.
+def subjects(problem: Problem) -> Iterator[Change]:
+    """What may change in a problem."""
+    data = problem.data
+    for kind in FRAMES:
+        found: dict[str, list[BlockKey]] = {}
+        for key, term in problem.terms.items():
+            found.setdefault(getattr(term.frames, kind), []).append(key)
+        for keys in found.values():
+            yield Change(kind, frozenset(keys))
+    if not any(block.start.size for block in data.blocks):
+        for joint in range(len(data.joints)):
+            yield Change("joint", frozenset(data.keys), joint)
 
-    Attributes:
-        plain: The problem of these, none of them set aside.
-        rank: Place of each in that order among all of the job, shape (N,).
+
+def concerned(data: Observations, change: Change) -> Booleans:
+    """Mask of the measurements that have what changes, shape (N,)."""
+    has = np.array([key in change.keys for key in data.keys])
+    return np.asarray(has[data.block_of])
+
+
+def changed(
+    data: Observations, rank: Indices, changes: Sequence[Change]
+) -> tuple[Observations, Indices]:
+    """Measurements with names of their own for frames, and joints where they stood.
+
+    Args:
+        data: The measurements.
+        rank: Place of each in the order of the files, shape (N,).
+        changes: What has changed.
+
+    Returns:
+        The measurements in their new blocks, and the position of each of these among
+        what they were.
     """
-
-    plain: Problem
-    rank: Indices
-
-    @staticmethod
-    def of(plain: Problem, data: Observations, rank: Indices) -> Job:
-        """The job of some measurements."""
-        data = data.weighted(np.ones(len(data)))
-        return Job(replace(plain, data=data, units=np.zeros(0)), rank)
-
-    @property
-    def data(self) -> Observations:
-        """The measurements."""
-        return self.plain.data
-
-    @property
-    def subjects(self) -> Iterator[Change]:
-        """What may change."""
-        for kind in FRAMES:
-            found: dict[str, list[BlockKey]] = {}
-            for key, term in self.plain.terms.items():
-                found.setdefault(getattr(term.frames, kind), []).append(key)
-            for keys in found.values():
-                yield Change(kind, frozenset(keys))
-        if not any(block.start.size for block in self.data.blocks):
-            for joint in range(len(self.data.joints)):
-                yield Change("joint", frozenset(self.data.keys), joint)
-
-    def concerned(self, change: Change) -> Booleans:
-        """Mask of the measurements that have what changes, shape (N,)."""
-        has = np.array([key in change.keys for key in self.data.keys])
-        return np.asarray(has[self.data.block_of])
-
-    def changed(self, changes: Sequence[Change]) -> tuple[Observations, Indices]:
-        """The same with names of their own for frames, and joints where they stood.
-
-        Returns:
-            The measurements in their new blocks, and the position of each of these
-            among what they were.
-        """
-        q, behind = self.data.q.copy(), np.zeros((len(FRAMES), len(self.rank)), int)
-        for change in changes:
-            own = self.concerned(change) & (self.rank >= change.rank)
-            if change.kind == "joint":
-                q[own, change.joint] += change.size
-            else:
-                behind[FRAMES.index(change.kind)] += own
-        data, index = with_positions(self.data, q), np.arange(len(q))
-        names = ("", *(f"~{k + 1}" for k in range(len(changes))))
-        for kind, count in zip(FRAMES, behind, strict=True):
-            data, rows = named_apart(data, kind, Labels(names, count[index]))
-            index = index[rows]
-        return data, index
+    q, behind = data.q.copy(), np.zeros((len(FRAMES), len(rank)), int)
+    for change in changes:
+        own = concerned(data, change) & (rank >= change.rank)
+        if change.kind == "joint":
+            q[own, change.joint] += change.size
+        else:
+            behind[FRAMES.index(change.kind)] += own
+    data, index = with_positions(data, q), np.arange(len(q))
+    names = ("", *(f"~{k + 1}" for k in range(len(changes))))
+    for kind, count in zip(FRAMES, behind, strict=True):
+        data, rows = apart(data, kind, Labels(names, count[index]))
+        index = index[rows]
+    return data, index
 
 
 @dataclass(frozen=True)
@@ -166,57 +156,66 @@ class Trial(QuickFit):
     """Measurements with their changes, fitted.
 
     Attributes:
-        job: The measurements.
+        plain: The problem of these without changes.
+        rank: Place of each in the order of the files, shape (N,).
         changes: The changes, in the order in which they were found.
-        index: Position of each measurement in its new block among those of the job.
+        index: Position of each measurement in its new block among those, shape (N,).
     """
 
-    job: Job
+    plain: Problem
+    rank: Indices
     changes: tuple[Change, ...]
     index: Indices
 
     @staticmethod
-    def at(job: Job, changes: tuple[Change, ...]) -> Trial:
+    def at(plain: Problem, rank: Indices, changes: tuple[Change, ...]) -> Trial:
         """A fit with changes at these rows.
 
         Raises:
             CalibPinError: If a part of the measurements cannot be registered.
             LinAlgError: If their errors have no derivative where the robot is.
         """
-        data, index = job.changed(changes)
-        problem = make_problem(job.plain.chains, data, job.plain.setup)
-        trial = Trial.of(problem, job=job, changes=changes, index=index)
+        data, index = changed(plain.data, rank, changes)
+        problem = make_problem(plain.chains, data, plain.setup)
+        known: dict[str, Any] = {
+            "plain": plain,
+            "rank": rank,
+            "changes": changes,
+            "index": index,
+        }
+        trial = Trial.of(problem, **known)
         zeros = [k for k, change in enumerate(changes) if change.kind == "joint"]
         for _ in range(STEPS if zeros else 0):
             before, sized = trial.rms, [*trial.changes]
             score = trial.score(np.hstack([trial.step(sized[k]) for k in zeros]))
             for k, more in zip(zeros, score.values.tolist(), strict=True):
                 sized[k] = sized[k]._replace(size=sized[k].size + more)
-            fit = refitted(trial, job.changed(sized)[0])
-            trial = replace(
-                trial, problem=fit.problem, theta=fit.theta, changes=tuple(sized)
-            )
+            fit = refitted(trial, changed(plain.data, rank, sized)[0])
+            known["changes"] = tuple(sized)
+            trial = Trial(fit.problem, fit.theta, **known)
             still = (np.abs(score.values) < STILL * score.deviations).all()
             if still and trial.rms > SAME * before:
                 break
         return trial
 
-    @staticmethod
-    def settled(job: Job, changes: tuple[Change, ...]) -> Iterator[Trial]:
+    def settled(self, changes: tuple[Change, ...]) -> Iterator[Trial]:
         """The trial of changes at the rows where both sides of each fit best.
 
         None where a part of the measurements cannot be registered.
         """
         try:
-            trial = Trial.at(job, changes)
             for _ in range(STEPS):
-                moved = tuple(
-                    change._replace(rank=trial.place(k, job))
-                    for k, change in enumerate(trial.changes)
+                trial = Trial.at(self.plain, self.rank, changes)
+                ranks = [
+                    trial.place(k, self.plain.data, self.rank)
+                    for k in range(len(changes))
+                ]
+                changes = tuple(
+                    change._replace(rank=at)
+                    for change, at in zip(trial.changes, ranks, strict=True)
                 )
-                if moved == trial.changes:
+                if changes == trial.changes:
                     break
-                trial = Trial.at(job, moved)
             yield trial
         except (CalibPinError, np.linalg.LinAlgError):
             return
@@ -238,24 +237,19 @@ class Trial(QuickFit):
         """Whitened residual by what changes, if it does so everywhere, shape (M, k)."""
         if change.kind == "joint":
             return self.by_joints[:, [change.joint]]
-        row, J = self.problem.layout.row, self.linear[1]
-        found = np.zeros((len(row), FRAME))
-        concerned = self.job.concerned(change)[self.index]
-        for term, rows in zip(
-            map(self.problem.terms.__getitem__, self.problem.data.keys),
-            self.problem.data.slices,
-            strict=True,
-        ):
-            own = term.index[:FRAME]
-            if change.kind == "tool":
-                own = term.index[: len(term.error.screws)][-FRAME:]
-            values = (row >= rows.start) & (row < rows.stop) & concerned[row]
-            found[values] = J[np.ix_(values, own)] * self.problem.parameters.free[own]
+        data, row, own = self.problem.data, self.problem.layout.row, []
+        for term in map(self.problem.terms.__getitem__, data.keys):
+            screws = slice(len(term.error.screws) - FRAME, len(term.error.screws))
+            own.append(term.index[slice(FRAME) if change.kind == "station" else screws])
+        columns = np.array(own)[data.block_of[row]]
+        seen = self.problem.parameters.free[columns]
+        seen &= concerned(self.plain.data, change)[self.index][row, None]
+        found = np.take_along_axis(self.linear[1], columns, axis=1) * seen
         return found[:, found.any(axis=0)]
 
     def step(self, change: Change) -> Floats:
         """The same of what changes at its row."""
-        behind = self.job.rank[self.index] >= change.rank
+        behind = self.rank[self.index] >= change.rank
         return self.columns(change) * behind[self.problem.layout.row, None]
 
     @property
@@ -265,10 +259,10 @@ class Trial(QuickFit):
         With its gain, as `cost` counts it, and the part of the sum of squares that it
         leaves, both to first order.
         """
-        found, rank, groups = [], self.job.rank[self.index], self.problem.data.groups()
-        for subject in self.job.subjects:
+        found, rank, groups = [], self.rank[self.index], self.problem.data.groups()
+        for subject in subjects(self.plain):
             columns = self.columns(subject)
-            rows = np.flatnonzero(self.job.concerned(subject)[self.index])
+            rows = np.flatnonzero(concerned(self.plain.data, subject)[self.index])
             rows = rows[np.argsort(rank[rows])]
             allowed = divisible(groups[rows])
             if not columns.size or not allowed.any():
@@ -316,44 +310,43 @@ class Trial(QuickFit):
             before: The trial without these changes.
         """
         new = self.changes[len(before.changes) :]
-        columns, left, rank = before.columns(new[0]), squares(self), before.job.rank
+        columns, left = before.columns(new[0]), squares(self)
         further = min((left for _, left, _ in self.candidates), default=1.0)
         if squares(before) - left < FURTHER * left * (1.0 - further):
             return False
-        rivals = smooth(before, columns, rank[before.index])
-        return surpasses(before, left, len(new) * columns.shape[1], rivals, len(rank))
+        rivals = smooth(before, columns, self.rank[before.index])
+        count = len(new) * columns.shape[1]
+        return surpasses(before, left, count, rivals, len(self.rank))
 
-    def place(self, k: int, job: Job) -> int:
+    def place(self, k: int, data: Observations, rank: Indices) -> int:
         """The best rank of a change if nothing else does.
 
         Args:
             k: Position of the change.
-            job: The job of measurements among which it is sought.
+            data: The measurements among which it is sought.
+            rank: Place of each in the order of the files, shape (N,).
         """
         change, others = self.changes[k], [*self.changes[:k], *self.changes[k + 1 :]]
         ranks = [c.rank for c in others if c[:3] == change[:3]]
         first = max((at for at in ranks if at <= change.rank), default=0)
-        last = min(
-            (at for at in ranks if at > change.rank), default=int(job.rank.max()) + 1
-        )
-        squares = np.zeros((2, len(job.rank)))
+        last = min((at for at in ranks if at > change.rank), default=rank.max() + 1)
+        squares = np.zeros((2, len(rank)))
         for side, at in enumerate((last, first)):
-            data, index = job.changed([*others, change._replace(rank=at)])
-            if any(key not in self.problem.terms for key in data.keys):
+            there, index = changed(data, rank, [*others, change._replace(rank=at)])
+            if any(key not in self.problem.terms for key in there.keys):
                 return change.rank
-            there = replace(self.problem, data=data)
-            row = there.layout.row
-            r = there.residual(self.theta)[: len(row)]
+            problem = replace(self.problem, data=there)
+            row = problem.layout.row
+            r = problem.residual(self.theta)[: len(row)]
             r = np.where(np.isfinite(r), r, 1e6)
             squares[side, index] = np.bincount(row, r**2, len(index))
-        within = (job.rank >= first) & (job.rank < last)
-        mine = np.flatnonzero(job.concerned(change) & within)
-        mine = mine[np.argsort(job.rank[mine])]
+        within = concerned(data, change) & (rank >= first) & (rank < last)
+        mine = np.flatnonzero(within)[np.argsort(rank[within])]
         # Those before a row have the old one, the others the new one.
         old, new = squares[:, mine]
         total = np.cumsum(old) - old + sums_behind(new)
-        allowed = divisible(job.data.groups()[mine]) | (job.rank[mine] == change.rank)
-        return int(job.rank[mine[np.argmin(np.where(allowed, total, np.inf))]])
+        allowed = divisible(data.groups()[mine]) | (rank[mine] == change.rank)
+        return int(rank[mine[np.argmin(np.where(allowed, total, np.inf))]])
 
 
 @serial_blas
@@ -365,26 +358,21 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
     Args:
         case: The case; what its fit has set aside is looked at as well.
     """
-    problem = case.fit.problem
-    fit = case.fit
+    fit, problem = case.fit, case.fit.problem
     if problem.parameters.free.sum() > UNKNOWNS or fit.rms < EXACT:
         return None
-    job = Job.of(problem, problem.data, case.rank)
-    seen = Trial(job.plain, case.fit.theta, job, (), np.arange(len(job.rank)))
-    sizes = (
-        q.errors(case.nominal_table) / expected_size(q.unit)
-        for q in problem.layout.quantities
-    )
-    large = any(np.sqrt(np.mean(size**2)) > LARGE for size in sizes)
-    if not large and all(left > LOOKED_AT for _, left, _ in seen.candidates):
+    data, rank = problem.data.weighted(np.ones(len(case.rank))), case.rank
+    plain = replace(problem, data=data, units=np.zeros(0))
+    seen = Trial(plain, fit.theta, plain, rank, (), np.arange(len(rank)))
+    if all(left > LOOKED_AT for _, left, _ in seen.candidates):
         return None
-    trials = list(Trial.settled(job, ()))
+    trials = list(seen.settled(()))
     while 0 < len(trials) <= MOST:
         last = trials[-1]
         found = last.candidates[:TRIED]
         worth = min([LEAST, *(ALIKE * gain for gain, _, _ in found)])
         tried = [(*last.changes, c) for gain, _, c in found if gain <= worth]
-        fitted = [trial for changes in tried for trial in Trial.settled(job, changes)]
+        fitted = [trial for changes in tried for trial in seen.settled(changes)]
         best = min(fitted, key=lambda trial: trial.cost, default=last)
         if not best.cost < last.cost + LEAST:
             break
@@ -396,8 +384,7 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
     if len(trials) < 2:
         return None
     first, last = trials[0], trials[-1]
-    data = problem.data
-    out = data.weight == 0.0
+    out = problem.data.weight == 0.0
     few = 0.0 < out.mean() <= ASIDE and not is_stretch(data, out)
     if few and fit.rms <= SETTLED * last.rms:
         return None
@@ -477,6 +464,6 @@ def divisible(labels: Indices) -> Booleans:
         new[np.unique(order, return_index=True)[1]] = 1
         return np.cumsum(new)
 
-    before, after = different(labels), different(labels[::-1])
-    enough = np.append(0, before[:-1]) >= CONFIGURATIONS
-    return np.asarray(enough & (after[::-1] >= CONFIGURATIONS))
+    before = np.append(0, different(labels)[:-1])
+    behind = different(labels[::-1])[::-1]
+    return np.asarray(np.minimum(before, behind) >= CONFIGURATIONS)

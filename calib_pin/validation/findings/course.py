@@ -2,14 +2,13 @@
 
 A change at a row is a step of its columns, a drift is a ramp of the same ones. A ramp
 must explain more than other curves of about the same smoothness do, cosines of two half
-waves and more over the files, a step more than bent ramps.
+waves and more over the files; a step more than bent ramps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -20,43 +19,45 @@ from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.readings import place_of
-from calib_pin.observations import Measurements
+from calib_pin.observations import Booleans, Indices
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.setup import AXES, ReadingSetup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.changes import (
-    Job,
     Kind,
     Trial,
     changes_of,
+    concerned,
     squares,
     surpasses,
 )
-from calib_pin.validation.findings.quick_fit import QuickFit, Score
+from calib_pin.validation.findings.quick_fit import Score
 from calib_pin.validation.findings.setup_lines import lines_of, written
 
-CODES: dict[Kind, str] = {
-    "station": "instrument-moved",
-    "tool": "tool-remounted",
-    "joint": "joint-rehomed",
+KINDS: dict[Kind, tuple[str, str, str]] = {
+    "station": (
+        "instrument-moved",
+        "the instrument{} moved",
+        "give the two parts different stations (a column 'station', or "
+        "--station-per-file)",
+    ),
+    "tool": (
+        "tool-remounted",
+        "the tool{} was re-mounted",
+        "give the two parts different tools (a column 'tool')",
+    ),
+    "joint": (
+        "joint-rehomed",
+        "the zero of joint{} changed",
+        "measure anew, or calibrate what was measured before and behind apart",
+    ),
 }
-KEYS: dict[Kind, str] = {"station": "moved", "tool": "remounted"}
-"""Codes of changes, and keys of `reading` that undo them."""
-
-REMEDIES: dict[Kind, str] = {
-    "station": "give the two parts different stations (a column 'station', or "
-    "--station-per-file)",
-    "tool": "give the two parts different tools (a column 'tool')",
-    "joint": "measure anew, or calibrate what was measured before and behind apart",
-}
+"""Code, words and remedy of a change, by what changes."""
 
 TRANSFORM = ("x", "y", "z", "rx", "ry", "rz")
 """A new frame in the old one: position and rotation vector."""
-
-AROUND = 50
-"""Measurements on each side of a change among which its line is found."""
 
 LEFT, SURE, LARGE = 0.85, 0.6, 0.3
 """Part of the errors that a drift leaves at most: what bends in real robots leaves 0.88
@@ -66,80 +67,78 @@ it causes, in expected sizes, from which it takes the trust."""
 WAVES = range(2, 10)
 """Half waves of the curves that it is compared with."""
 
-NORMAL = 1.96
-"""Half of the 95 % interval, in standard deviations."""
-
-STRETCH = 0.1
-"""Part of all measurements from which outliers in one stretch are something else."""
-
 PARTS = (
     "measure the job in parts, each with an entry of its own in a column 'station', or "
     "when everything is warm"
 )
 
+Numbers = dict[str, float | str]
 
-def changed(case: Case) -> tuple[Finding, ...]:
+
+def changed(case: Case) -> Iterator[Finding]:
     """Frames and joint zeros that changed at a row, in their order."""
     found = changes_of(case)
-    return () if found is None else tuple(_steps(case, *found))
-
-
-def _steps(case: Case, first: Trial, last: Trial) -> Iterator[Finding]:
-    """What changed at a row, with its size, its line and the lines that undo it."""
-    data, found = case.data, list[Finding]()
-    every = Job.of(last.job.plain, data, np.argsort(data.in_order))
-    places: dict[str, list[str]] = {key: [] for key in KEYS.values()}
-    errors = {"rms_before": first.errors, "rms_after": last.errors}
+    if found is None:
+        return
+    data, (first, last) = case.data.weighted(np.ones(len(case.data))), found
+    rank, told = np.argsort(data.in_order), []
+    places: dict[Kind, list[str]] = {kind: [] for kind in KINDS}
     for k in sorted(range(len(last.changes)), key=lambda k: last.changes[k].rank):
-        kind, at = last.changes[k].kind, last.changes[k].rank
-        if len(every.rank) > len(last.job.rank):
-            step = len(every.rank) // len(last.job.rank)
-            near = np.abs(every.rank - at) < AROUND + step
-            at = last.place(k, Job.of(every.plain, data.rows(near), every.rank[near]))
-        own = np.flatnonzero(every.concerned(last.changes[k]))
-        own = own[np.argsort(every.rank[own])]
-        rows = own[np.searchsorted(every.rank[own], at) + np.array([-1, 0])]
-        if kind in KEYS:
-            places[KEYS[kind]].append(place_of(data, rows[1]))
-        row = rows[1 if kind == "joint" else 0]
-        file, line = data.files[row], int(data.lines[row]) or int(every.rank[row]) + 1
-        where = f"{'line' if file else 'measurement'} {line}"
-        where += f" of {file}" if len(data.files.distinct) > 1 else ""
-        where = f"at {where}" if kind == "joint" else f"after {where}"
-        if kind != "joint" and data.files[rows[1]] != file:
-            where = f"between {file} and {data.files[rows[1]]}"
-        block = data.blocks[data.block_of[row]]
-        told, sized, numbers = (
-            _joint(case, last, k) if kind == "joint" else _frame(last, k, block)
-        )
-        found.append(
-            Finding(
-                CODES[kind],
-                "error",
-                f"{told} {where}{sized}",
-                {"file": file, "line": line, **numbers, **errors},
-                REMEDIES[kind],
-                figure="residuals-over-order",
-            )
-        )
-    lines = lines_of(
-        ReadingSetup(moved=tuple(places["moved"]), remounted=tuple(places["remounted"]))
-    )
-    for finding in found:
-        if lines:
-            undone = f"or state in the setup file: {written({'reading': lines})}"
-            setup, remedy = {"reading": lines}, f"{finding.remedy}, {undone}"
-            finding = replace(finding, remedy=remedy, setup=setup)
-        yield finding
+        change = last.changes[k]
+        at = last.place(k, data, rank)  # It may be one that was not looked at.
+        row, behind = _sides(concerned(data, change), rank, at)
+        file, line = data.files[row], int(data.lines[row]) or int(rank[row]) + 1
+        where = f"after {'line' if file else 'measurement'} {place_of(data, row)}"
+        places[change.kind].append(place_of(data, behind))
+        if change.kind == "joint":
+            name = data.joints[change.joint]
+            size = _shown(case, name, "{:.2g}", abs(change.size))
+            numbers: Numbers = {"joint": name, "offset": change.size}
+        else:
+            name = getattr(data.blocks[data.block_of[row]], change.kind)
+            size, numbers = _frame(last, k)
+        numbers |= {"file": file, "line": line}
+        numbers |= {"rms_before": first.errors, "rms_after": last.errors}
+        owner = " at station" if change.kind == "station" else ""
+        said = KINDS[change.kind][1].format(f"{owner} '{name}'" if name else "")
+        told.append((change.kind, f"{said} {where} ({size})", numbers))
+    moved, remounted = tuple(places["station"]), tuple(places["tool"])
+    reading = lines_of(ReadingSetup(moved=moved, remounted=remounted))
+    setup = {"reading": reading} if reading else {}
+    undone = f", or state in the setup file: {written(setup)}" if setup else ""
+    for kind, said, numbers in told:
+        code, _, remedy = KINDS[kind]
+        figure, remedy = "residuals-over-order", remedy + undone
+        yield Finding(code, "error", said, numbers, remedy, setup, figure)
 
 
-def _joint(case: Case, trial: Trial, k: int) -> tuple[str, str, dict[str, float | str]]:
-    """Words and numbers of a joint that stands elsewhere."""
-    change = trial.changes[k]
-    name = case.data.joints[change.joint]
-    shown = _shown(case, name, "{:.2g}", abs(change.size))
-    numbers: dict[str, float | str] = {"joint": name, "offset": change.size}
-    return f"the zero of joint '{name}' changed by {shown}", "", numbers
+def _sides(mine: Booleans, rank: Indices, at: int) -> Indices:
+    """The last of some measurements before a rank, and the first one from it on."""
+    own = np.flatnonzero(mine)[np.argsort(rank[mine])]
+    return own[np.searchsorted(rank[own], at) + np.array([-1, 0])]
+
+
+def _frame(trial: Trial, k: int) -> tuple[str, Numbers]:
+    """How far the frame of a change stands from where it stood."""
+    change, (settled, _) = trial.changes[k], trial.problem.rebased(trial.theta)
+    data, mine = trial.problem.data, concerned(trial.plain.data, change)[trial.index]
+    rows = _sides(mine, trial.rank[trial.index], change.rank)
+    one, other = (settled.terms[data.keys[k]] for k in data.block_of[rows])
+    A, B = one.error.tool, other.error.tool
+    if change.kind == "station":
+        # Where the instrument stands, in the base link.
+        A, B = one.error.base.inverse(), other.error.base.inverse()
+    apart = A.inverse() * B
+    distance = float(np.linalg.norm(apart.translation))
+    size = f"{distance:.3g} m" if distance >= 0.1 else f"{1e3 * distance:.3g} mm"
+    numbers: Numbers = {"distance": distance}
+    vector = apart.translation.tolist()
+    # Of a single point nobody knows how it is turned.
+    if change.kind == "station" or len(one.measurement.quantities) > 1:
+        vector += pin.log3(apart.rotation).tolist()
+        numbers["angle"] = angle = float(np.linalg.norm(vector[3:]))
+        size += f", {np.degrees(angle):.3g} deg"
+    return size, numbers | dict(zip(TRANSFORM, vector, strict=False))
 
 
 def _shown(case: Case, joint: str, form: str, *sizes: float) -> str:
@@ -149,167 +148,101 @@ def _shown(case: Case, joint: str, form: str, *sizes: float) -> str:
     return f"{form.format(*(factor * size for size in sizes))} {unit}"
 
 
-def _frame(
-    trial: Trial, k: int, block: Measurements
-) -> tuple[str, str, dict[str, float | str]]:
-    """Words and numbers of a frame that stands elsewhere.
-
-    Args:
-        trial: The measurements with their changes.
-        k: Position of the change.
-        block: A block of the measurements behind it, by its own names.
-    """
-    change, (settled, _) = trial.changes[k], trial.problem.rebased(trial.theta)
-    data, rank = trial.problem.data, trial.job.rank[trial.index]
-    own = np.flatnonzero(trial.job.concerned(change)[trial.index])
-    own = own[np.argsort(rank[own])]
-    behind = int(np.searchsorted(rank[own], change.rank))
-    one, other = (
-        settled.terms[data.keys[data.block_of[row]]]
-        for row in own[[behind - 1, behind]]
-    )
-    A, B = one.error.tool, other.error.tool
-    if change.kind == "station":
-        # Where the instrument stands, in the base link.
-        A, B = one.error.base.inverse(), other.error.base.inverse()
-    apart = A.inverse() * B
-    distance = float(np.linalg.norm(apart.translation))
-    size = f"{distance:.3g} m" if distance >= 0.1 else f"{1e3 * distance:.3g} mm"
-    evidence: dict[str, float | str] = {"distance": distance}
-    vector = apart.translation.tolist()
-    # Of a single point nobody knows how it is turned.
-    if change.kind == "station" or len(one.measurement.quantities) > 1:
-        turn = pin.log3(apart.rotation)
-        evidence["angle"] = angle = float(np.linalg.norm(turn))
-        size, vector = f"{size}, {np.degrees(angle):.3g} deg", [*vector, *turn.tolist()]
-    evidence |= dict(zip(TRANSFORM, vector, strict=False))
-    name = getattr(block, change.kind)
-    if change.kind == "station":
-        named = f" of the station '{name}'" if name else ""
-        return f"the instrument{named} moved", f" ({size})", evidence
-    named = f" '{name}'" if name else ""
-    return f"the tool{named} was re-mounted", f" ({size})", evidence
-
-
 def drift(case: Case) -> Iterator[Finding]:
     """A drift of the instrument or of the joints, whichever explains more."""
     fit, found = case.fit, []
     if not (case.informed and fit.rms > EXACT):
         return
     time = (case.rank / max(int(case.rank.max()), 1))[fit.problem.layout.row, None]
-    for told, columns in _drifts(case, time):
-        ramp = columns * time
-        score = fit.score(ramp)
-        waves = [columns * np.cos(np.pi * k * time) for k in WAVES]
-        count = ramp.shape[1]
-        left = squares(fit) * score.left
-        if surpasses(fit, left, count, np.hstack(waves), 1):
-            after = _errors_without(fit, ramp)
+    for told, columns, names in _drifts(case):
+        score, count = fit.score(columns * time), columns.shape[1]
+        waves = np.hstack([columns * np.cos(np.pi * k * time) for k in WAVES])
+        if surpasses(fit, squares(fit) * score.left, count, waves, 1):
             cost = fit.left * np.log(score.left) + count * np.log(fit.left)
-            found.append((cost, told, score, after))
+            found.append((cost, told, score, columns * time, names))
     if not found:
         return
-    _, told, score, after = min(found, key=lambda one: one[0])
-    if after > LEFT * fit.errors:
+    _, told, score, ramp, names = min(found, key=lambda one: one[0])
+    first = np.flatnonzero(fit.problem.layout.component == 0)
+    left, now = (f.unexplained[1][first] for f in (fit.explaining(ramp), fit))
+    before = fit.errors
+    after = before * float(np.linalg.norm(left) / np.linalg.norm(now))
+    if after > LEFT * before:
         return
     unit = fit.problem.layout.quantities[0].unit
-    caused = np.sqrt(max(fit.errors**2 - after**2, 0.0))
-    large = caused > LARGE * expected_size(unit) and after < SURE * fit.errors
-    finding = told(case, score)
+    caused = np.sqrt(max(before**2 - after**2, 0.0))
+    large = caused > LARGE * expected_size(unit) and after < SURE * before
+    finding = told(case, score, names)
     yield replace(
         finding,
         severity="error" if large else "warning",
         message=f"{finding.message} from the first measurement to the last: without it "
-        f"{100 * after / fit.errors:.0f} % of the errors are left",
-        evidence={**finding.evidence, "rms_before": fit.errors, "rms_after": after},
+        f"{100 * after / before:.0f} % of the errors are left",
+        evidence={**finding.evidence, "rms_before": before, "rms_after": after},
         figure="residuals-over-order",
     )
 
 
-Told = Callable[[Case, Score], Finding]
+Told = Callable[[Case, Score, Sequence[str]], Finding]
 
 
-def _drifts(case: Case, time: Floats) -> Iterator[tuple[Told, Floats]]:
-    """The kinds of drift: its finding, and the columns of its displacement."""
-    fit, problem = case.fit, case.fit.problem
+def _drifts(case: Case) -> Iterator[tuple[Told, Floats, Sequence[str]]]:
+    """The kinds of drift: what tells them, their columns and the names of these."""
+    fit, problem, joints = case.fit, case.fit.problem, case.data.joints
     terms = [*problem.terms.values()]
     own = terms[0].index[:FRAME]
-    columns = {tuple(declared(model).columns)[:3] for model in case.data.models}
+    values = {tuple(declared(model).columns)[:3] for model in case.data.models}
     if len({term.frames.station for term in terms}) == 1:
-        J = fit.linear[1][:, own]
+        J, scales = fit.linear[1][:, own], problem.parameters.scales[own]
         if problem.parameters.free[own].all():
-            if columns == {AXES}:
-                moved = J[:, :3] / problem.parameters.scales[own[:3]]
-                yield _of_values, moved @ terms[0].error.base.rotation.T
-            yield _of_instrument, J
-        elif columns == {("distance",)}:
-            yield _of_values, 1.0 / problem.sigma[:, None]
-    if len(case.data.joints) > 1:
-        # Of few measurements one joint may stand out, but not six.
-        X, (_, r) = fit.beyond(fit.by_joints * time), fit.unexplained
-        along = np.abs(r @ X) / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-        joint = int(np.argmax(along))
-        yield partial(_of_joints, first=joint), fit.by_joints[:, [joint]]
-    yield _of_joints, fit.by_joints
+            if values == {AXES}:
+                rotation = terms[0].error.base.rotation
+                yield _of_instrument, J[:, :3] / scales[:3] @ rotation.T, AXES
+            yield _of_instrument, J, TRANSFORM
+        elif values == {("distance",)}:
+            yield _of_instrument, 1.0 / problem.sigma[:, None], ("distance",)
+    # Of few measurements one joint may stand out, but not six.
+    for k in range(len(joints)):
+        yield _of_joints, fit.by_joints[:, [k]], joints[k : k + 1]
+    yield _of_joints, fit.by_joints, joints
 
 
-def _of_values(case: Case, score: Score) -> Finding:
-    """A displacement of what is measured, which can be taken out."""
+def _of_instrument(case: Case, score: Score, names: Sequence[str]) -> Finding:
+    """A displacement of what is measured can be taken out, one that also turns not."""
+    parameters, kind, remedy = case.setup.parameters, InstrumentDrift.name, PARTS
+    if kind not in parameters:
+        lines = written({"parameters": [*parameters, kind]})
+        remedy += f"; or estimate it, with the setup lines {lines}"
+        if not all(len(block.conditions.time) for block in case.data.blocks):
+            remedy += " and a column 'time' [s]"
+    said = "the instrument drifts against the robot"
+    if names == TRANSFORM:
+        return Finding("instrument-drift", "warning", said, remedy=remedy)
     size = float(np.linalg.norm(score.values))
     along = float(np.linalg.norm(score.values / size * score.deviations))
     unit, factor = DISPLAY["m"]
-    shown = (size, size - NORMAL * along, size + NORMAL * along)
-    way, low, high = (f"{factor * x:.2g} {unit}" for x in shown)
-    names = AXES if len(score.values) == len(AXES) else ("distance",)
-    lines = {"reading": {"drift": [float(f"{v:.3g}") for v in score.values]}}
+    shown = f"{factor * size:.2g} +- {factor * along:.1g} {unit}"
+    reading = {"reading": {"drift": [float(f"{v:.3g}") for v in score.values]}}
     return Finding(
         "instrument-drift",
         "warning",
-        f"the measured values drift by {way} (95 %: {low} to {high})",
-        {
-            **dict(zip(names, score.values.tolist(), strict=True)),
-            "drift": size,
-            "sigma": along,
-        },
-        f"{_remedy(case)}; or state in the setup file: {written(lines)}",
-        lines,
+        f"the measured values drift by {shown}",
+        dict(zip(names, score.values.tolist(), strict=True))
+        | {"drift": size, "sigma": along},
+        f"{remedy}; or state in the setup file: {written(reading)}",
+        reading,
     )
 
 
-def _of_instrument(case: Case, score: Score) -> Finding:
-    """A drift of an instrument that also turns, or sees more than positions."""
-    said = "the instrument drifts against the robot"
-    return Finding("instrument-drift", "warning", said, remedy=_remedy(case))
-
-
-def _of_joints(case: Case, score: Score, first: int = 0) -> Finding:
-    """Joint positions that drift, as those of a robot that grows warm, from one on."""
+def _of_joints(case: Case, score: Score, names: Sequence[str]) -> Finding:
+    """Joint positions that drift, as those of a robot that grows warm."""
     worst = int(np.argmax(np.abs(score.values) / score.deviations))
     value, deviation = float(score.values[worst]), float(score.deviations[worst])
-    joint = case.data.joints[first + worst]
-    shown = _shown(case, joint, "{:.2g} +- {:.1g}", value, deviation)
+    shown = _shown(case, names[worst], "{:.2g} +- {:.1g}", value, deviation)
     return Finding(
         "robot-drift",
         "warning",
-        f"the joint positions drift, most of all '{joint}' by {shown}",
-        {"joint": joint, "drift": value, "sigma": deviation},
+        f"the joint positions drift, most of all '{names[worst]}' by {shown}",
+        {"joint": names[worst], "drift": value, "sigma": deviation},
         "let the robot warm up before it is measured",
     )
-
-
-def _remedy(case: Case) -> str:
-    """How to measure without it, or how to let a walk of the instrument be fitted."""
-    names, kind = case.setup.parameters, InstrumentDrift.name
-    if kind in names:
-        return PARTS
-    lines = written({"parameters": [*names, kind]})
-    timed = all(len(block.conditions.time) for block in case.data.blocks)
-    state = "" if timed else " and a column 'time' [s]"
-    return f"{PARTS}; or estimate it, with the setup lines {lines}{state}"
-
-
-def _errors_without(fit: QuickFit, columns: Floats) -> float:
-    """Errors of the first quantity that further columns leave, rms [its unit]."""
-    first = np.flatnonzero(fit.problem.layout.component == 0)
-    left, now = (f.unexplained[1][first] for f in (fit.explaining(columns), fit))
-    return fit.errors * float(np.linalg.norm(left) / np.linalg.norm(now))

@@ -14,7 +14,8 @@ from calib_pin.estimation.registration import relocated
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.terms import BASE, FRAME
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Indices
+from calib_pin.validation.findings.changes import CHANCE
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
@@ -48,9 +49,6 @@ AS_FITTED = 1.5
 """Errors from a station of their own, in standard deviations, up to which nothing but
 a move is wrong."""
 
-CHANCE = 1e-9
-"""Probability by chance of a move that is told."""
-
 STATION = (
     "give them a station of their own (a column 'station', or --station-per-file), or "
     "check that the instrument stood still"
@@ -82,27 +80,28 @@ def registered_if_moved(
         and a finding for every instrument that was moved.
     """
     found = errors_of_registered(model, before, after, positions)
-    rows, findings, kept = after.problem.data, [], np.ones(len(positions), bool)
+    data, findings, kept = after.problem.data, [], np.ones(len(positions), bool)
     fitted = {term.frames.station for term in model.problem.terms.values()}
-    of_block = [after.problem.terms[key].frames.station for key in rows.keys]
-    moved = [
-        Registered(*there.problem.rebased(there.theta), there.new)
-        for there in (before, after)
-    ]
-    for station in dict.fromkeys(filter(fitted.__contains__, of_block)):
-        own = np.flatnonzero(np.array(of_block)[rows.block_of] == station)
-        nominal, calibrated = (
-            replace(at, problem=replace(at.problem, data=rows.rows(own)))
-            for at in moved
-        )
+    named = [after.problem.terms[key].frames.station for key in data.keys]
+    of_row = np.array(named)[data.block_of]
+    for station in dict.fromkeys(filter(fitted.__contains__, named)):
+        own = np.flatnonzero(of_row == station)
+        nominal, calibrated = (_seen(there, own) for there in (before, after))
         some = found.at(own)
         anew, finding = _if_moved(model, some, nominal, calibrated, station)
-        if finding is not None:
-            findings.append(finding)
-            kept[own] = anew is not None
-        if anew is not None:
+        findings += [] if finding is None else [finding]
+        if anew is None:
+            kept[own] = False
+        else:
             found = found.replaced(own, anew)
     return found.at(kept) if kept.any() else None, findings
+
+
+def _seen(there: Registered, rows: Indices) -> Registered:
+    """A registered problem of some of its measurements, about its frames."""
+    problem, theta = there.problem.rebased(there.theta)
+    problem = replace(problem, data=problem.data.rows(rows))
+    return Registered(problem, theta, there.new)
 
 
 def _if_moved(
@@ -123,62 +122,48 @@ def _if_moved(
     """
     here = _elsewhere(after, station)
     if here is None:
-        return None, None
-    problem = here.problem
-    values, unknowns = measured_count(problem), len(here.refitted)
-    left = max(values - unknowns, 1)
-    as_is = _chi_square(after.problem, after.theta)
-    on_itself = _chi_square(problem, here.theta)
-    ratio = np.sqrt(as_is * left / max(on_itself * values, 1e-300))
-    if ratio <= SUSPICIOUS:
-        return None, None
-    nominal = _elsewhere(before, station)
+        return errors, None
+    values, unknowns = measured_count(here.problem), len(here.refitted)
+    left, was, now = max(values - unknowns, 1), _chi_square(after), _chi_square(here)
+    ratio = np.sqrt(was * left / max(now * values, 1e-300))
+    nominal = _elsewhere(before, station) if ratio > SUSPICIOUS else None
     if nominal is None:
-        return None, None
+        return errors, None
+    own: ModelErrors | None
+    own = errors_of_registered(model, nominal, here, errors.positions)
+    off, anew = (float(np.sqrt(square / values)) for square in (was, now))
+    owner = "" if station == BASE else f" of '{station.rpartition('.')[0]}'"
+    said = f"the instrument had another station for the validation measurements{owner}"
+    remedy = STATION
+    if ratio <= MOVED or not _alike(errors, own, here.problem):
+        gain = max(was - now, 0.0) / unknowns / max(now / left, 1e-300)
+        if anew > AS_FITTED or f_tail(gain, unknowns, left) > CHANCE:
+            return errors, None
+        own = errors
+        said = (
+            f"the validation measurements are off by {off:.3g} standard deviations, "
+            f"from another station by {anew:.3g}: the instrument may have moved before "
+            "them"
+        )
+    elif (
+        distinct_values(here.problem) <= unknowns
+        or here.problem.data.configurations < FEWEST_HELD_OUT
+    ):
+        own = None
+        said += ", which are too few for a check from there: "
+        said += f"{distinct_values(here.problem)} distinct values, {unknowns} unknowns"
+        remedy = "measure more validation configurations from one station"
+    else:
+        said += f": with the station of the fit they are off by {off:.3g} standard "
+        said += f"deviations, with their own by {anew:.3g}; both robots are registered "
+        said += "on them"
     numbers = {
-        "chi-square as it is": as_is,
-        "chi-square registered": on_itself,
+        "chi-square as it is": was,
+        "chi-square registered": now,
         "values": float(values),
         "unknowns": float(unknowns),
     }
-    own = errors_of_registered(model, nominal, here, errors.positions)
-    rms = [float(np.sqrt(square / values)) for square in (as_is, on_itself)]
-    if ratio <= MOVED or not _alike(errors, own, problem):
-        gain = max(as_is - on_itself, 0.0) / unknowns / max(on_itself / left, 1e-300)
-        if rms[1] > AS_FITTED or f_tail(gain, unknowns, left) > CHANCE:
-            return None, None
-        return errors, Finding(
-            "moved-instrument",
-            "warning",
-            "the validation measurements are off by "
-            f"{rms[0]:.3g} standard deviations, from another station by {rms[1]:.3g}: "
-            "the instrument may have moved before them",
-            numbers,
-            STATION,
-        )
-    of = "" if station == BASE else f" of '{station.rpartition('.')[0]}'"
-    seen = f"the instrument had another station for the validation measurements{of}"
-    if (
-        distinct_values(problem) <= unknowns
-        or problem.data.configurations < FEWEST_HELD_OUT
-    ):
-        return None, Finding(
-            "moved-instrument",
-            "warning",
-            f"{seen}, which are too few for a check from there: "
-            f"{distinct_values(problem)} distinct values, {unknowns} unknowns",
-            numbers,
-            "measure more validation configurations from one station",
-        )
-    return own, Finding(
-        "moved-instrument",
-        "warning",
-        f"{seen}: with the station of the fit they are off by {rms[0]:.3g} standard "
-        f"deviations, with their own by {rms[1]:.3g}; both robots are registered on "
-        "them",
-        numbers,
-        STATION,
-    )
+    return own, Finding("moved-instrument", "warning", said, numbers, remedy)
 
 
 def _elsewhere(there: Registered, station: str) -> Registered | None:
@@ -210,9 +195,7 @@ def _elsewhere(there: Registered, station: str) -> Registered | None:
     if parameters.free[base].all() and not relative:
         starts.append(relocated(plain, theta, station))
     found = [(least_squares(start, theta, basis), start) for start in starts]
-    result, start = min(
-        found, key=lambda pair: pair[0].cost if np.isfinite(pair[0].cost) else np.inf
-    )
+    result, start = min(found, key=lambda pair: np.nan_to_num(pair[0].cost, nan=np.inf))
     # Known distances count again: they were left out of this fit only.
     start = replace(start, setup=problem.setup)
     return Registered(start, result.x, there.new, tuple(free.tolist()))
@@ -231,8 +214,9 @@ def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
     return bool(np.median(apart) < ALIKE * np.median(moves))
 
 
-def _chi_square(problem: Problem, theta: Floats) -> float:
+def _chi_square(there: Registered) -> float:
     """Sum of squared errors in standard deviations; infinite where one is lost."""
-    present = np.isfinite(problem.sigma)
-    errors = problem.errors(theta)[present] / problem.sigma[present]
+    present = np.isfinite(there.problem.sigma)
+    sigma = there.problem.sigma[present]
+    errors = there.problem.errors(there.theta)[present] / sigma
     return float(np.nan_to_num(errors @ errors, nan=np.inf, posinf=np.inf))

@@ -70,7 +70,8 @@ def test_the_order_is_that_of_the_files(moved_job) -> None:
     order = np.random.default_rng(0).permutation(90)
     block = replace(job.plain.only, files=["a.csv"] * 40 + ["b.csv"] * 50)
     (finding,) = findings(job, block.rows(order))
-    assert "a.csv" in finding.message and "b.csv" in finding.message
+    assert "a.csv:" in finding.message and finding.setup["reading"]["moved"]
+    assert "b.csv:" in finding.setup["reading"]["moved"][0]
 
 
 def test_a_small_move_stands_out_from_noise(moved_job) -> None:

@@ -38,7 +38,7 @@ def test_the_joint_the_line_and_the_size(count: int, first: int) -> None:
     (finding,) = (f for f in result.findings if f.code == "joint-rehomed")
     assert result.verdict == "untrusted"
     assert finding.evidence["joint"] == "joint_3"
-    assert f"measurement {first + 1}" in finding.message
+    assert f"after measurement {first} " in finding.message
     # It is the column that reads more.
     assert finding.evidence["offset"] == pytest.approx(-0.01, abs=5e-4)
     assert finding.evidence["rms_after"] < 2e-4 < finding.evidence["rms_before"]

@@ -12,11 +12,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
@@ -61,9 +59,8 @@ LEFT, LAST, SETTLED = 1.0 / 3.0, 0.5, 1.5
 one half with one frame more), and the last of them if it does not stand out; and errors
 that small ones leave, by those of the fit without what it has set aside."""
 
-CONFIGURATIONS, FULL, ASIDE = 6, 0.5, 0.25
-"""Least configurations on each side of a change and in a stretch of the files, part of
-the rows of a stretch, and largest part of all measurements that are outliers."""
+CONFIGURATIONS = 6
+"""Least configurations on each side of a change."""
 
 SEEN = 1e-4
 """Part of what a change does that the fit cannot do, below which it is none."""
@@ -76,9 +73,8 @@ STILL, SAME = 0.1, 0.99
 """Change of a size, in its standard deviations, and part of the errors that the last
 step leaves at least."""
 
-SHAPES, FEW = 5, 1.0 / 3.0
-"""Shapes of a smooth error of a joint, and the part of the redundant values up to which
-those of all joints are rivals."""
+FEW = 1.0 / 3.0
+"""Part of the redundant values up to which smooth errors of all joints are rivals."""
 
 UNKNOWNS = 500
 """Most parameters of a job that is looked at."""
@@ -177,13 +173,7 @@ class Trial(QuickFit):
         """
         data, index = changed(plain.data, rank, changes)
         problem = make_problem(plain.chains, data, plain.setup)
-        known: dict[str, Any] = {
-            "plain": plain,
-            "rank": rank,
-            "changes": changes,
-            "index": index,
-        }
-        trial = Trial.of(problem, **known)
+        trial = Trial.of(problem, plain=plain, rank=rank, changes=changes, index=index)
         zeros = [k for k, change in enumerate(changes) if change.kind == "joint"]
         for _ in range(STEPS if zeros else 0):
             before, sized = trial.rms, [*trial.changes]
@@ -191,8 +181,9 @@ class Trial(QuickFit):
             for k, more in zip(zeros, score.values.tolist(), strict=True):
                 sized[k] = sized[k]._replace(size=sized[k].size + more)
             fit = refitted(trial, changed(plain.data, rank, sized)[0])
-            known["changes"] = tuple(sized)
-            trial = Trial(fit.problem, fit.theta, **known)
+            trial = replace(
+                trial, problem=fit.problem, theta=fit.theta, changes=tuple(sized)
+            )
             still = (np.abs(score.values) < STILL * score.deviations).all()
             if still and trial.rms > SAME * before:
                 break
@@ -206,13 +197,9 @@ class Trial(QuickFit):
         try:
             for _ in range(STEPS):
                 trial = Trial.at(self.plain, self.rank, changes)
-                ranks = [
-                    trial.place(k, self.plain.data, self.rank)
-                    for k in range(len(changes))
-                ]
                 changes = tuple(
-                    change._replace(rank=at)
-                    for change, at in zip(trial.changes, ranks, strict=True)
+                    change._replace(rank=trial.place(k, self.plain.data, self.rank))
+                    for k, change in enumerate(trial.changes)
                 )
                 if changes == trial.changes:
                     break
@@ -384,17 +371,9 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
     if len(trials) < 2:
         return None
     first, last = trials[0], trials[-1]
-    out = problem.data.weight == 0.0
-    few = 0.0 < out.mean() <= ASIDE and not is_stretch(data, out)
-    if few and fit.rms <= SETTLED * last.rms:
-        return None
     # Outliers look like small moves; of these the fit without outliers leaves no more.
-    if (last.rms <= LEFT * first.rms and last.stands_out(first)) or (
-        last.rms <= SETTLED * fit.rms
-        and all(b.stands_out(a) for a, b in pairwise(trials))
-    ):
-        return first, last
-    return None
+    clear = last.rms <= max(LEFT * first.rms, SETTLED * fit.rms)
+    return (first, last) if clear and last.stands_out(first) else None
 
 
 def squares(fit: QuickFit) -> float:
@@ -412,11 +391,10 @@ def smooth(fit: QuickFit, columns: Floats, rank: Indices) -> Floats:
     """
     row = fit.problem.layout.row
     time, q = (rank / max(int(rank.max()), 1))[row, None], fit.problem.data.q[row]
-    found = [columns * time, columns * time**2]
-    if SHAPES * q.shape[1] < FEW * fit.left:
-        shapes = (time, time**2, q, np.sin(q), np.cos(q))
-        found += [fit.by_joints * shape for shape in shapes]
-    return np.hstack(found)
+    bent = np.hstack([columns * time, columns * time**2])
+    shapes = (time, time**2, q, np.sin(q), np.cos(q))
+    everywhere = np.hstack([bent, *(fit.by_joints * shape for shape in shapes)])
+    return everywhere if everywhere.shape[1] < FEW * fit.left else bent
 
 
 def surpasses(
@@ -438,13 +416,6 @@ def surpasses(
     others = squares(fit) * fit.score(rivals).left / rest
     beyond = f_tail(F, count, dof) * tried < CHANCE
     return beyond and left / dof < CLEARER**2 * others
-
-
-def is_stretch(data: Observations, rows: NDArray[np.generic]) -> bool:
-    """Whether some measurements are one stretch of the files, and not by chance."""
-    places = np.argsort(data.in_order)[rows]
-    enough = len(np.unique(data.groups()[rows])) >= CONFIGURATIONS
-    return bool(enough and np.ptp(places) < len(places) / FULL)
 
 
 def sums_behind(values: Floats) -> Floats:

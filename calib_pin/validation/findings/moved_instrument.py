@@ -14,7 +14,6 @@ from calib_pin.estimation.registration import relocated
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.terms import BASE, FRAME
-from calib_pin.observations import Indices
 from calib_pin.validation.findings.changes import CHANCE
 from calib_pin.validation.model_errors import (
     ModelErrors,
@@ -84,24 +83,21 @@ def registered_if_moved(
     fitted = {term.frames.station for term in model.problem.terms.values()}
     named = [after.problem.terms[key].frames.station for key in data.keys]
     of_row = np.array(named)[data.block_of]
+    both = [(*at.problem.rebased(at.theta), at.new) for at in (before, after)]
     for station in dict.fromkeys(filter(fitted.__contains__, named)):
         own = np.flatnonzero(of_row == station)
-        nominal, calibrated = (_seen(there, own) for there in (before, after))
+        nominal, calibrated = (
+            Registered(replace(problem, data=data.rows(own)), theta, new)
+            for problem, theta, new in both
+        )
         some = found.at(own)
-        anew, finding = _if_moved(model, some, nominal, calibrated, station)
-        findings += [] if finding is None else [finding]
+        anew, told = _if_moved(model, some, nominal, calibrated, station)
+        findings += told
         if anew is None:
             kept[own] = False
         else:
             found = found.replaced(own, anew)
     return found.at(kept) if kept.any() else None, findings
-
-
-def _seen(there: Registered, rows: Indices) -> Registered:
-    """A registered problem of some of its measurements, about its frames."""
-    problem, theta = there.problem.rebased(there.theta)
-    problem = replace(problem, data=problem.data.rows(rows))
-    return Registered(problem, theta, there.new)
 
 
 def _if_moved(
@@ -110,7 +106,7 @@ def _if_moved(
     before: Registered,
     after: Registered,
     station: str,
-) -> tuple[ModelErrors | None, Finding | None]:
+) -> tuple[ModelErrors | None, list[Finding]]:
     """Errors of the measurements from one station, and a finding, if it was moved.
 
     Args:
@@ -122,48 +118,37 @@ def _if_moved(
     """
     here = _elsewhere(after, station)
     if here is None:
-        return errors, None
+        return errors, []
     values, unknowns = measured_count(here.problem), len(here.refitted)
     left, was, now = max(values - unknowns, 1), _chi_square(after), _chi_square(here)
     ratio = np.sqrt(was * left / max(now * values, 1e-300))
     nominal = _elsewhere(before, station) if ratio > SUSPICIOUS else None
     if nominal is None:
-        return errors, None
+        return errors, []
     own: ModelErrors | None
     own = errors_of_registered(model, nominal, here, errors.positions)
+    owner = "" if station == BASE else f" from '{station.rpartition('.')[0]}'"
     off, anew = (float(np.sqrt(square / values)) for square in (was, now))
-    owner = "" if station == BASE else f" of '{station.rpartition('.')[0]}'"
-    said = f"the instrument had another station for the validation measurements{owner}"
-    remedy = STATION
+    end, remedy = "has moved, and both robots are registered on them", STATION
+    distinct = distinct_values(here.problem)
     if ratio <= MOVED or not _alike(errors, own, here.problem):
         gain = max(was - now, 0.0) / unknowns / max(now / left, 1e-300)
         if anew > AS_FITTED or f_tail(gain, unknowns, left) > CHANCE:
-            return errors, None
-        own = errors
-        said = (
-            f"the validation measurements are off by {off:.3g} standard deviations, "
-            f"from another station by {anew:.3g}: the instrument may have moved before "
-            "them"
-        )
-    elif (
-        distinct_values(here.problem) <= unknowns
-        or here.problem.data.configurations < FEWEST_HELD_OUT
-    ):
-        own = None
-        said += ", which are too few for a check from there: "
-        said += f"{distinct_values(here.problem)} distinct values, {unknowns} unknowns"
-        remedy = "measure more validation configurations from one station"
-    else:
-        said += f": with the station of the fit they are off by {off:.3g} standard "
-        said += f"deviations, with their own by {anew:.3g}; both robots are registered "
-        said += "on them"
+            return errors, []
+        own, end = errors, "may have moved before them"
+    elif distinct <= unknowns or here.problem.data.configurations < FEWEST_HELD_OUT:
+        own, remedy = None, "measure more validation configurations from one station"
+        end = "has moved, and they are too few for a check from there: "
+        end += f"{distinct} distinct values, {unknowns} unknowns"
     numbers = {
         "chi-square as it is": was,
         "chi-square registered": now,
         "values": float(values),
         "unknowns": float(unknowns),
     }
-    return own, Finding("moved-instrument", "warning", said, numbers, remedy)
+    said = f"the validation measurements{owner} are off by {off:.3g} standard "
+    said += f"deviations, from another station by {anew:.3g}: the instrument {end}"
+    return own, [Finding("moved-instrument", "warning", said, numbers, remedy)]
 
 
 def _elsewhere(there: Registered, station: str) -> Registered | None:
@@ -189,14 +174,13 @@ def _elsewhere(there: Registered, station: str) -> Registered | None:
     if len(free) == 0:
         return None
     basis = np.diag(parameters.scales)[:, free]
+    # Known distances count again later: they are left out of this fit only.
     plain = replace(problem, setup=replace(problem.setup, distances=(), angles=()))
-    starts = [plain]
-    relative = any(block.start.size for block in problem.data.blocks)
+    starts, relative = [plain], any(block.start.size for block in problem.data.blocks)
     if parameters.free[base].all() and not relative:
         starts.append(relocated(plain, theta, station))
     found = [(least_squares(start, theta, basis), start) for start in starts]
     result, start = min(found, key=lambda pair: np.nan_to_num(pair[0].cost, nan=np.inf))
-    # Known distances count again: they were left out of this fit only.
     start = replace(start, setup=problem.setup)
     return Registered(start, result.x, there.new, tuple(free.tolist()))
 

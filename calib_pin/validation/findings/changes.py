@@ -81,7 +81,7 @@ UNKNOWNS = 500
 
 
 class Change(NamedTuple):
-    """What differs from some measurement on.
+    """A frame, or the zero of a joint, that differs from some measurement on.
 
     Attributes:
         kind: Whose frame, or the zero of a joint.
@@ -99,7 +99,7 @@ class Change(NamedTuple):
 
 
 def subjects(problem: Problem) -> Iterator[Change]:
-    """What may change in a problem."""
+    """The frames and joint zeros that may change in a problem."""
     data = problem.data
     for kind in FRAMES:
         found: dict[str, list[BlockKey]] = {}

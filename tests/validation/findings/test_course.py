@@ -1,4 +1,4 @@
-"""What changes in the course of a job is told with its line and size; noise is not."""
+"""Changes in the course of a job are told with line and size; noise is not."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def findings(job, *blocks):
 
 
 def drifts(job, block):
-    """What is told of a drift."""
+    """The findings of a drift."""
     fitted = fit_model(job.chain, Observations.of(block), Setup(), 0).fit
     return list(drift(Case.of(fitted, fitted.problem.chains)))
 

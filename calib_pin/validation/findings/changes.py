@@ -65,9 +65,8 @@ CONFIGURATIONS = 6
 SEEN = 1e-4
 """Part of what a change does that the fit cannot do, below which it is none."""
 
-MOST, TRIED, ALIKE, STEPS = 10, 3, 0.5, 6
-"""Changes that are sought; those that are fitted for each of them, if what they gain to
-first order is this part of the most; and steps in which rows and sizes are found."""
+MOST, STEPS = 10, 6
+"""Changes that are sought, and steps in which rows and sizes are found."""
 
 STILL, SAME = 0.1, 0.99
 """Change of a size, in its standard deviations, and part of the errors that the last
@@ -189,7 +188,7 @@ class Trial(QuickFit):
                 break
         return trial
 
-    def settled(self, changes: tuple[Change, ...]) -> Iterator[Trial]:
+    def settled(self, changes: tuple[Change, ...]) -> Trial | None:
         """The trial of changes at the rows where both sides of each fit best.
 
         None where a part of the measurements cannot be registered.
@@ -203,9 +202,9 @@ class Trial(QuickFit):
                 )
                 if changes == trial.changes:
                     break
-            yield trial
+            return trial
         except (CalibPinError, np.linalg.LinAlgError):
-            return
+            return None
 
     @cached_property
     def redundant(self) -> bool:
@@ -353,17 +352,14 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
     seen = Trial(plain, fit.theta, plain, rank, (), np.arange(len(rank)))
     if all(left > LOOKED_AT for _, left, _ in seen.candidates):
         return None
-    trials = list(seen.settled(()))
+    trials = [trial] if (trial := seen.settled(())) is not None else []
     while 0 < len(trials) <= MOST:
         last = trials[-1]
-        found = last.candidates[:TRIED]
-        worth = min([LEAST, *(ALIKE * gain for gain, _, _ in found)])
-        tried = [(*last.changes, c) for gain, _, c in found if gain <= worth]
-        fitted = [trial for changes in tried for trial in seen.settled(changes)]
-        best = min(fitted, key=lambda trial: trial.cost, default=last)
-        if not best.cost < last.cost + LEAST:
+        likely = [change for gain, _, change in last.candidates if gain < LEAST]
+        more = seen.settled((*last.changes, likely[0])) if likely else None
+        if more is None or not more.cost < last.cost + LEAST:
             break
-        trials.append(best)
+        trials.append(more)
     while len(trials) > 1 and not (
         trials[-1].rms <= LAST * trials[-2].rms or trials[-1].stands_out(trials[-2])
     ):

@@ -54,10 +54,10 @@ LOOKED_AT = 0.76
 """Part of the squares that a change leaves at most, to first order, for a closer look:
 without a plateau it is as much and more."""
 
-LEFT, LAST, SETTLED = 1.0 / 3.0, 0.5, 1.5
-"""Parts of the errors that all changes leave at most (a drift of the instrument leaves
-one half with one frame more), and the last of them if it does not stand out; and errors
-that small ones leave, by those of the fit without what it has set aside."""
+LEFT, SETTLED = 1.0 / 3.0, 1.5
+"""Part of the errors that all changes leave at most (a drift of the instrument leaves
+one half with one frame more), and errors that small ones leave, by those of the fit
+without what it has set aside."""
 
 CONFIGURATIONS = 6
 """Least configurations on each side of a change."""
@@ -360,9 +360,7 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
         if more is None or not more.cost < last.cost + LEAST:
             break
         trials.append(more)
-    while len(trials) > 1 and not (
-        trials[-1].rms <= LAST * trials[-2].rms or trials[-1].stands_out(trials[-2])
-    ):
+    while len(trials) > 1 and not trials[-1].stands_out(trials[-2]):
         trials.pop()
     if len(trials) < 2:
         return None

@@ -30,15 +30,13 @@ def modeled_drift(case: Case) -> Iterator[Finding]:
         ]
         ways = np.cumsum(steps, axis=0)
         shift, turn = (np.linalg.norm(ways[:, k : k + 3], axis=1) for k in (0, 3))
-        time, told = _duration(last - first), []
-        for way, (unit, factor) in ((shift, DISPLAY["m"]), (turn, DISPLAY["rad"])):
-            told += [f"{factor * way[-1]:.2g} {unit}"] if way.any() else []
+        (mm, factor), (degrees, turned) = DISPLAY["m"], DISPLAY["rad"]
         owner = "" if station == "base" else f" at station '{station}'"
-        said = f"the instrument{owner} has drifted by {' and '.join(told)} in {time}"
         yield Finding(
             "modeled-drift",
             "info",
-            said if told else f"no drift of the instrument{owner} shows in {time}",
+            f"the instrument{owner} has drifted by {factor * shift[-1]:.2g} {mm} and "
+            f"{turned * turn[-1]:.2g} {degrees} in {_duration(last - first)}",
             {
                 "station": station,
                 "seconds": last - first,

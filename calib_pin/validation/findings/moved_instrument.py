@@ -188,14 +188,14 @@ def _elsewhere(there: Registered, station: str) -> Registered | None:
 def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
     """Whether both robots see about the same displacement, in the median."""
     unit = problem.layout.table(problem.sigma, len(problem.data))
+    pairs = (errors.before, own.before), (errors.after, own.after)
     with np.errstate(invalid="ignore"):
-        nominal, calibrated = (
-            np.nan_to_num((a - b) / unit, posinf=0.0, neginf=0.0)
-            for a, b in ((errors.before, own.before), (errors.after, own.after))
-        )
-    moves = np.linalg.norm(calibrated, axis=1)
-    apart = np.linalg.norm(nominal - calibrated, axis=1)
-    return bool(np.median(apart) < ALIKE * np.median(moves))
+        moves = [
+            np.nan_to_num((a - b) / unit, posinf=0.0, neginf=0.0) for a, b in pairs
+        ]
+    sizes = np.linalg.norm([moves[0] - moves[1], moves[1]], axis=2)
+    apart, moved = np.median(sizes, axis=1)
+    return bool(apart < ALIKE * moved)
 
 
 def _chi_square(there: Registered) -> float:

@@ -212,13 +212,6 @@ class Trial(QuickFit):
         free = int(self.problem.parameters.free.sum())
         return measured_count(self.problem) > free
 
-    @property
-    def cost(self) -> float:
-        """Minus twice its log-likelihood, with what its parameters are worth (BIC)."""
-        count = len(self.problem.layout.row)
-        fits = count * np.log(max(squares(self), 1e-300))
-        return float(fits - self.left * np.log(count))
-
     def columns(self, change: Change) -> Floats:
         """Whitened residual by what changes, if it does so everywhere, shape (M, k)."""
         if change.kind == "joint":
@@ -242,8 +235,9 @@ class Trial(QuickFit):
     def candidates(self) -> list[tuple[float, float, Change]]:
         """The best row of each change, the likeliest first.
 
-        With its gain, as `cost` counts it, and the part of the sum of squares that it
-        leaves, both to first order.
+        With the change of the likelihood, twice its negative logarithm and what its
+        parameters are worth (BIC), and the part of the squares that it leaves, both to
+        first order.
         """
         found, rank, groups = [], self.rank[self.index], self.problem.data.groups()
         for subject in subjects(self.plain):
@@ -295,12 +289,18 @@ class Trial(QuickFit):
         Args:
             before: The trial without these changes.
         """
-        new = self.changes[len(before.changes) :]
-        columns, left = before.columns(new[0]), squares(self)
+        new, left = self.changes[len(before.changes) :], squares(self)
         further = min((left for _, left, _ in self.candidates), default=1.0)
         if squares(before) - left < FURTHER * left * (1.0 - further):
             return False
-        rivals = smooth(before, columns, self.rank[before.index])
+        columns, row = before.columns(new[0]), before.problem.layout.row
+        time = (self.rank[before.index] / max(int(self.rank.max()), 1))[row, None]
+        q, joints = before.problem.data.q[row], before.by_joints
+        shapes = (time, time**2, q, np.sin(q), np.cos(q))
+        rivals = np.hstack([columns * time, columns * time**2])
+        smooth = np.hstack([rivals, *(joints * shape for shape in shapes)])
+        if smooth.shape[1] < FEW * before.left:
+            rivals = smooth
         count = len(new) * columns.shape[1]
         return surpasses(before, left, count, rivals, len(self.rank))
 
@@ -352,14 +352,12 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
     seen = Trial(plain, fit.theta, plain, rank, (), np.arange(len(rank)))
     if all(left > LOOKED_AT for _, left, _ in seen.candidates):
         return None
-    trials = [trial] if (trial := seen.settled(())) is not None else []
-    while 0 < len(trials) <= MOST:
-        last = trials[-1]
-        likely = [change for gain, _, change in last.candidates if gain < LEAST]
-        more = seen.settled((*last.changes, likely[0])) if likely else None
-        if more is None or not more.cost < last.cost + LEAST:
-            break
+    trials, more = list[Trial](), seen.settled(())
+    while more is not None and (not trials or more.rms < trials[-1].rms):
         trials.append(more)
+        likely = [change for gain, _, change in more.candidates if gain < LEAST]
+        on = likely and len(trials) <= MOST
+        more = seen.settled((*more.changes, likely[0])) if on else None
     while len(trials) > 1 and not trials[-1].stands_out(trials[-2]):
         trials.pop()
     if len(trials) < 2:
@@ -373,22 +371,6 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
 def squares(fit: QuickFit) -> float:
     """Sum of the squared errors of a fit, in standard deviations."""
     return fit.rms**2 * fit.left
-
-
-def smooth(fit: QuickFit, columns: Floats, rank: Indices) -> Floats:
-    """Columns of errors that are smooth in time, and of joints, in place as well.
-
-    Args:
-        fit: The fit.
-        columns: Whitened residual by what may change, shape (M, k).
-        rank: Place of each measurement in the order of the files, shape (N,).
-    """
-    row = fit.problem.layout.row
-    time, q = (rank / max(int(rank.max()), 1))[row, None], fit.problem.data.q[row]
-    bent = np.hstack([columns * time, columns * time**2])
-    shapes = (time, time**2, q, np.sin(q), np.cos(q))
-    everywhere = np.hstack([bent, *(fit.by_joints * shape for shape in shapes)])
-    return everywhere if everywhere.shape[1] < FEW * fit.left else bent
 
 
 def surpasses(

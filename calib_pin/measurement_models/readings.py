@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
+from typing import Literal
 
 import numpy as np
 
@@ -19,8 +20,10 @@ from calib_pin.observations import (
     Booleans,
     Floats,
     Indices,
+    Labels,
     Measurements,
     Observations,
+    apart,
 )
 from calib_pin.setup import AXES, ReadingSetup
 
@@ -316,21 +319,18 @@ def _steadied(data: Observations, reading: ReadingSetup) -> Observations:
     return with_values(data, change)
 
 
-def _renamed(kind: str) -> Callable[[Observations, ReadingSetup], Observations]:
+def _renamed(
+    kind: Literal["station", "tool"],
+) -> Callable[[Observations, ReadingSetup], Observations]:
     """Another station or tool from some lines on."""
     key = {"station": "moved", "tool": "remounted"}[kind]
 
     def rename(data: Observations, reading: ReadingSetup) -> Observations:
         rank = np.argsort(data.in_order)
         first = [rank[located(data, place)] for place in getattr(reading, key)]
-        part, blocks = np.searchsorted(np.sort(first), rank, side="right"), []
-        for block, rows in zip(data.blocks, data.slices, strict=True):
-            first_name = getattr(block, kind) or kind
-            for k in np.unique(part[rows]).tolist():
-                own, name = block.rows(part[rows] == k), f"{first_name}{k + 1}"
-                moved = replace(own, station=name)
-                blocks.append(moved if kind == "station" else replace(own, tool=name))
-        return Observations.of(*blocks)
+        part = np.searchsorted(np.sort(first), rank, side="right")
+        names = tuple(str(k + 1) for k in range(len(first) + 1))
+        return apart(data, kind, Labels(names, part))[0]
 
     return rename
 

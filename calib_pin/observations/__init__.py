@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from calib_pin.observations.blocks import (
     Observations,
+    apart,
     fitted_and_held_out,
     states_sigmas,
     with_directions,
@@ -37,6 +38,7 @@ __all__ = [
     "Observations",
     "Signs",
     "Targets",
+    "apart",
     "approached",
     "fitted_and_held_out",
     "grouped",

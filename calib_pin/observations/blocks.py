@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,6 +199,33 @@ class Observations(SourcedRows):
         if len(self.blocks) == 1:
             return np.asarray(getattr(self.blocks[0], name))
         return np.concatenate([getattr(block, name) for block in self.blocks])
+
+
+def apart(
+    data: Observations, kind: Literal["station", "tool"], names: Labels
+) -> tuple[Observations, Indices]:
+    """Measurements of which some have a station, or a tool, of their own.
+
+    Args:
+        data: The N measurements.
+        kind: Whether it is the station or the tool.
+        names: What follows the name of that of each, length N; empty if it stays.
+
+    Returns:
+        The measurements in their new blocks, and the position of each of these among
+        what they were.
+    """
+    blocks, index = [], []
+    for block, rows in zip(data.blocks, data.slices, strict=True):
+        for name in names[rows].distinct:
+            own = np.flatnonzero(names[rows].where(name))
+            part, whole = block.rows(own), (getattr(block, kind) or kind) + name
+            if name:
+                as_tool = replace(part, tool=whole)
+                part = replace(part, station=whole) if kind == "station" else as_tool
+            blocks.append(part)
+            index.append(rows.start + own)
+    return Observations.of(*blocks), np.concatenate(index)
 
 
 def with_directions(data: Observations) -> Observations:

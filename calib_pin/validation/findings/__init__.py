@@ -25,7 +25,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.approach import approach, approach_order
 from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
-from calib_pin.validation.findings.drift import drift
+from calib_pin.validation.findings.course import changed, drift
 from calib_pin.validation.findings.explanations import Family, explain
 from calib_pin.validation.findings.facts import (
     FACTS,
@@ -36,7 +36,6 @@ from calib_pin.validation.findings.hypotheses import Explanation, finding
 from calib_pin.validation.findings.joint_motions import joint_motion
 from calib_pin.validation.findings.line_order import line_order
 from calib_pin.validation.findings.modeled_drift import modeled_drift, modeled_warm_up
-from calib_pin.validation.findings.moved_frames import move_findings
 from calib_pin.validation.findings.noise import noise
 from calib_pin.validation.findings.outliers import outliers
 from calib_pin.validation.findings.plausibility import (
@@ -53,7 +52,6 @@ from calib_pin.validation.findings.readings import (
     target_frames,
     targets,
 )
-from calib_pin.validation.findings.rehomed import rehomed
 from calib_pin.validation.findings.ripple import ripples
 from calib_pin.validation.findings.units import units, units_of_some
 
@@ -109,8 +107,8 @@ FOLLOW = (
 """Errors and warnings, and findings that follow from them and then are not told."""
 
 CLEARER = 0.8
-"""Part of the errors that moved frames leave, below which another zero is the cause: of
-the first joint and the last one frames explain as much."""
+"""Part of the errors that a motion of a joint leaves, below which another zero from a
+row on is the cause."""
 
 
 @dataclass(frozen=True)
@@ -195,19 +193,17 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     if better:
         # What one column lags behind another is no lag of its joint.
         return (min(better, key=lambda found: _left([found])),)
-    turned = _told(rehomed, case)
+    in_time = _told(changed, case)
     sure = _tried(joint_motion, case)
     if sure is not None and sure.fitted:
         # What bends follows joints as well, and the position of one most of all.
         _, left = _tried(lambda case: case.lacking, case) or ((), 1.0)
         bent = case.fit.errors * np.sqrt(left)
         sure = None if bent < CLEARER * sure.after else sure
+    turned = [found for found in in_time if found.code == "joint-rehomed"]
     if sure is not None and not _left(turned) < CLEARER * sure.after:
         # A nominal robot that is read wrong makes plateaus of its own.
         return tuple(finding(case, sure))
-    in_time = _told(move_findings, case)
-    if turned and _left(turned) < CLEARER * _left(in_time):
-        in_time = turned
     in_time = in_time or _told(drift, case)
     causes = tuple(found for found in in_time if found.severity == "error")
     if case.doubtful and not _explained(case, causes):

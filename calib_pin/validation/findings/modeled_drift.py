@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.estimation.evidence import Finding
+from calib_pin.parameterizations.base import COMPONENTS
 from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.units import DISPLAY
@@ -20,59 +21,47 @@ def modeled_drift(case: Case) -> Iterator[Finding]:
     """How far every instrument went, and from where to where in the end."""
     if InstrumentDrift.name not in case.setup.parameters or case.fitted is None:
         return
-    drift, parameters = case.setup.drift, case.fit.problem.parameters
-    values = dict(zip(parameters.names, case.fit.theta, strict=True))
-    for station, (first, last) in drift.spans.items():
-        ways = {
-            axis: np.cumsum(
-                [
-                    values.get(f"{station}.{InstrumentDrift.name}.{axis}{k + 1}", 0.0)
-                    for k in range(INCREMENTS)
-                ]
-            )
-            for axis in ("x", "y", "z", "rx", "ry", "rz")
-        }
-        shift = np.linalg.norm([ways[axis] for axis in ("x", "y", "z")], axis=0)
-        turn = np.linalg.norm([ways[axis] for axis in ("rx", "ry", "rz")], axis=0)
-        time, moved = _duration(last - first), []
-        for way, unit in ((shift, "m"), (turn, "rad")):
-            if way.any():
-                name, factor = DISPLAY[unit]
-                moved.append(f"{factor * way[-1]:.2g} {name}")
-        owner = "the instrument"
-        if station != "base":
-            owner = f"the instrument at station '{station}'"
-        told = f"{owner} has drifted by {' and '.join(moved)} in {time}"
-        if not moved:
-            told = f"no drift of {owner} shows in {time}"
-        evidence: dict[str, float | str] = {
-            "station": station,
-            "seconds": last - first,
-            "shift": float(shift[-1]),
-            "turn": float(turn[-1]),
-            "largest_shift": float(shift.max()),
-            "largest_turn": float(turn.max()),
-        }
-        yield Finding("modeled-drift", "info", told, evidence)
+    values = dict(zip(case.fit.problem.parameters.names, case.fit.theta, strict=True))
+    for station, (first, last) in case.setup.drift.spans.items():
+        name = f"{station}.{InstrumentDrift.name}."
+        steps = [
+            [values.get(f"{name}{axis}{k + 1}", 0.0) for axis in COMPONENTS]
+            for k in range(INCREMENTS)
+        ]
+        ways = np.cumsum(steps, axis=0)
+        shift, turn = (np.linalg.norm(ways[:, k : k + 3], axis=1) for k in (0, 3))
+        (mm, factor), (degrees, turned) = DISPLAY["m"], DISPLAY["rad"]
+        owner = "" if station == "base" else f" at station '{station}'"
+        yield Finding(
+            "modeled-drift",
+            "info",
+            f"the instrument{owner} has drifted by {factor * shift[-1]:.2g} {mm} and "
+            f"{turned * turn[-1]:.2g} {degrees} in {_duration(last - first)}",
+            {
+                "station": station,
+                "seconds": last - first,
+                "shift": float(shift[-1]),
+                "turn": float(turn[-1]),
+                "largest_shift": float(shift.max()),
+                "largest_turn": float(turn.max()),
+            },
+        )
 
 
 def modeled_warm_up(case: Case) -> Iterator[Finding]:
     """How far the tool moves as the robot warms up, rms where it was measured."""
     if WarmUp.name not in case.setup.parameters or case.fitted is None:
         return
-    problem, theta = case.fit.problem, case.fit.theta
-    thermal, moved = problem.setup.thermal, []
+    problem, thermal, moved = case.fit.problem, case.fit.problem.setup.thermal, []
     for block in problem.data.blocks:
         term = problem.terms[block.key]
-        q, own = block.q[:, term.columns], theta[term.of_error]
-        first, none = np.full(len(q), thermal.switched_on[0]), np.zeros(0)
+        q, own = block.q[:, term.columns], case.fit.theta[term.of_error]
         cold, warm = (
-            term.error.poses(
-                q, own, term.error.basis(q, replace(block.conditions, time=time))
-            )
-            for time in (first, none)
+            term.error.basis(q, replace(block.conditions, time=time))
+            for time in (np.full(len(q), thermal.switched_on[0]), np.zeros(0))
         )
-        moved.append((cold - warm)[:, :3, 3])
+        both = term.error.poses(q, own, cold) - term.error.poses(q, own, warm)
+        moved.append(both[:, :3, 3])
     size = float(np.sqrt(np.mean(np.sum(np.concatenate(moved) ** 2, axis=1))))
     constant, (name, factor) = thermal.warm_up_time or 0.0, DISPLAY["m"]
     yield Finding(

@@ -14,7 +14,7 @@ from calib_pin.estimation.registration import relocated
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.terms import BASE, FRAME
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.validation.findings.changes import CHANCE
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
@@ -48,9 +48,6 @@ AS_FITTED = 1.5
 """Errors from a station of their own, in standard deviations, up to which nothing but
 a move is wrong."""
 
-CHANCE = 1e-9
-"""Probability by chance of a move that is told."""
-
 STATION = (
     "give them a station of their own (a column 'station', or --station-per-file), or "
     "check that the instrument stood still"
@@ -82,25 +79,23 @@ def registered_if_moved(
         and a finding for every instrument that was moved.
     """
     found = errors_of_registered(model, before, after, positions)
-    rows, findings, kept = after.problem.data, [], np.ones(len(positions), bool)
+    data, findings, kept = after.problem.data, [], np.ones(len(positions), bool)
     fitted = {term.frames.station for term in model.problem.terms.values()}
-    of_block = [after.problem.terms[key].frames.station for key in rows.keys]
-    moved = [
-        Registered(*there.problem.rebased(there.theta), there.new)
-        for there in (before, after)
-    ]
-    for station in dict.fromkeys(filter(fitted.__contains__, of_block)):
-        own = np.flatnonzero(np.array(of_block)[rows.block_of] == station)
+    named = [after.problem.terms[key].frames.station for key in data.keys]
+    of_row = np.array(named)[data.block_of]
+    both = [(*at.problem.rebased(at.theta), at.new) for at in (before, after)]
+    for station in dict.fromkeys(filter(fitted.__contains__, named)):
+        own = np.flatnonzero(of_row == station)
         nominal, calibrated = (
-            replace(at, problem=replace(at.problem, data=rows.rows(own)))
-            for at in moved
+            Registered(replace(problem, data=data.rows(own)), theta, new)
+            for problem, theta, new in both
         )
         some = found.at(own)
-        anew, finding = _if_moved(model, some, nominal, calibrated, station)
-        if finding is not None:
-            findings.append(finding)
-            kept[own] = anew is not None
-        if anew is not None:
+        anew, told = _if_moved(model, some, nominal, calibrated, station)
+        findings += told
+        if anew is None:
+            kept[own] = False
+        else:
             found = found.replaced(own, anew)
     return found.at(kept) if kept.any() else None, findings
 
@@ -111,7 +106,7 @@ def _if_moved(
     before: Registered,
     after: Registered,
     station: str,
-) -> tuple[ModelErrors | None, Finding | None]:
+) -> tuple[ModelErrors | None, list[Finding]]:
     """Errors of the measurements from one station, and a finding, if it was moved.
 
     Args:
@@ -123,62 +118,37 @@ def _if_moved(
     """
     here = _elsewhere(after, station)
     if here is None:
-        return None, None
-    problem = here.problem
-    values, unknowns = measured_count(problem), len(here.refitted)
-    left = max(values - unknowns, 1)
-    as_is = _chi_square(after.problem, after.theta)
-    on_itself = _chi_square(problem, here.theta)
-    ratio = np.sqrt(as_is * left / max(on_itself * values, 1e-300))
-    if ratio <= SUSPICIOUS:
-        return None, None
-    nominal = _elsewhere(before, station)
+        return errors, []
+    values, unknowns = measured_count(here.problem), len(here.refitted)
+    left, was, now = max(values - unknowns, 1), _chi_square(after), _chi_square(here)
+    ratio = np.sqrt(was * left / max(now * values, 1e-300))
+    nominal = _elsewhere(before, station) if ratio > SUSPICIOUS else None
     if nominal is None:
-        return None, None
+        return errors, []
+    own: ModelErrors | None
+    own = errors_of_registered(model, nominal, here, errors.positions)
+    owner = "" if station == BASE else f" from '{station.rpartition('.')[0]}'"
+    off, anew = (float(np.sqrt(square / values)) for square in (was, now))
+    end, remedy = "has moved, and both robots are registered on them", STATION
+    distinct = distinct_values(here.problem)
+    if ratio <= MOVED or not _alike(errors, own, here.problem):
+        gain = max(was - now, 0.0) / unknowns / max(now / left, 1e-300)
+        if anew > AS_FITTED or f_tail(gain, unknowns, left) > CHANCE:
+            return errors, []
+        own, end = errors, "may have moved before them"
+    elif distinct <= unknowns or here.problem.data.configurations < FEWEST_HELD_OUT:
+        own, remedy = None, "measure more validation configurations from one station"
+        end = "has moved, and they are too few for a check from there: "
+        end += f"{distinct} distinct values, {unknowns} unknowns"
     numbers = {
-        "chi-square as it is": as_is,
-        "chi-square registered": on_itself,
+        "chi-square as it is": was,
+        "chi-square registered": now,
         "values": float(values),
         "unknowns": float(unknowns),
     }
-    own = errors_of_registered(model, nominal, here, errors.positions)
-    rms = [float(np.sqrt(square / values)) for square in (as_is, on_itself)]
-    if ratio <= MOVED or not _alike(errors, own, problem):
-        gain = max(as_is - on_itself, 0.0) / unknowns / max(on_itself / left, 1e-300)
-        if rms[1] > AS_FITTED or f_tail(gain, unknowns, left) > CHANCE:
-            return None, None
-        return errors, Finding(
-            "moved-instrument",
-            "warning",
-            "the validation measurements are off by "
-            f"{rms[0]:.3g} standard deviations, from another station by {rms[1]:.3g}: "
-            "the instrument may have moved before them",
-            numbers,
-            STATION,
-        )
-    of = "" if station == BASE else f" of '{station.rpartition('.')[0]}'"
-    seen = f"the instrument had another station for the validation measurements{of}"
-    if (
-        distinct_values(problem) <= unknowns
-        or problem.data.configurations < FEWEST_HELD_OUT
-    ):
-        return None, Finding(
-            "moved-instrument",
-            "warning",
-            f"{seen}, which are too few for a check from there: "
-            f"{distinct_values(problem)} distinct values, {unknowns} unknowns",
-            numbers,
-            "measure more validation configurations from one station",
-        )
-    return own, Finding(
-        "moved-instrument",
-        "warning",
-        f"{seen}: with the station of the fit they are off by {rms[0]:.3g} standard "
-        f"deviations, with their own by {rms[1]:.3g}; both robots are registered on "
-        "them",
-        numbers,
-        STATION,
-    )
+    said = f"the validation measurements{owner} are off by {off:.3g} standard "
+    said += f"deviations, from another station by {anew:.3g}: the instrument {end}"
+    return own, [Finding("moved-instrument", "warning", said, numbers, remedy)]
 
 
 def _elsewhere(there: Registered, station: str) -> Registered | None:
@@ -204,16 +174,13 @@ def _elsewhere(there: Registered, station: str) -> Registered | None:
     if len(free) == 0:
         return None
     basis = np.diag(parameters.scales)[:, free]
+    # Known distances count again later: they are left out of this fit only.
     plain = replace(problem, setup=replace(problem.setup, distances=(), angles=()))
-    starts = [plain]
-    relative = any(block.start.size for block in problem.data.blocks)
+    starts, relative = [plain], any(block.start.size for block in problem.data.blocks)
     if parameters.free[base].all() and not relative:
         starts.append(relocated(plain, theta, station))
     found = [(least_squares(start, theta, basis), start) for start in starts]
-    result, start = min(
-        found, key=lambda pair: pair[0].cost if np.isfinite(pair[0].cost) else np.inf
-    )
-    # Known distances count again: they were left out of this fit only.
+    result, start = min(found, key=lambda pair: np.nan_to_num(pair[0].cost, nan=np.inf))
     start = replace(start, setup=problem.setup)
     return Registered(start, result.x, there.new, tuple(free.tolist()))
 
@@ -221,18 +188,19 @@ def _elsewhere(there: Registered, station: str) -> Registered | None:
 def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
     """Whether both robots see about the same displacement, in the median."""
     unit = problem.layout.table(problem.sigma, len(problem.data))
+    pairs = (errors.before, own.before), (errors.after, own.after)
     with np.errstate(invalid="ignore"):
-        nominal, calibrated = (
-            np.nan_to_num((a - b) / unit, posinf=0.0, neginf=0.0)
-            for a, b in ((errors.before, own.before), (errors.after, own.after))
-        )
-    moves = np.linalg.norm(calibrated, axis=1)
-    apart = np.linalg.norm(nominal - calibrated, axis=1)
-    return bool(np.median(apart) < ALIKE * np.median(moves))
+        moves = [
+            np.nan_to_num((a - b) / unit, posinf=0.0, neginf=0.0) for a, b in pairs
+        ]
+    sizes = np.linalg.norm([moves[0] - moves[1], moves[1]], axis=2)
+    apart, moved = np.median(sizes, axis=1)
+    return bool(apart < ALIKE * moved)
 
 
-def _chi_square(problem: Problem, theta: Floats) -> float:
+def _chi_square(there: Registered) -> float:
     """Sum of squared errors in standard deviations; infinite where one is lost."""
-    present = np.isfinite(problem.sigma)
-    errors = problem.errors(theta)[present] / problem.sigma[present]
+    present = np.isfinite(there.problem.sigma)
+    sigma = there.problem.sigma[present]
+    errors = there.problem.errors(there.theta)[present] / sigma
     return float(np.nan_to_num(errors @ errors, nan=np.inf, posinf=np.inf))

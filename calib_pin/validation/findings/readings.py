@@ -26,7 +26,7 @@ from calib_pin.kinematics.spatial import Floats, from_quaternion, to_quaternion
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
 from calib_pin.measurement_models.readings import places_of, with_values
-from calib_pin.observations import BlockKey, Measurements, Observations
+from calib_pin.observations import BlockKey, Measurements, Observations, apart
 from calib_pin.setup import (
     AXES,
     HELD,
@@ -62,6 +62,9 @@ DEGREE = np.pi / 180.0
 FEWEST, TARGETS, GROUPS = 3, 20, 5
 """Fewest measurements of a target that contradict together, or points of a board, and
 most targets and groups of them that are tried; each has a frame of its own to fit."""
+
+FRAMES: tuple[Literal["station", "tool"], ...] = ("station", "tool")
+"""Frames that targets may stand in, and columns that tell them apart."""
 
 MOUNTS: dict[Literal["hand", "world"], str] = {
     "hand": "moves with the tool",
@@ -309,7 +312,7 @@ def target_frames(case: Case) -> Iterator[Hypothesis]:
             continue
         words = f"the targets {enumerated([f'{name}/..' for name in names])} do not "
         words += "fit together, and each fits alone"
-        for frame in ("station", "tool"):
+        for frame in FRAMES:
             found = Hypothesis("target-frames", words, "frames of targets")
             change = partial(_apart, group=group, frame=frame)
             advice = f"give each a {frame} of its own (a column '{frame}')"
@@ -335,18 +338,11 @@ def _groups(data: Observations) -> Iterator[dict[str, str]]:
     yield {name: first[label[name]] for name in names}
 
 
-def _apart(data: Observations, group: Mapping[str, str], frame: str) -> Observations:
+def _apart(
+    data: Observations, group: Mapping[str, str], frame: Literal["station", "tool"]
+) -> Observations:
     """Measurements whose groups of targets have a station, or a tool, of their own."""
-    blocks = []
-    for block in data.blocks:
-        of_row = block.target.map(group.__getitem__)
-        for name in of_row.distinct:
-            own = block.rows(of_row.where(name))
-            if frame == "station":
-                blocks.append(replace(own, station=f"{own.station}{name}"))
-            else:
-                blocks.append(replace(own, tool=f"{own.tool}{name}"))
-    return Observations.of(*blocks)
+    return apart(data, frame, data.target.map(group.__getitem__))[0]
 
 
 def robots(case: Case) -> Iterator[Hypothesis]:

@@ -1,0 +1,156 @@
+"""Changes in the course of a job are told with line and size; noise is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib_pin
+from calib_pin.estimation.fit import fit_model
+from calib_pin.measurement_models.readings import read_otherwise
+from calib_pin.observations import Observations
+from calib_pin.parameterizations import frame_pose
+from calib_pin.setup import ReadingSetup, Setup
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.course import drift
+
+WAY = np.array([0.6, 0.0, -0.8])
+
+
+def findings(job, *blocks):
+    """What a calibration of some blocks tells."""
+    data = Observations.of(*blocks)
+    return calib_pin.calibrate(job.chain, data, validate=False).findings
+
+
+def drifts(job, block):
+    """The findings of a drift."""
+    fitted = fit_model(job.chain, Observations.of(block), Setup(), 0).fit
+    return list(drift(Case.of(fitted, fitted.problem.chains)))
+
+
+def displaced(block, size):
+    """The same measurements displaced by so much, shape (N,) [m]."""
+    values = block.values.copy()
+    values[:, :3] += size[:, None] * WAY
+    return replace(block, values=values)
+
+
+def turned(block, joint, size):
+    """The same with a column that reads so much more, shape (N,) [rad]."""
+    q = block.q.copy()
+    q[:, joint] += size
+    return replace(block, q=q)
+
+
+def test_a_moved_job_is_untrusted_with_the_lines(moved_job) -> None:
+    job = moved_job((30, 60), (45,))
+    result = calib_pin.calibrate(job.chain, job.plain, validate=False)
+    assert result.verdict == "untrusted"
+    first, tool, second = result.findings
+    assert [(f.code, f.evidence["line"]) for f in result.findings] == [
+        # Thirty measurements behind a line of titles.
+        ("instrument-moved", 31),
+        ("tool-remounted", 46),
+        ("instrument-moved", 61),
+    ]
+    places = [frame_pose(job.truth.stations[f"s{k}"]).inverse() for k in range(3)]
+    for finding, A, B in ((first, *places[:2]), (second, *places[1:])):
+        distance = np.linalg.norm(B.translation - A.translation)
+        angle = np.linalg.norm(pin.log3(A.rotation.T @ B.rotation))
+        assert finding.evidence["distance"] == pytest.approx(distance, abs=0.02)
+        assert finding.evidence["angle"] == pytest.approx(angle, abs=0.02)
+        apart = [finding.evidence[axis] for axis in "xyz"]
+        assert np.linalg.norm(apart) == pytest.approx(finding.evidence["distance"])
+    # Nobody knows how a single point is turned.
+    assert "angle" not in tool.evidence
+    assert tool.evidence["rms_before"] > 0.1 > 1e-3 > tool.evidence["rms_after"]
+    # All three divide the measurements as their names would have done.
+    lines = {"reading": {"moved": [32, 62], "remounted": [47]}}
+    assert [finding.setup for finding in result.findings] == [lines] * 3
+    named = calib_pin.calibrate(job.chain, job.named, validate=False)
+    assert named.verdict == "good" and named.findings == ()
+
+
+def test_two_tools_in_turn(moved_job) -> None:
+    """No single one of their changes explains much."""
+    job = moved_job((), (20, 40, 60), 80, step=0.02)
+    found = [(f.code, f.evidence["line"]) for f in findings(job, job.plain)]
+    assert found == [("tool-remounted", line) for line in (21, 41, 61)]
+
+
+def test_a_move_within_a_station_that_is_named(moved_job) -> None:
+    job = moved_job((20, 40), (), 60)
+    blocks = [
+        replace(block, station={"s0": "day1"}.get(block.station, "day2"), tool="")
+        for block in job.named.blocks
+    ]
+    (finding,) = findings(job, *blocks)
+    assert finding.evidence["line"] == 41 and "'day2'" in finding.message
+
+
+def test_a_small_move_in_the_order_of_the_files(moved_job) -> None:
+    """Noise is 0.05 mm."""
+    job, order = moved_job((), ()), np.random.default_rng(0).permutation(90)
+    block = displaced(job.plain.only, 5e-4 * (np.arange(90) >= 40))
+    block = replace(block, files=["a.csv"] * 40 + ["b.csv"] * 50)
+    (finding,) = findings(job, block.rows(order))
+    assert (finding.code, finding.evidence["line"]) == ("instrument-moved", 41)
+    assert "a.csv:41" in finding.message
+    assert finding.setup == {"reading": {"moved": ["b.csv:42"]}}
+
+
+# Of a thousand rows three hundred are looked at, and the line is found among all.
+@pytest.mark.parametrize(("count", "first"), [(60, 31), (1000, 522)])
+def test_a_joint_that_was_homed_anew(moved_job, count: int, first: int) -> None:
+    job = moved_job((), (), count)
+    block = turned(job.plain.only, 2, 0.01 * (np.arange(count) >= first))
+    result = calib_pin.calibrate(job.chain, block, validate=False)
+    (finding,) = (f for f in result.findings if f.severity == "error")
+    assert (result.verdict, finding.code) == ("untrusted", "joint-rehomed")
+    assert finding.evidence["joint"] == "joint_3"
+    # The last row before, behind a line of titles.
+    assert finding.evidence["line"] == first + 1
+    # It is the column that reads more.
+    assert finding.evidence["offset"] == pytest.approx(-0.01, abs=5e-4)
+    assert finding.evidence["rms_after"] < 2e-4 < finding.evidence["rms_before"]
+
+
+def test_a_robot_that_grows_warm_was_not_homed_anew(moved_job) -> None:
+    job = moved_job((), (), 60)
+    block = turned(job.plain.only, 2, np.linspace(0.0, 0.01, 60))
+    assert [f.code for f in findings(job, block)] == ["robot-drift"]
+
+
+def test_a_drift_and_its_size(moved_job) -> None:
+    job, size = moved_job((), (), model="pose"), 3e-4
+    block = displaced(job.plain.only, np.linspace(0.0, size, 90))
+    (finding,) = drifts(job, block)
+    assert (finding.code, finding.severity) == ("instrument-drift", "warning")
+    vector = [finding.evidence[axis] for axis in "xyz"]
+    deviation = finding.evidence["sigma"]
+    np.testing.assert_allclose(vector, size * WAY, atol=4.0 * deviation)
+    assert finding.evidence["rms_after"] < finding.evidence["rms_before"]
+    (x, y, z) = finding.setup["reading"]["drift"]
+    back = read_otherwise(Observations.of(block), ReadingSetup(drift=(x, y, z)))
+    assert drifts(job, back.only) == []
+
+
+def test_a_bent_path_is_no_drift(moved_job) -> None:
+    """Errors that swing slowly, as unmodeled ones along a path, go with time, too."""
+    job, time = moved_job((), ()), np.linspace(0.0, 1.0, 90)
+    waves = sum(np.sin(k * np.pi * time + 0.4 * k) for k in range(1, 8))
+    assert drifts(job, displaced(job.plain.only, 2e-4 * waves)) == []
+
+
+def test_a_drift_of_a_joint(moved_job) -> None:
+    """Few measurements have absorbed a part of it, with nearly as many parameters."""
+    job, size = moved_job((), ()), 0.017
+    block = job.plain.only.rows(slice(24))
+    (finding,) = drifts(job, turned(block, 2, -np.linspace(0.0, size, 24)))
+    assert finding.code == "robot-drift"
+    assert finding.evidence["joint"] == block.joints[2]
+    assert finding.evidence["drift"] == pytest.approx(size, rel=0.3)

@@ -8,12 +8,14 @@ from typing import Annotated
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs
-from calib_pin.cli.request import Told
+from calib_pin.cli.options import Told
 from calib_pin.errors import OptionError, require_known
+
+FORMAT = options.known("format", "io.exchange:FORMATS", "list")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(options.QuietAnswer):
+class Export(options.QuietAnswer, options.OfChain):
     """A file for other software, as it is asked for.
 
     Attributes:
@@ -25,11 +27,10 @@ class Export(options.QuietAnswer):
             ur-kinematics, xarm-kinematics and lerobot, possible for ros2-control.
     """
 
-    calibration: Annotated[Path, Told("DIR|CALIBRATION")]
-    format: Annotated[str, Told("NAME", "Output")]
+    calibration: Annotated[Path, Told("DIR|CALIBRATION", "")]
+    format: Annotated[str, Told("NAME", "Output", FORMAT)]
     output: Annotated[Path | None, Told("FILE", "Output")] = None
     template: Annotated[Path | None, Told("FILE", "Output")] = None
-    chain: options.ChainName = None
 
 
 @options.spread
@@ -47,7 +48,6 @@ def export(asked: Export) -> int:
             needs = f" (--template {known.template})" if known.template else ""
             print(f"{known.name:16} {known.summary}{needs}")
         return 0
-    require_known("format", form, FORMATS)
     wanted = FORMATS[form]
     if output is None:
         raise OptionError(f"-o is missing: the {wanted.suffix} file to write")

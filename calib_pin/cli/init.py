@@ -14,8 +14,8 @@ import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, require_distinct, require_folders
+from calib_pin.cli.options import Told
 from calib_pin.cli.printing import notice, told_command
-from calib_pin.cli.request import Told
 from calib_pin.errors import OptionError, enumerated, stated_in
 from calib_pin.units import as_number
 
@@ -27,7 +27,7 @@ SIGMA = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Draft(options.Answer, options.OfRobot):
+class Draft(options.Answer, options.OfStations):
     """A setup file that is to be drafted.
 
     Attributes:
@@ -38,12 +38,10 @@ class Draft(options.Answer, options.OfRobot):
         board: Board of a camera, as for 'detect'.
     """
 
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...")]
+    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
     output: Annotated[Path | None, Told("YAML", "Output")] = None
-    tip: Annotated[str | None, Told("LINK", "Robot")] = None
     distance: Annotated[str | None, Told("LENGTH", "Robot")] = None
     board: Annotated[str | None, Told("SPEC", "Robot")] = None
-    station_per_file: options.StationPerFile = False
 
 
 @options.spread

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, open_setup, require_file
+from calib_pin.cli.options import Told, number
 from calib_pin.cli.printing import progress_bar, stage
-from calib_pin.cli.request import Told, number
 
 if TYPE_CHECKING:
     from calib_pin.io.table import Table
@@ -39,8 +39,8 @@ class Logs(options.QuietAnswer):
         keep: Keep every reading, instead of one mean for each standstill.
     """
 
-    log: Annotated[Path, Told("JOINTS")]
-    measurements: Annotated[Path, Told("MEASUREMENTS")]
+    log: Annotated[Path, Told("JOINTS", "")]
+    measurements: Annotated[Path, Told("MEASUREMENTS", "")]
     output: Annotated[Path, Told("CSV", "Output")]
     setup: Annotated[Path | None, Told("FILE", "Logs")] = None
     settle: Annotated[float, Told("S", "Logs", SETTLE)] = 0.5

@@ -4,24 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib_pin.cli.files import (
-    FLAGS,
-    check_outputs,
-    open_chains,
-    open_measurements,
-    open_setup,
-    require_distinct,
-)
-from calib_pin.cli.older import as_before, open_older
+import calib_pin.cli.files as files_of
+from calib_pin.cli.options import Request
 from calib_pin.cli.printing import Bar, notice
-from calib_pin.cli.request import Request
 from calib_pin.cli.results import (
     ResultFiles,
     check_results,
@@ -30,7 +22,6 @@ from calib_pin.cli.results import (
     result_contents,
     result_files,
 )
-from calib_pin.errors import require_known
 from calib_pin.workers import SERIAL, Workers
 
 if TYPE_CHECKING:
@@ -99,30 +90,28 @@ def opened(
     from calib_pin.io.measured_columns import place_of
     from calib_pin.io.results import document_file
 
-    if request.use is not None:
-        from calib_pin.validation.model_selection import USES
-
-        require_known("use", request.use, USES)
-    asked = vars(request)
-    stated = open_setup(request.setup, **{name: asked[name] for name in FLAGS})
+    rows_in = request.measurements
     further = [] if request.validation is None else [request.validation]
-    older = open_older(request.start, [*request.measurements, *further])
-    stated = as_before(stated, older)
+    older, stated = files_of.open_older(
+        request.start, request.stated(), used=[*rows_in, *further]
+    )
     if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):
         name = stated.solver.name
         notice(f"{name} ignores the options of differential evolution in 'solver'")
-    chains = open_chains(request.robot, stated, package_dirs=request.package_dir)
+    chains = request.chains(stated)
     files = None if output is None else result_files(output, chains.robot.name)
     # None of them may be written.
     started = [] if request.start is None else [document_file(request.start)]
-    inputs = [request.robot, request.setup, *started, *request.measurements, *further]
+    inputs = [request.robot, request.setup, *started, *rows_in, *further]
     if files is None:
-        check_outputs(pictures, inputs, force)
+        files_of.check_outputs(pictures, inputs, force)
     else:
         check_results(files, pictures, chains.robot, inputs, force)
-    require_distinct([*request.measurements, *further])
-    read = partial(open_measurements, station_per_file=request.station_per_file)
-    chains, rows = read(request.measurements, chains, stated, quiet=quiet, bar=bar)
+    files_of.require_distinct([*rows_in, *further])
+    read = partial(
+        files_of.open_measurements, station_per_file=request.station_per_file
+    )
+    chains, rows = read(rows_in, chains, stated, quiet=quiet, bar=bar)
     unseen = None
     if further:
         same = replace(stated, model="+".join(rows.models))
@@ -130,10 +119,8 @@ def opened(
         _, unseen = read(further, chains, same, quiet=True, sockets=sockets)
     if rows.validate.any() and (further or request.holdout is not None):
         option = "--validation" if further else "--holdout"
-        notice(
-            f"the measurements that 'set' marks for validation are not used with "
-            f"{option}"
-        )
+        reason = "the measurements that 'set' marks for validation are not used with"
+        notice(f"{reason} {option}")
     return Opened(request, stated, chains, rows, unseen, files, older)
 
 
@@ -165,7 +152,7 @@ def calibrated(
     shown = (files is not None and page) or bool(pictures)
     start = time.perf_counter()
     # What `calibrate` calls as the request does is passed on as it is.
-    same = signature(calibrate).parameters.keys() & vars(request).keys()
+    same = signature(calibrate).parameters.keys() & {f.name for f in fields(Request)}
     given = {name: getattr(request, name) for name in same} | {
         "setup": setup,
         "validation": opened.validation,

@@ -11,22 +11,16 @@ from typing import Annotated
 import typer
 
 import calib_pin.cli.options as options
-from calib_pin.cli.files import (
-    open_calibration,
-    open_measurements,
-    require_distinct,
-    require_file,
-    require_folders,
-)
+from calib_pin.cli.files import open_measurements, require_folders
+from calib_pin.cli.options import Told, number
 from calib_pin.cli.printing import notice, progress_bar, stage, tell_notices
-from calib_pin.cli.request import Told, number
-from calib_pin.errors import OptionError, require_known
+from calib_pin.errors import OptionError
 
 PORT = number(int, "--port", "0 to 65535", 0, 65535)
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(options.OfRobot):
+class View(options.OfStations, options.OfChain, options.OfCalibration):
     """A window as it is asked for.
 
     Attributes:
@@ -36,13 +30,10 @@ class View(options.OfRobot):
         once: Stop when the last window is closed.
     """
 
-    robot: options.RobotOrCalibration
-    measurements: Annotated[list[Path] | None, Told("[MEASUREMENTS...]")] = None
+    measurements: Annotated[list[Path] | None, Told("[MEASUREMENTS...]", "")] = None
     plan: Annotated[Path | None, Told("CSV", "Window")] = None
     port: Annotated[int, Told("N", "Window", PORT)] = 8080
     once: Annotated[bool, Told("", "Window")] = False
-    chain: options.ChainName = None
-    station_per_file: options.StationPerFile = False
 
 
 @options.spread
@@ -60,29 +51,22 @@ def view(asked: View) -> int:
     from calib_pin.viewer.scene import make_scene
     from calib_pin.viewer.server import Window
 
-    stated, robot, chain = asked.stated(), asked.robot, asked.chain
-    files, folders = asked.measurements or [], asked.package_dir or []
-    require_file(robot, ", or a robot")
+    folders = asked.package_dir or []
     require_folders(folders)
-    require_distinct(files)
-    calibrated = None
-    if robot.endswith(".json"):
-        calibrated, stated = open_calibration(robot, asked.setup, stated, notice)
-        chains = calibrated.chains
-        if chain is not None:
-            require_known("chain", chain, calibrated.measured_chains)
-    else:
-        chains = asked.chains(stated, chain)
+    calibrated, chains, stated = asked.subject(notice, asked.chain)
     with progress_bar() as bar:
-        own = asked.station_per_file
         read = partial(
-            open_measurements, files, chain=chain, station_per_file=own, bar=bar
+            open_measurements,
+            asked.measurements or [],
+            chain=asked.chain,
+            station_per_file=asked.station_per_file,
+            bar=bar,
         )
         scene = make_scene(
             chains,
             calibrated,
             stated,
-            read if files else None,
+            read if asked.measurements else None,
             asked.plan,
             folders,
             tell=notice,

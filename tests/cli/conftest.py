@@ -17,7 +17,7 @@ from typer.exceptions import TyperException
 
 import calib_pin.cli.app as cli_app
 from calib_pin.cli import main
-from calib_pin.cli.workforce import asked_workers
+from calib_pin.cli.options import asked_workers
 from calib_pin.errors import InputError, OutputError
 from calib_pin.viewer.scene import Scene
 

@@ -390,17 +390,17 @@ def _acceptance(
         if (value := getattr(asked, name)) is not None:
             words += [f"--{name}", str(value)]
     cycles, robot = asked.cycles or USUAL, chains.robot.name
-    schedule = [*acceptance_schedule(found, robot, cycles, speeds, [shlex.join(words)])]
+    schedule = acceptance_schedule(found, robot, cycles, speeds, shlex.join(words))
     q, poses, each = found.cycles(cycles)
     shown = shown_columns(q, JointColumns.of(chain, setup.joints), asked.degrees)
     columns: dict[str, Sequence[object]] = {n: c.tolist() for n, c in shown.items()}
     columns |= {"cycle": each, "pose": [f"P{pose}" for pose in poses]}
     columns |= {f"{axis} [mm]": [""] * len(q) for axis in "xyz"}  # To be filled in.
-    text = encode_table(columns, [f"planned by: {command}", "", *schedule])
+    text = encode_table(columns, [f"planned by: {command}", "", *schedule.splitlines()])
     asked.give(
         {asked.output: text},
         dict,
-        "".join(f"{line}\n" for line in schedule),
+        schedule,
         [f"wrote {len(found.q) * cycles} visits to {asked.output}"],
     )
     return 0

@@ -5,36 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import calib_pin.report.tables as tables
+import calib_pin.validation.comparison as compared
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.report.accuracy import chain_words, model_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, table
-from calib_pin.report.tables import (
-    SIZES,
-    UNIT,
-    amount,
-    estimate,
-    listed,
-    quantity,
-    sizes,
-    unit_of,
-)
 from calib_pin.report.trust import below, findings, judged
-from calib_pin.validation.comparison import (
-    BOUND,
-    Comparison,
-    Difference,
-    Displacement,
-    chained,
-    faults,
-    robot_groups,
-    robot_parameters,
-    shared_files,
-    stated_noise,
-)
 from calib_pin.validation.result import CalibrationResult
 
 
-def comparison_report(found: Comparison) -> Iterator[Block]:
+def comparison_report(found: compared.Comparison) -> Iterator[Block]:
     """Whether the robot changed, where, by which parameters, and the doubts."""
     pair = (("A", found.first), ("B", found.second))
     for label, record in pair:
@@ -43,7 +23,7 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
             said = f"{label} ({record.provenance.file}): {reason}"
             yield judged(said, record.verdict)
     yield _verdict(found)
-    yield from findings(faults(found), "")
+    yield from findings(compared.faults(found), "")
     for label, record in pair:
         yield from findings(record.findings, record.reason, label)
     yield from (Line(doubt, "note") for doubt in _doubts(found))
@@ -56,7 +36,7 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
     yield from accuracies(found)
 
 
-def _verdict(found: Comparison) -> Line:
+def _verdict(found: compared.Comparison) -> Line:
     drift = found.drift
     apart = _size(found, drift.position.rms, drift.orientation.rms)
     if found.identical:
@@ -78,7 +58,7 @@ def _verdict(found: Comparison) -> Line:
         name = f"a combination with {terms[0][0]}" if terms else leading.name
         return Line(
             f"The robot changed, but not visibly at the tool point: {name} by "
-            f"{amount(leading.change, leading.unit)}, {leading.significance:.0f} "
+            f"{tables.amount(leading.change, leading.unit)}, {leading.significance:.0f} "
             f"standard deviations; the tool points differ by {within}",
             "bad",
         )
@@ -86,12 +66,12 @@ def _verdict(found: Comparison) -> Line:
     return Line(f"{said} {within}", "good")
 
 
-def _where(found: Comparison) -> str:
+def _where(found: compared.Comparison) -> str:
     """Of several chains the one that drifted most."""
     return f" at the tip of {found.chain}" if len(found.drifts) > 1 else ""
 
 
-def _cause(found: Comparison) -> str:
+def _cause(found: compared.Comparison) -> str:
     """The cause of a drift, as far as it is known."""
     trusted = {found.first.verdict, found.second.verdict} <= set(TRUSTED)
     if found.same_rows or not found.same_parameters or not trusted:
@@ -104,13 +84,13 @@ def _cause(found: Comparison) -> str:
     return "The robot changed: tool-point drift"
 
 
-def _size(found: Comparison, position: float, orientation: float) -> str:
+def _size(found: compared.Comparison, position: float, orientation: float) -> str:
     """A drift in words; an orientation only where it is known."""
     pairs = [(position, "m"), (orientation, "rad")][: 2 if found.drift.oriented else 1]
-    return " and ".join(amount(*pair) for pair in pairs)
+    return " and ".join(tables.amount(*pair) for pair in pairs)
 
 
-def _doubts(found: Comparison) -> Iterator[str]:
+def _doubts(found: compared.Comparison) -> Iterator[str]:
     """Other possible causes of the difference."""
     if not found.same_nominal:
         yield (
@@ -130,17 +110,18 @@ def _doubts(found: Comparison) -> Iterator[str]:
             "The errors are described by different parameters, which can cause a "
             "difference without any change of the robot."
         )
-    if chained(found.first, found.second):
+    if compared.chained(found.first, found.second):
         yield (
             "B began with A: it tells what the new measurements have changed, and the "
             "noise of both is not independent."
         )
-    if shared_files(found.first, found.second):
+    if compared.shared_files(found.first, found.second):
         yield "They share a measurement file: their noise is not independent."
     elif (
         found.drifted
         and found.same_parameters
-        and None not in (stated_noise(found.first), stated_noise(found.second))
+        and None
+        not in (compared.stated_noise(found.first), compared.stated_noise(found.second))
         and not found.described
     ):
         yield (
@@ -168,7 +149,7 @@ FAR = 0.01
 """Distance between the tools from which it matters which of them is compared [m]."""
 
 
-def tip_differences(found: Comparison) -> Iterator[Block]:
+def tip_differences(found: compared.Comparison) -> Iterator[Block]:
     """The distance of the tool points, its maximum, and what is no drift."""
     rows = []
     for chain, drift in found.drifts.items():
@@ -179,17 +160,17 @@ def tip_differences(found: Comparison) -> Iterator[Block]:
         ]
         of = f"{chain or 'robot'}, " if len(found.drifts) > 1 else ""
         for name, unit, accuracy, noise in stages[: 2 if found.drift.oriented else 1]:
-            *cells, shown = sizes(accuracy, unit)
-            rows.append((of + name, *cells, quantity(noise, unit), shown))
+            *cells, shown = tables.sizes(accuracy, unit)
+            rows.append((of + name, *cells, tables.quantity(noise, unit), shown))
     title = "Tool-point difference over the workspace"
-    yield table(title, ("", *SIZES[:-1], "noise rms", UNIT), rows)
+    yield table(title, ("", *tables.SIZES[:-1], "noise rms", tables.UNIT), rows)
     yield Line(" ".join(_how(found)), "note")
     if not found.identical:
         yield _farthest(found)
     yield from _frames(found)
 
 
-def _how(found: Comparison) -> Iterator[str]:
+def _how(found: compared.Comparison) -> Iterator[str]:
     """Sentences on what the differences refer to."""
     absorbed = found.drift.absorbed
     yield f"{len(found.drift.q)} random configurations within the joint limits."
@@ -215,22 +196,22 @@ def _how(found: Comparison) -> Iterator[str]:
         p.status
         for record in (found.first, found.second)
         for p in record.parameters
-        if p.name in robot_parameters(record)
+        if p.name in compared.robot_parameters(record)
     }
     if "weak" in statuses:
         yield "It excludes weakly observable directions, which were held at nominal."
 
 
-def _farthest(found: Comparison) -> Facts:
+def _farthest(found: compared.Comparison) -> Facts:
     drift, chain = found.drift, found.first.model.of(found.chain).chain
     position = drift.farthest
     x, y, z = (f"{1e3 * value:.1f}" for value in drift.points[position])
     angles = []
     for value, turns in zip(drift.q[position], chain.revolute, strict=True):
-        unit, factor = unit_of("rad" if turns else "m")
+        unit, factor = tables.unit_of("rad" if turns else "m")
         angles.append(f"{factor * value:.1f} {unit}")
     return Facts(
-        f"Largest difference{_where(found)}: {amount(drift.drift[position], 'm')}",
+        f"Largest difference{_where(found)}: {tables.amount(drift.drift[position], 'm')}",
         [
             ("tool point", f"at {x}, {y}, {z} mm in {chain.base}"),
             ("joints", f"at {', '.join(angles)}"),
@@ -238,7 +219,7 @@ def _farthest(found: Comparison) -> Facts:
     )
 
 
-def _frames(found: Comparison) -> Iterator[Block]:
+def _frames(found: compared.Comparison) -> Iterator[Block]:
     """The displacements of base and tool, which are no drift of the robot."""
     entries = [(d.frame, _displaced(d)) for d in found.displacements]
     if not entries:
@@ -247,32 +228,34 @@ def _frames(found: Comparison) -> Iterator[Block]:
     moving = [d for d in found.displacements if math.isfinite(d.motion)]
     if moving:
         parts = [
-            f"{amount(d.motion, 'm')} by the "
+            f"{tables.amount(d.motion, 'm')} by the "
             f"{'tool' if d.of_tool else 'instrument'} ({d.frame})"
             for d in moving
         ]
-        parts.append(f"{amount(found.drift.position.rms, 'm')} by the robot")
+        parts.append(f"{tables.amount(found.drift.position.rms, 'm')} by the robot")
         noise = ""
         if found.drift.explained is not None:
-            noise = f", where noise explains {amount(found.drift.explained[0], 'm')}"
+            noise = (
+                f", where noise explains {tables.amount(found.drift.explained[0], 'm')}"
+            )
         yield Line(f"Measured tool points moved {', '.join(parts)}{noise}.", "note")
 
 
-def _displaced(moved: Displacement) -> str:
+def _displaced(moved: compared.Displacement) -> str:
     """The displacement of a frame in words, with its uncertainty where it is known."""
-    sizes = [(moved.shift, "m", moved.sigma[0])]
+    tables.sizes = [(moved.shift, "m", moved.sigma[0])]
     if moved.turn is not None:
-        sizes.append((moved.turn, "rad", moved.sigma[1]))
+        tables.sizes.append((moved.turn, "rad", moved.sigma[1]))
     words = " and ".join(
-        amount(size, unit)
-        + (f" +- {amount(sigma, unit)}" if math.isfinite(sigma) else "")
-        for size, unit, sigma in sizes
+        tables.amount(size, unit)
+        + (f" +- {tables.amount(sigma, unit)}" if math.isfinite(sigma) else "")
+        for size, unit, sigma in tables.sizes
     )
     words += f", relative to the {'tip link' if moved.of_tool else 'instrument'}"
     return words + ("; no more than noise" if moved.chance > INSIGNIFICANT else "")
 
 
-def parameter_changes(found: Comparison) -> Iterator[Block]:
+def parameter_changes(found: compared.Comparison) -> Iterator[Block]:
     """The differences beyond their uncertainty, and what only one calibration has."""
     if not found.same_nominal:
         return
@@ -280,32 +263,32 @@ def parameter_changes(found: Comparison) -> Iterator[Block]:
         rows = [
             (
                 moved.name,
-                *estimate(moved.change, moved.sigma, moved.unit)[:2],
+                *tables.estimate(moved.change, moved.sigma, moved.unit)[:2],
                 Cell(f"{moved.significance:.1f}", moved.significance),
-                unit_of(moved.unit)[0],
+                tables.unit_of(moved.unit)[0],
             )
             for moved in found.moved
         ]
-        many = f"{BOUND:.0f} standard deviations"
+        many = f"{compared.BOUND:.0f} standard deviations"
         yield table(
             f"Parameters and combinations that differ by more than {many}",
-            ("", "B - A", "std. dev.", "ratio", UNIT),
+            ("", "B - A", "std. dev.", "ratio", tables.UNIT),
             rows,
         )
     yield Line(" ".join(_counted(found)), "note")
     for label, names in zip("AB", found.alone, strict=True):
-        yield from listed(f"identifiable in {label} only", names)
+        yield from tables.listed(f"identifiable in {label} only", names)
 
 
-def _counted(found: Comparison) -> Iterator[str]:
+def _counted(found: compared.Comparison) -> Iterator[str]:
     """Sentences on how many agree, and what is not compared."""
     if found.differences:
         both, agree = (
             _numbers([d for d in found.differences if d.significance <= bound])
-            for bound in (math.inf, BOUND)
+            for bound in (math.inf, compared.BOUND)
         )
         yield (
-            f"Both identify {both} of the robot; {agree} agree within {BOUND:.0f} "
+            f"Both identify {both} of the robot; {agree} agree within {compared.BOUND:.0f} "
             "standard deviations of the difference. By chance, one in 370 does not."
         )
     else:
@@ -316,18 +299,18 @@ def _counted(found: Comparison) -> Iterator[str]:
         first, second = found.sums_alone
         yield f"{first} combinations are identified in A only, {second} in B only."
     if any(
-        len(record.groups) > len(robot_groups(record))
+        len(record.groups) > len(compared.robot_groups(record))
         for record in (found.first, found.second)
     ):
         yield "Combinations with terms of base, tool or instrument are left out."
 
 
-def _numbers(differences: Sequence[Difference]) -> str:
+def _numbers(differences: Sequence[compared.Difference]) -> str:
     sums = sum(bool(d.terms) for d in differences)
     return f"{len(differences) - sums} parameters and {sums} combinations"
 
 
-def accuracies(found: Comparison) -> Iterator[Block]:
+def accuracies(found: compared.Comparison) -> Iterator[Block]:
     """Accuracy of both beside each other, and how it was validated."""
     pair = (("A", found.first), ("B", found.second))
     errors = {
@@ -341,9 +324,9 @@ def accuracies(found: Comparison) -> Iterator[Block]:
                 for error in record.errors:
                     size_of = getattr(error, stage)
                     if (error.name, error.unit) == (name, unit) and size_of:
-                        rows.append((shown, which, label, *sizes(size_of, unit)))
+                        rows.append((shown, which, label, *tables.sizes(size_of, unit)))
                         shown = which = ""
-    yield table("Accuracy", ("", "measurements|word", "of|word", *SIZES), rows)
+    yield table("Accuracy", ("", "measurements|word", "of|word", *tables.SIZES), rows)
     said = ", ".join(f"{label} {record.validation.method}" for label, record in pair)
     if not found.same_rows:
         said += ". The measurements differ: the numbers are not strictly comparable"

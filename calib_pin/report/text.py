@@ -7,19 +7,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import calib_pin.report.accuracy as accurate
+import calib_pin.report.trust as trust
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.report.accuracy import (
-    KNOWN,
-    accuracy,
-    beyond,
-    evaluated,
-    moves,
-    recalibrated,
-    subject,
-    taken,
-)
 from calib_pin.report.blocks import Block, Line
 from calib_pin.report.breakdown import parts, told
 from calib_pin.report.comparison import comparison_report
@@ -29,15 +21,6 @@ from calib_pin.report.plan_text import plan_report
 from calib_pin.report.robot_errors import corrections, held, offsets, offsets_alone
 from calib_pin.report.tables import listed, outlier_table
 from calib_pin.report.terminal import plain_text
-from calib_pin.report.trust import (
-    FIRST,
-    correlated,
-    expected,
-    next_step,
-    noise,
-    opening,
-    statistics,
-)
 from calib_pin.validation.comparison import Comparison
 from calib_pin.validation.result import CalibrationResult, Evaluation, Identification
 
@@ -75,7 +58,7 @@ def brief(found: Any) -> str:
     ways: dict[type, Callable[[Any], Iterator[Block]]] = {
         CalibrationResult: report,
         Identification: partial(identified, fitted=False),
-        Evaluation: evaluated,
+        Evaluation: accurate.evaluated,
         Comparison: comparison_report,
         Plan: plan_report,
     }
@@ -98,23 +81,23 @@ def report(
         details: All sections, instead of what a person sees first.
         formulae: With these also all parameters and combinations of them.
     """
-    yield from opening(result, None if details else FIRST)
-    yield subject(result)
+    yield from trust.opening(result, None if details else trust.FIRST)
+    yield accurate.subject(result)
     if details:
         for section in sections(result, suggestions, LISTED[0]):
             if section.key != "measured":
                 yield from section.blocks
         if formulae:
             yield from in_full(result, fitted=True)
-        yield from next_step(result)
+        yield from trust.next_step(result)
         return
-    yield from accuracy(result, details=False)
-    yield from recalibrated(result, details=False)
+    yield from accurate.accuracy(result, details=False)
+    yield from accurate.recalibrated(result, details=False)
     yield from parts(result)
     alone = offsets_alone(result)
     if not alone:
-        yield from moves(result)
-    yield from beyond(result)
+        yield from accurate.moves(result)
+    yield from accurate.beyond(result)
     yield from corrections(result)
     yield from frame_blocks(result, lines=False)
     yield from told(result, details=False)
@@ -124,7 +107,7 @@ def report(
     yield from listed("at a bound", result.solver.at_bounds)
     # Last on the terminal: what is to be typed in, and what to do.
     yield from offsets(result, suggestions)
-    yield from next_step(result)
+    yield from trust.next_step(result)
 
 
 @dataclass(frozen=True)
@@ -155,9 +138,9 @@ def sections(
     yield Section(
         "frames",
         "Tool, base, stations and cameras",
-        frames or [Line(KNOWN, "note")],
+        frames or [Line(accurate.KNOWN, "note")],
     )
-    yield Section("measured", "Measurements", [taken(result)])
+    yield Section("measured", "Measurements", [accurate.taken(result)])
     yield Section(
         "findings",
         "Outliers and findings",
@@ -168,12 +151,12 @@ def sections(
         "accuracy",
         "Accuracy",
         [
-            *accuracy(result),
-            *recalibrated(result),
+            *accurate.accuracy(result),
+            *accurate.recalibrated(result),
             *parts(result),
-            *moves(result),
-            *expected(result),
-            *beyond(result),
+            *accurate.moves(result),
+            *trust.expected(result),
+            *accurate.beyond(result),
         ],
         ("errors-per-measurement", "tip-accuracy-in-workspace"),
     )
@@ -190,7 +173,7 @@ def sections(
                     f"identifiable if you {remedy.change}", remedy.parameters
                 )
             ),
-            *correlated(result, most),
+            *trust.correlated(result, most),
         ],
         ("tip-error-by-count",),
     )
@@ -199,7 +182,7 @@ def sections(
     yield Section(
         "residuals",
         "Noise and statistics",
-        [*noise(result), *statistics(result)],
+        [*trust.noise(result), *trust.statistics(result)],
         ("residuals-by-joint",),
     )
 

@@ -49,16 +49,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     from typer.exceptions import TyperException
 
-    from calib_pin.cli.app import application
-    from calib_pin.cli.printing import tell_notices
+    from calib_pin.cli import app, printing
     from calib_pin.errors import CalibPinError
 
-    tell_notices(forget=True)
+    printing.tell_notices(forget=True)
     given = list(sys.argv[1:] if arguments is None else arguments)
     words = [word for word in given if word != "--debug"]
     try:
         with _stopped_by_sigterm():
-            status = application(words)(
+            status = app.application(words)(
                 words, standalone_mode=False, prog_name="calib-pin", obj=given
             )
     except _Terminated:
@@ -82,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             reason = f"{type(error).__name__}: {error}"
             _complain(f"internal error, please report it with --debug: {reason}")
         return 1
-    tell_notices()
+    printing.tell_notices()
     if status == INTERRUPTED:
         _complain("interrupted")
     return status if isinstance(status, int) else 0

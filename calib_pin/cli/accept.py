@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import calib_pin.cli.files as files
-import calib_pin.cli.options as options
+from calib_pin.cli import files, options, printing
 from calib_pin.cli.options import Told
-from calib_pin.cli.printing import notice, progress_bar
 from calib_pin.errors import stated_in
 
 NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
@@ -48,16 +46,11 @@ def accept(asked: Accept) -> int:
     a limit is not reached, or the test does not decide.
     """
     from calib_pin.cli.documents import acceptance_document
-    from calib_pin.io.json_text import encode
-    from calib_pin.io.measurements import encode_table
-    from calib_pin.io.results import read_result
-    from calib_pin.report.acceptance_text import acceptance_report
+    from calib_pin.io import json_text, measurements, results
+    from calib_pin.report import acceptance_text, figures, html
     from calib_pin.report.cover import acceptance_cover
-    from calib_pin.report.figures import Judged, drawn
-    from calib_pin.report.html import acceptance_page
     from calib_pin.report.pdf import MISSING, can_write_pdf, pdf_report
-    from calib_pin.validation.acceptance import judged
-    from calib_pin.validation.pose_tests import tested
+    from calib_pin.validation import acceptance, pose_tests
 
     rows_in, output, path = asked.measurements, asked.output, asked.path
     doubts = list[str]()
@@ -70,13 +63,13 @@ def accept(asked: Accept) -> int:
     without = [] if can_write_pdf() else made[-1:]
     made = [file for file in made if file not in without]
     files.check_outputs(made, [asked.robot, asked.setup, *rows_in], asked.force)
-    with progress_bar(quiet=asked.quiet) as bar:
+    with printing.progress_bar(quiet=asked.quiet) as bar:
         measured, rows = files.open_measurements(
             rows_in, chains, used, quiet=asked.quiet, bar=bar
         )
         with stated_in(str(rows_in[0])):
-            found = tested(
-                measured if calibrated is None else read_result(asked.robot),
+            found = pose_tests.tested(
+                measured if calibrated is None else results.read_result(asked.robot),
                 rows,
                 used,
                 registration=asked.register,
@@ -84,26 +77,26 @@ def accept(asked: Accept) -> int:
                 doubts=doubts,
             )
     for doubt in doubts:
-        notice(doubt)
+        printing.notice(doubt)
     tests = found.tests
-    blocks = [*acceptance_report(tests, limit, found.about, path=path)]
+    blocks = [*acceptance_text.acceptance_report(tests, limit, found.about, path=path)]
     contents = {}
     if made:
-        figure = next(drawn("acceptance", Judged(tests, limit, path)))
+        figure = next(figures.drawn("acceptance", figures.Judged(tests, limit, path)))
         about = options.dated(entries), found.about
         cover = acceptance_cover(
             tests, limit, chains.robot, *about, path=path, figure=figure
         )
         data = (
-            encode(acceptance_document(tests, limit)),
-            encode_table(found.table(), [found.about]),
-            acceptance_page(cover, blocks),
+            json_text.encode(acceptance_document(tests, limit)),
+            measurements.encode_table(found.table(), [found.about]),
+            html.acceptance_page(cover, blocks),
             *(pdf_report(cover, blocks) for _ in made[3:]),
         )
         contents = dict(zip(made, data, strict=True))
     for pdf in without:
         stays = f"; {pdf} is not from this test" if files.exists(pdf) else ""
-        notice(f"no {pdf.name} is written: {MISSING}{stays}")
+        printing.notice(f"no {pdf.name} is written: {MISSING}{stays}")
     written = {"written": [*map(str, made)]} if made else {}
     asked.give(
         contents,
@@ -112,7 +105,7 @@ def accept(asked: Accept) -> int:
         [f"wrote {file}" for file in made],
     )
     *_, last = tests.values()
-    passed = all(status == "pass" for _, status, *_ in judged(last, limit))
+    passed = all(status == "pass" for _, status, *_ in acceptance.judged(last, limit))
     return 0 if passed and not last.doubts else 2
 
 

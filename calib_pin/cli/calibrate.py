@@ -9,10 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import calib_pin.cli.options as options
-import calib_pin.cli.results as results
-from calib_pin.cli.printing import notice, progress_bar
-from calib_pin.cli.requests import calibrated, opened
+from calib_pin.cli import options, printing, requests, results
 
 if TYPE_CHECKING:
     from calib_pin.report.blocks import Block
@@ -48,26 +45,27 @@ def calibrate(asked: Calibrate, context: typer.Context) -> int:
     """
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.results import calibration_document
-    from calib_pin.report.blocks import Line
-    from calib_pin.report.text import report
+    from calib_pin.report import blocks, text
 
     force, quiet, details = asked.force, asked.quiet, asked.details
     pictures = results.figure_files(asked.figures, asked.figure_format, "calibration")
-    with progress_bar(quiet=quiet) as bar:
-        given = opened(asked, asked.output, pictures, force=force, quiet=quiet, bar=bar)
+    with printing.progress_bar(quiet=quiet) as bar:
+        given = requests.opened(
+            asked, asked.output, pictures, force=force, quiet=quiet, bar=bar
+        )
     with (
-        progress_bar(quiet=quiet) as bar,
+        printing.progress_bar(quiet=quiet) as bar,
         options.asked_workers(asked.workers, asked.cluster) as several,
     ):
         words = ("calib-pin", *context.obj)
-        found = calibrated(given, words, pictures, bar=bar, workers=several)
+        found = requests.calibrated(given, words, pictures, bar=bar, workers=several)
     result, files, contents = found.result, given.files, found.contents
 
     def said() -> Iterator[Block]:
-        yield from report(result, found.suggestions, details=details)
+        yield from text.report(result, found.suggestions, details=details)
         if not details:
             more = f"{files.report}, or --details" if files else "--details"
-            yield Line(f"Statistics and all parameters: {more}")
+            yield blocks.Line(f"Statistics and all parameters: {more}")
 
     def document() -> Mapping[str, Any] | bytes:
         if files is None:
@@ -83,5 +81,5 @@ def calibrate(asked: Calibrate, context: typer.Context) -> int:
         writing = results.write_results(result, files, contents, force=force)
     asked.give(contents, document, said(), written(), writing)
     if (quiet or asked.json) and result.verdict not in TRUSTED:
-        notice(f"{result.verdict}: {result.reason}")
+        printing.notice(f"{result.verdict}: {result.reason}")
     return 0 if result.verdict in TRUSTED else 2

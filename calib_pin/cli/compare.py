@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import calib_pin.cli.files as files
-import calib_pin.cli.options as options
-import calib_pin.cli.results as results
+from calib_pin.cli import files, options, results
 from calib_pin.cli.options import SEED, Told
 
 

@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-import calib_pin.cli.files as files
-import calib_pin.cli.options as options
+from calib_pin.cli import files, options, printing
 from calib_pin.cli.options import Told, known, number
-from calib_pin.cli.printing import notice, progress_bar, stage, told_command
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
@@ -111,7 +109,7 @@ class Commands(options.Untouched, options.InDegrees, options.OfChain):
             columns=stated.columns or model.setup.columns,
             joints=stated.joints or model.setup.joints,
             base=None if self.frame == "base" else model.error.base.translation,
-            notice=None if self.quiet else notice,
+            notice=None if self.quiet else printing.notice,
         )
         motion, csv, times = targets.T is None, self.format == "csv", None
         if motion and (self.frame or self.point) is not None:
@@ -204,8 +202,7 @@ def compensate(asked: Commands, context: typer.Context) -> int:
     from calib_pin.io.exchange.motions import paced
     from calib_pin.io.results import read_result, written_before
     from calib_pin.planning.ways import Passage
-    from calib_pin.report.blocks import Line
-    from calib_pin.report.trust import judged
+    from calib_pin.report import blocks, trust
 
     stated, file, output = asked.checked(), asked.calibration, asked.output
     result = read_result(file)
@@ -226,14 +223,14 @@ def compensate(asked: Commands, context: typer.Context) -> int:
         obstacles = stated.obstacles or model.setup.obstacles
         collisions = asked.collisions(chain, obstacles, stated.file or str(file))
         ways = options.ways_of("--avoid-collisions", chain, collisions)
-    with progress_bar(quiet=asked.quiet) as bar:
-        found = asked.found(model, targets, ways, stage(bar, "compensate"))
+    with printing.progress_bar(quiet=asked.quiet) as bar:
+        found = asked.found(model, targets, ways, printing.stage(bar, "compensate"))
         (rows,) = np.nonzero(found.good)
         passage = Passage.straight(found.q[rows])
         if ways is not None:
             find = ways.checked if motion else ways.through
             rng = np.random.default_rng(0)
-            passage = find(found.q[rows], rng, stage(bar, "ways"))
+            passage = find(found.q[rows], rng, printing.stage(bar, "ways"))
     shut, row = lines[rows[list(passage.blocked)]].tolist(), passage.of(rows)
     times, hasty = None, list[int]()
     if timed is not None and len(rows):
@@ -243,11 +240,11 @@ def compensate(asked: Commands, context: typer.Context) -> int:
     good = not (doubt or shut or hasty or torn) and found.complete
     contents = {}
     if good or not (motion or doubt or shut or hasty or not len(rows)):
-        comments = [f"commands of: {told_command(context)}"]
+        comments = [f"commands of: {printing.told_command(context)}"]
         data = asked.encoded(chain, targets, passage.q, row, times, comments)
         contents[output] = data
     accuracy, numbers = model_errors(result), lines.tolist()
-    said: list[Block] = [judged(doubt), Line("")] if doubt else []
+    said: list[Block] = [trust.judged(doubt), blocks.Line("")] if doubt else []
     about = {"motion": motion, "file": str(asked.targets), "lines": numbers}
     said += texts.compensation_report(found, chain, **about)
     if ways is not None:
@@ -264,7 +261,7 @@ def compensate(asked: Commands, context: typer.Context) -> int:
         [f"wrote {written or 'nothing'}"],
     )
     if asked.quiet and not asked.json and doubt:
-        notice(f"untrusted: {doubt}")
+        printing.notice(f"untrusted: {doubt}")
     elif asked.quiet and not asked.json and not good:
         for cause, missed in (
             ("out of reach", lines[~found.reached]),
@@ -274,7 +271,7 @@ def compensate(asked: Commands, context: typer.Context) -> int:
             ("discontinuity in joint space", lines[found.jumps & torn]),
         ):
             if len(missed):
-                notice(f"{cause}: {asked.targets}, {texts.line_list(missed)}")
+                printing.notice(f"{cause}: {asked.targets}, {texts.line_list(missed)}")
     return 0 if good else 2
 
 
@@ -286,8 +283,7 @@ def _remarks(
     chain: Chain,
 ) -> Iterator[str]:
     """Remarks on targets, before commands for them are looked for."""
-    from calib_pin.control.calibrated import ends_known
-    from calib_pin.control.joints import Joints
+    from calib_pin.control import calibrated, joints
     from calib_pin.measurement_models import declared
     from calib_pin.report.compensation_text import line_list
 
@@ -299,14 +295,14 @@ def _remarks(
             "that of the tip link"
         )
     if targets.q is not None:
-        long = targets.table.lines[Joints.of(chain).long_ways(targets.q)]
+        long = targets.table.lines[joints.Joints.of(chain).long_ways(targets.q)]
         if len(long):
             yield (
                 "a joint turns almost once around, where its limits allow a short way, "
                 f"to {line_list(long)}"
             )
     ends = (asked.frame or FRAMES[0], asked.point or POINTS[0])
-    if known := ends_known(
+    if known := calibrated.ends_known(
         result, key, *(("base", "tip") if targets.T is None else ends)
     ):
         yield known

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import calib_pin.cli.options as options
-from calib_pin.cli.files import check_outputs, open_setup, require_distinct
+from calib_pin.cli import files, options, printing
 from calib_pin.cli.options import Told, known
-from calib_pin.cli.printing import progress_bar, stage, told_command
 from calib_pin.errors import InputError, OptionError, enumerated
 
 if TYPE_CHECKING:
@@ -81,15 +79,14 @@ def detect(asked: Detection, context: typer.Context) -> int:
     """
     import numpy as np
 
-    import calib_pin.io.boards as boards
-    from calib_pin.io.measurements import encode_table
+    from calib_pin.io import boards, measurements
     from calib_pin.io.setup import setup_document, yaml_text
     from calib_pin.setup import Setup
 
     if asked.board is not None and asked.setup is not None:
         raise OptionError("give --board or --setup, not both")
     board = asked.board and boards.board_of(asked.board)
-    board = board or open_setup(asked.setup).board
+    board = board or files.open_setup(asked.setup).board
     if board is None:
         raise OptionError("give --board, or a setup file with 'board' (--setup)")
     detector = boards.Detector(board)
@@ -98,14 +95,14 @@ def detect(asked: Detection, context: typer.Context) -> int:
     images, output, extra = asked.images or [], asked.output, asked.setup_output
     if not images or output is None:
         raise OptionError("give the images, and -o, the measurement file to write")
-    require_distinct(images)
+    files.require_distinct(images)
     inputs = (*images, asked.setup, asked.joints, asked.times)
-    check_outputs((output, extra), inputs, asked.force)
+    files.check_outputs((output, extra), inputs, asked.force)
     if asked.times is not None and asked.joints is None:
         raise OptionError("--times needs --joints: a log of the joints, with times")
     images, rows = _configurations(asked, sorted(images, key=_numbers))
-    with progress_bar(quiet=asked.quiet) as bar:
-        size, every = boards.find_board(detector, images, stage(bar, "images"))
+    with printing.progress_bar(quiet=asked.quiet) as bar:
+        size, every = boards.find_board(detector, images, printing.stage(bar, "images"))
     if not boards.require_stated(board, every, images):
         asked.tell("no image shows enough of the board to check how it is stated")
     found = {path.name: one for path, one in zip(images, every, strict=True)}
@@ -118,8 +115,8 @@ def detect(asked: Detection, context: typer.Context) -> int:
     columns["target"] = [name for one in every for name in one.names]
     for k, name in enumerate("uv"):
         columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
-    comment = f"found by: {told_command(context)}"
-    contents = {output: encode_table(columns, [comment])}
+    comment = f"found by: {printing.told_command(context)}"
+    contents = {output: measurements.encode_table(columns, [comment])}
     setup = setup_document(Setup(model="camera", board=board, camera=start.camera))
     if extra is not None:
         remark = f"# {ASSUMED}\n" if start.assumed else ""
@@ -156,7 +153,7 @@ def _drawn(asked: Detection, file: Path, detector: Detector) -> int:
 
     if asked.images or asked.output or asked.joints or asked.setup_output:
         raise OptionError("--draw takes --board or --setup, and nothing else")
-    check_outputs([file], [asked.setup], asked.force)
+    files.check_outputs([file], [asked.setup], asked.force)
     picture = encode_png(detector.drawn(SHEET), SHEET / detector.board.square)
     width, height = 1e3 * detector.extent
     told = f"print it at 100 %: {width:g} x {height:g} mm\n"

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import calib_pin.cli.options as options
-from calib_pin.cli.files import check_outputs
+from calib_pin.cli import files, options
 from calib_pin.cli.options import Told
 from calib_pin.errors import OptionError, require_known
 
@@ -39,29 +38,28 @@ def export(asked: Export) -> int:
 
     Exit status 1: the calibration must not be trusted, or has nothing of this kind.
     """
-    from calib_pin.io.exchange import FORMATS, Exported
-    from calib_pin.io.results import document_file, read_result
+    from calib_pin.io import exchange, results
 
     form, output, template = asked.format, asked.output, asked.template
     if form == "list":
-        for known in FORMATS.values():
+        for known in exchange.FORMATS.values():
             needs = f" (--template {known.template})" if known.template else ""
             print(f"{known.name:16} {known.summary}{needs}")
         return 0
-    wanted = FORMATS[form]
+    wanted = exchange.FORMATS[form]
     if output is None:
         raise OptionError(f"-o is missing: the {wanted.suffix} file to write")
     if template is None and wanted.template == "required":
         raise OptionError(f"{form} needs --template: your own file, which is corrected")
     if template is not None and not wanted.template:
         raise OptionError(f"{form} takes no --template")
-    file = document_file(asked.calibration)
-    check_outputs([output], [file, template], asked.force)
-    result = read_result(file)
-    check_outputs([output], [result.model.chains.robot.file], asked.force)
+    file = results.document_file(asked.calibration)
+    files.check_outputs([output], [file, template], asked.force)
+    result = results.read_result(file)
+    files.check_outputs([output], [result.model.chains.robot.file], asked.force)
     if asked.chain is not None:
         require_known("measured chain", asked.chain, result.model.measured_chains)
-    encoded = wanted.encode(Exported(result, file, asked.chain), template)
+    encoded = wanted.encode(exchange.Exported(result, file, asked.chain), template)
     remarks = [*encoded.remarks]
     document = {"format": form, "remarks": remarks, "written": [str(output)]}
     for remark in remarks if not asked.json else ():

@@ -120,10 +120,8 @@ def fleet(asked: Fleet) -> int:
 def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
     """Calibrate the robots of a table."""
     import calib_pin.cli.jobs as jobs
-    from calib_pin.io.json_text import plain
-    from calib_pin.io.measurements import encode_table
-    from calib_pin.report.fleet_text import MANY, fleet_report
-    from calib_pin.report.html import blocks_page
+    from calib_pin.io import json_text, measurements
+    from calib_pin.report import fleet_text, html
     from calib_pin.validation.fleet import by_urgency, fleet_columns
 
     output = asked.output
@@ -150,20 +148,20 @@ def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
     populations = types_of(every, rows, evidences)
     urgent = by_urgency([rows[job.name] for job in every])
     columns = fleet_columns(urgent)
-    page = [*fleet_report(urgent, populations, MANY)]
+    page = [*fleet_text.fleet_report(urgent, populations, fleet_text.MANY)]
 
     def listed() -> dict[str, object]:
-        cells = zip(*(plain(list(c)) for c in columns.values()), strict=True)
+        cells = zip(*(json_text.plain(list(c)) for c in columns.values()), strict=True)
         return {"jobs": [dict(zip(columns, row, strict=True)) for row in cells]}
 
     return Made(
         {
-            output / TABLE: encode_table(columns, []),
-            output / PAGE: blocks_page("Calibrations of a fleet", page, [], TABLE),
+            output / TABLE: measurements.encode_table(columns, []),
+            output / PAGE: html.blocks_page("Calibrations of a fleet", page, [], TABLE),
             **priors(output, populations),
         },
         listed,
-        fleet_report(urgent, populations),
+        fleet_text.fleet_report(urgent, populations),
         f"wrote {sum(row.fitted > 0 for row in urgent)} folders to {output}",
         status=0 if all(row.trusted for row in urgent) else 2,
     )
@@ -239,17 +237,15 @@ def types_of(
 
 def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]:
     """The files of the priors; all but the first have the name of their robot."""
-    from calib_pin.io.json_text import encode
-    from calib_pin.io.results import urdf_name
-    from calib_pin.io.setup import prior_document
+    from calib_pin.io import json_text, results, setup
 
     found: dict[Path, bytes] = {}
     for number, population in enumerate(populations, 1):
-        robot = Path(urdf_name(population.evidences[0].robot.name)).stem
+        robot = Path(results.urdf_name(population.evidences[0].robot.name)).stem
         path = folder / PRIOR
         for end in (f"-{robot}", f"-{number}"):  # Two types may have one name.
             path = path.with_stem(path.stem + end) if path in found else path
-        found[path] = encode(prior_document(population.prior()))
+        found[path] = json_text.encode(setup.prior_document(population.prior()))
     return found
 
 
@@ -259,15 +255,13 @@ def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]
 def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
     """Simulate the robots of a study; its trials are written as they come."""
     from calib_pin.cli.documents import outlook_document
-    from calib_pin.io.json_text import encode
-    from calib_pin.io.setup import read_setup
+    from calib_pin.io import json_text, setup
     from calib_pin.io.trials import kept, read_trials
     from calib_pin.monte_carlo import outlooks, try_robot
+    from calib_pin.report import fleet_text, html
     from calib_pin.report.figures import Foreseen, drawn
-    from calib_pin.report.fleet_text import outlook_report
-    from calib_pin.report.html import blocks_page
 
-    stated, resume = read_setup(file), asked.resume
+    stated, resume = setup.read_setup(file), asked.resume
     study, name = _study(file, stated, asked.seed)
     trials, *made = (asked.output / name for name in (TRIALS, NUMBERS, CURVES))
     inputs = [file, stated.monte_carlo.plan]
@@ -284,11 +278,11 @@ def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
             yield from own
 
     found = outlooks(done(), limit)
-    blocks = [*outlook_report(study, found, limit)]
+    blocks = [*fleet_text.outlook_report(study, found, limit)]
     title = f"Expected accuracy of {study.chains.robot.name}"
     document = outlook_document(study, found, limit)
     figures = [*drawn("outlook", Foreseen(found, limit))]
-    data = encode(document), blocks_page(title, blocks, figures, NUMBERS)
+    data = json_text.encode(document), html.blocks_page(title, blocks, figures, NUMBERS)
     contents = dict(zip(made, data, strict=True))
     return Made(contents, lambda: document, blocks, placed=[trials])
 

@@ -8,10 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import calib_pin.cli.files as files
-import calib_pin.cli.options as options
+from calib_pin.cli import files, options, printing
 from calib_pin.cli.options import SEED, Told
-from calib_pin.cli.printing import progress_bar
 
 if TYPE_CHECKING:
     from calib_pin.observations import BlockKey
@@ -55,7 +53,7 @@ def identify(asked: Identify) -> int:
     if asked.measurements:
         # What is learned has no parameters that could be known.
         stated = replace(stated, learned=None)
-        with progress_bar() as bar:
+        with printing.progress_bar() as bar:
             chains, rows = files.open_measurements(
                 asked.measurements,
                 asked.chains(stated),
@@ -78,9 +76,7 @@ def identify(asked: Identify) -> int:
     better = suggestions(chains, keys, stated, found, seed=seed)
     doubts = [judged(below(reason, faults), verdict)] if verdict not in TRUSTED else []
     fitted = bool(asked.measurements)
-    told = identified(
-        found, fitted=fitted, suggestions=better, details=asked.details
-    )
+    told = identified(found, fitted=fitted, suggestions=better, details=asked.details)
     asked.give(
         {},
         lambda: identification_document(found, better, verdict, reason, faults),

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import calib_pin.cli.options as options
+from calib_pin.cli import options, printing
 from calib_pin.cli.files import check_outputs, require_distinct, require_folders
 from calib_pin.cli.options import Told
-from calib_pin.cli.printing import notice, told_command
 from calib_pin.errors import OptionError, enumerated, stated_in
 from calib_pin.units import as_number
 
@@ -53,10 +52,8 @@ def init(asked: Draft, context: typer.Context) -> int:
     cannot be known, on a terminal; elsewhere an error names the option that says it.
     The setup file that `detect` wrote (--setup) has the board and the camera.
     """
-    from calib_pin.io.boards import board_of
+    from calib_pin.io import boards, setup, urdf
     from calib_pin.io.first_look import draft, first_look
-    from calib_pin.io.setup import setup_document
-    from calib_pin.io.urdf import load_robot
     from calib_pin.setup import Setup
 
     files, folders = asked.measurements, asked.package_dir or []
@@ -64,8 +61,8 @@ def init(asked: Draft, context: typer.Context) -> int:
     require_distinct(files)
     inputs = [asked.robot, *files, asked.setup]
     check_outputs([asked.output], inputs, asked.force)
-    robot, given = load_robot(asked.robot, folders), asked.stated()
-    seen = given.board if asked.board is None else board_of(asked.board)
+    robot, given = urdf.load_robot(asked.robot, folders), asked.stated()
+    seen = given.board if asked.board is None else boards.board_of(asked.board)
     start = Setup(asked.base, asked.tip, model=asked.model, board=seen)
     start = replace(start, camera=given.camera)
     with stated_in(str(files[0])):
@@ -77,12 +74,12 @@ def init(asked: Draft, context: typer.Context) -> int:
         look = _with_distances(look, asked.distance)
     elif asked.distance is not None:
         raise OptionError("--distance is that of sockets (fixed-point)")
-    text = draft(robot, look, told_command(context))
+    text = draft(robot, look, printing.told_command(context))
     for remark in look.remarks:
-        notice(remark)
+        printing.notice(remark)
     if not look.fits:
-        notice("no reading of the columns fits the robot; see the draft")
-    found: dict[str, Any] = {"setup": setup_document(look.setup)}
+        printing.notice("no reading of the columns fits the robot; see the draft")
+    found: dict[str, Any] = {"setup": setup.setup_document(look.setup)}
     found["nominal"] = look.errors
     written, contents = list[str](), dict[Path, bytes]()
     if asked.output is not None:

@@ -197,11 +197,18 @@ def spread(function: Callable[..., int]) -> Callable[..., int]:
 
     @wraps(function)
     def run(**given: Any) -> int:
-        return function(kind(**{name: given.pop(name) for name in hints}), **given)
+        own = {name: given.pop(name) for name in hints.keys() & given.keys()}
+        return function(kind(**own), **given)
 
     run.__signature__ = Signature(options)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in options}
     return run
+
+
+def same(asked: object, function: Callable[..., Any]) -> dict[str, Any]:
+    """The fields of what is asked for that a function calls as they are."""
+    names = signature(function).parameters.keys() & vars(asked).keys()
+    return {name: getattr(asked, name) for name in names}
 
 
 # --- options that several commands share --------------------------------------------

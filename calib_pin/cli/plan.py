@@ -13,16 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-import calib_pin.cli.files as files
-import calib_pin.cli.options as options
-import calib_pin.cli.results as results
+from calib_pin.cli import files, options, printing, results
 from calib_pin.cli.options import SEED, Told, known, number
-from calib_pin.cli.printing import (
-    notice,
-    progress_bar,
-    stage,
-    told_command,
-)
 from calib_pin.errors import CalibPinError, OptionError
 
 if TYPE_CHECKING:
@@ -145,13 +137,10 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
     """
     import numpy as np
 
-    import calib_pin.io.measurements as measurements
-    import calib_pin.planning.ways as ways
     from calib_pin.cli.documents import plan_document
-    from calib_pin.io.targets import ROW
-    from calib_pin.planning.plan import plan as run
-    from calib_pin.planning.plan import sides_of
-    from calib_pin.planning.workspace import joint_limits
+    from calib_pin.io import measurements, targets
+    from calib_pin.planning import plan as planning
+    from calib_pin.planning import ways, workspace
     from calib_pin.report.compensation_text import line_list
     from calib_pin.report.plan_text import plan_report
     from calib_pin.solvers import Status
@@ -165,7 +154,7 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
     if asked.accept:
         stated = replace(stated, model="position")
     chains, keys, rows, stated = _opened(asked, stated, older)
-    collisions, command, poses = None, told_command(context), None
+    collisions, command, poses = None, printing.told_command(context), None
     if not asked.ignore_collisions:
         collisions = asked.collisions(chains, stated.obstacles, stated.file)
     if asked.accept:
@@ -177,25 +166,19 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
         poses = measurements.read_configurations(asked.tests, chains, *about)
     with (
         options.asked_workers(asked.workers, asked.cluster) as several,
-        progress_bar(quiet=asked.quiet) as bar,
+        printing.progress_bar(quiet=asked.quiet) as bar,
         _interruptible(bar) as progress,
     ):
-        found = run(
-            chains,
-            keys,
-            asked.add or asked.count or 0,
-            stated,
-            criterion=asked.criterion,
-            method=asked.method,
-            measured=rows,
-            collisions=collisions,
-            candidates=asked.candidates,
-            distance=asked.distance,
-            tests=poses,
-            seed=asked.seed,
-            progress=progress,
-            workers=several,
-        )
+        given = options.same(asked, planning.plan) | {
+            "model": keys,
+            "count": asked.add or asked.count,
+            "setup": stated,
+            "measured": rows,
+            "collisions": collisions,
+            "tests": poses,
+            "workers": several,
+        }
+        found = planning.plan(chains, **given, progress=progress)
         drawn = results.draw("plan", found, bar) if pictures else []
         figures = results.figure_contents(drawn, pictures)
     encode = partial(
@@ -204,31 +187,33 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
         joints=stated.joints,
         degrees=asked.degrees,
     )
-    more = {"places": found.places, "sides": sides_of(found)}
+    more = {"places": found.places, "sides": planning.sides_of(found)}
     comments = [f"planned by: {command}"]
     table = encode(found.q, found.target, **more, comments=comments)
     contents, shut = {asked.output: table, **figures}, list[int]()
     written = [f"wrote {len(found.q)} configurations to {asked.output}"]
     if asked.motion is not None and collisions is not None:
-        with progress_bar(quiet=asked.quiet) as bar:
-            free = ways.Ways(chains, collisions, *joint_limits(found.problem))
+        with printing.progress_bar(quiet=asked.quiet) as bar:
+            free = ways.Ways(chains, collisions, *workspace.joint_limits(found.problem))
             rng = np.random.default_rng(asked.seed)
-            passage = free.through(found.q, rng, stage(bar, "ways"))
+            passage = free.through(found.q, rng, printing.stage(bar, "ways"))
         # A configuration is named by its line in the other file.
         first = table.count(b"\n") - len(found.q) + 1
         shut = [first + k for k in passage.blocked]
         lines = ["" if k == ways.VIA else str(first + k) for k in passage.row]
         if not shut:
             comments = [f"motion of: {command}"]
-            motion = encode(passage.q, places={ROW: lines}, comments=comments)
+            motion = encode(passage.q, places={targets.ROW: lines}, comments=comments)
             contents[asked.motion] = motion
             written.append(f"wrote {passage.vias} more on the way to {asked.motion}")
     written += results.told_figures(figures, pictures)
     asked.give(contents, lambda: plan_document(found), plan_report(found), written)
     if shut:
-        notice(f"no motion: no free way was found to {asked.output}, {line_list(shut)}")
+        printing.notice(
+            f"no motion: no free way was found to {asked.output}, {line_list(shut)}"
+        )
     if found.status is Status.STOPPED:
-        notice("interrupted: this is the best plan found so far")
+        printing.notice("interrupted: this is the best plan found so far")
     return 2 if shut else 0
 
 
@@ -247,7 +232,7 @@ def _opened(
     if asked.to:
         chains = asked.chains(stated, asked.chain)
         read = partial(files.open_measurements, asked.to, quiet=asked.quiet)
-        with progress_bar(quiet=asked.quiet) as bar:
+        with printing.progress_bar(quiet=asked.quiet) as bar:
             chains, rows = read(chains, stated, chain=asked.chain, bar=bar)
         rows = fitted_and_held_out(rows)[0]
         keys = rows.keys
@@ -281,7 +266,7 @@ def _interruptible(
 
     def progress(stage: str, part: float) -> bool:
         if bar is not None:
-            bar(stage, part)
+            bar(printing.stage, part)
         return asked
 
     before = signal.signal(signal.SIGINT, interrupt)

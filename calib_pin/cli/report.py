@@ -6,11 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import calib_pin.cli.files as files
-import calib_pin.cli.options as options
-import calib_pin.cli.results as results
+from calib_pin.cli import files, options, printing, results
 from calib_pin.cli.options import Told
-from calib_pin.cli.printing import notice, progress_bar
 from calib_pin.cli.results import draw_calibration
 
 
@@ -65,8 +62,10 @@ def report(asked: Report) -> int:
     files.check_outputs([page, pdf, *pictures], inputs, asked.force or own)
     files.check_outputs([pdf], inputs, asked.force)
     if MEASUREMENTS not in there:
-        notice(f"{file} has no {MEASUREMENTS}: nothing is known of single measurements")
-    with progress_bar(quiet=asked.quiet) as bar:
+        printing.notice(
+            f"{file} has no {MEASUREMENTS}: nothing is known of single measurements"
+        )
+    with printing.progress_bar(quiet=asked.quiet) as bar:
         drawn = draw_calibration(result, bar, robot_shapes(robot, folders).parts)
         text = html_report(result, document, figures=drawn, suggestions=suggestions)
         contents = {page: text}
@@ -84,5 +83,5 @@ def report(asked: Report) -> int:
         [*made, *results.told_figures(figures, pictures)],
     )
     if (asked.quiet or asked.json) and result.verdict not in TRUSTED:
-        notice(f"{result.verdict}: {result.reason}")
+        printing.notice(f"{result.verdict}: {result.reason}")
     return 0 if result.verdict in TRUSTED else 2

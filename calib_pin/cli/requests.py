@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
-from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import calib_pin.cli.files as files_of
-from calib_pin.cli.options import Request
-from calib_pin.cli.printing import Bar, notice
-from calib_pin.cli.results import (
-    ResultFiles,
-    check_results,
-    draw_calibration,
-    figure_contents,
-    result_contents,
-    result_files,
-)
+from calib_pin.cli import options, printing, results
+from calib_pin.cli.results import draw_calibration
 from calib_pin.workers import SERIAL, Workers
 
 if TYPE_CHECKING:
@@ -46,12 +37,12 @@ class Opened:
         older: The older calibration to go on from; None without one.
     """
 
-    request: Request
+    request: options.Request
     setup: Setup
     chains: Chains
     measurements: Observations
     validation: Observations | None
-    files: ResultFiles | None
+    files: results.ResultFiles | None
     older: CalibrationResult | None = None
 
 
@@ -73,13 +64,13 @@ class Calibrated:
 
 
 def opened(
-    request: Request,
+    request: options.Request,
     output: Path | None,
     pictures: Sequence[Path] = (),
     *,
     force: bool = False,
     quiet: bool = True,
-    bar: Bar | None = None,
+    bar: printing.Bar | None = None,
 ) -> Opened:
     """Read the input of a calibration, and check where its results would go.
 
@@ -97,16 +88,18 @@ def opened(
     )
     if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):
         name = stated.solver.name
-        notice(f"{name} ignores the options of differential evolution in 'solver'")
+        printing.notice(
+            f"{name} ignores the options of differential evolution in 'solver'"
+        )
     chains = request.chains(stated)
-    files = None if output is None else result_files(output, chains.robot.name)
+    files = None if output is None else results.result_files(output, chains.robot.name)
     # None of them may be written.
     started = [] if request.start is None else [document_file(request.start)]
     inputs = [request.robot, request.setup, *started, *rows_in, *further]
     if files is None:
         files_of.check_outputs(pictures, inputs, force)
     else:
-        check_results(files, pictures, chains.robot, inputs, force)
+        results.check_results(files, pictures, chains.robot, inputs, force)
     files_of.require_distinct([*rows_in, *further])
     read = partial(
         files_of.open_measurements, station_per_file=request.station_per_file
@@ -120,7 +113,7 @@ def opened(
     if rows.validate.any() and (further or request.holdout is not None):
         option = "--validation" if further else "--holdout"
         reason = "the measurements that 'set' marks for validation are not used with"
-        notice(f"{reason} {option}")
+        printing.notice(f"{reason} {option}")
     return Opened(request, stated, chains, rows, unseen, files, older)
 
 
@@ -130,7 +123,7 @@ def calibrated(
     pictures: Sequence[Path] = (),
     *,
     page: bool = True,
-    bar: Bar | None = None,
+    bar: printing.Bar | None = None,
     workers: Workers = SERIAL,
 ) -> Calibrated:
     """Calibrate, and compose the files of the result.
@@ -151,23 +144,17 @@ def calibrated(
     request, files, setup = opened.request, opened.files, opened.setup
     shown = (files is not None and page) or bool(pictures)
     start = time.perf_counter()
-    # What `calibrate` calls as the request does is passed on as it is.
-    same = signature(calibrate).parameters.keys() & {f.name for f in fields(Request)}
-    given = {name: getattr(request, name) for name in same} | {
+    given = options.same(request, calibrate) | {
         "setup": setup,
         "validation": opened.validation,
         "measurements": opened.measurements,
         "start": opened.older,
+        "ladder": request.model_ladder or request.use is not None,
         "use": request.use or USES[0],
+        "workers": workers,
     }
-    result = calibrate(
-        opened.chains,
-        **given,
-        ladder=request.model_ladder or request.use is not None,
-        progress=bar,
-        others=partial(other_robots, opened.chains, setup),
-        workers=workers,
-    )
+    others = partial(other_robots, opened.chains, setup)
+    result = calibrate(opened.chains, **given, progress=bar, others=others)
     seconds = time.perf_counter() - start
     better = suggestions(
         opened.chains,
@@ -182,13 +169,13 @@ def calibrated(
 
         shapes = robot_shapes(opened.chains.robot, request.package_dir or ()).parts
         drawn = draw_calibration(result, bar, shapes)
-    contents = drawings = figure_contents(drawn, pictures)
+    contents = drawings = results.figure_contents(drawn, pictures)
     if files is not None:
         from calib_pin.validation.result import Provenance
 
         created = datetime.now(UTC).isoformat(timespec="seconds")
         made = Provenance.at(created, tuple(words), seconds)
-        contents = result_contents(
+        contents = results.result_contents(
             result, files, made, drawn if page else None, drawings, better
         )
     return Calibrated(result, better, contents, drawings)

@@ -60,12 +60,11 @@ def check_results(
     Raises:
         OptionError: See `cli.files.check_outputs`.
     """
-    from calib_pin.io.results import written_before
-    from calib_pin.io.urdf import is_source
+    from calib_pin.io import results, urdf
 
     # The nominal robot of a folder may be calibrated again: it stays as it is.
-    kept = files.nominal if is_source(files.nominal, robot) else None
-    all_files = dict.fromkeys((*files, *pictures, *written_before(files.json)))
+    kept = files.nominal if urdf.is_source(files.nominal, robot) else None
+    all_files = dict.fromkeys((*files, *pictures, *results.written_before(files.json)))
     check_outputs([path for path in all_files if path != kept], inputs, force)
 
 
@@ -82,25 +81,24 @@ def result_contents(
     The corrected URDF is there if it can be trusted, and is the nominal one where
     there is no gain; the page is there if figures for it are given, however few.
     """
+    from calib_pin.io import json_text, measurement_errors, results, urdf
     from calib_pin.io.files import listed, sha256
-    from calib_pin.io.json_text import encode, merged
-    from calib_pin.io.measurement_errors import encode_errors
-    from calib_pin.io.results import calibration_document, encode_urdf
-    from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
-    document = calibration_document(result, made, suggestions)
+    document = results.calibration_document(result, made, suggestions)
     # The same input and seed lead to the same id.
     unlike = {"solver": ["seconds"], "provenance": ["command", "created"]}
     left = {key: dict.fromkeys(names) for key, names in unlike.items()}
-    document["run"] = sha256(encode(merged(document, left)))[:16]
+    document["run"] = sha256(json_text.encode(json_text.merged(document, left)))[:16]
     robot = result.model.chains.robot
     contents = {files.nominal: robot.source}
     if result.verdict == "no-gain":
         contents[files.urdf] = robot.source
     elif result.geometry is not None:
-        contents[files.urdf] = encode_urdf(result.geometry, files.urdf)
-    contents[files.measurements] = encode_errors(result, document["run"])
+        contents[files.urdf] = results.encode_urdf(result.geometry, files.urdf)
+    contents[files.measurements] = measurement_errors.encode_errors(
+        result, document["run"]
+    )
     if figures is not None:
         contents[files.report] = html_report(
             result, document, figures=figures, suggestions=suggestions
@@ -111,9 +109,9 @@ def result_contents(
         for path, data in contents.items()
         if (name := listed(path, files.json.parent))
     }
-    if is_source(files.nominal, robot):
+    if urdf.is_source(files.nominal, robot):
         del contents[files.nominal]  # It is an input, and stays as it is.
-    return {**contents, files.json: encode(document)}
+    return {**contents, files.json: json_text.encode(document)}
 
 
 @contextmanager

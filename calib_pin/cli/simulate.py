@@ -67,10 +67,8 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
     """
     import numpy as np
 
-    import calib_pin.io.measurements as measurements
     from calib_pin.estimation.formulation import nominal_problem
-    from calib_pin.io.results import encode_urdf
-    from calib_pin.io.setup import read_true_errors
+    from calib_pin.io import measurements, results, setup
     from calib_pin.io.table import read_table
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
@@ -93,16 +91,15 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
     if asked.errors is None:
         theta = draw_errors(problem.parameters, rng)
     else:
-        given = read_true_errors(asked.errors, problem.parameters.names)
+        given = setup.read_true_errors(asked.errors, problem.parameters.names)
         theta = problem.parameters.vector(given)
+    given = {name: getattr(asked, name) for name in ("noise", "repeats", "average")}
     measure = partial(
         run,
         *(problem, theta, rng),
         # An image shows all corners of a board.
         per_configuration=asked.all_targets or stated.board is not None,
-        noise=asked.noise,
-        repeats=asked.repeats,
-        average=asked.average,
+        **given,
     )
     with progress_bar() as bar:
         stage(bar, "measure")
@@ -123,7 +120,7 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
     told = [f"wrote {len(rows)} measurements to {asked.output}"]
     if truth is not None:
         true = CalibratedModel.create(problem, theta)
-        contents[truth] = encode_urdf(true.without_corrections, truth)
+        contents[truth] = results.encode_urdf(true.without_corrections, truth)
         if any(true.of(name).tool_carries_tip for name in true.measured_chains):
             notice(f"{truth} lacks the error behind the last joint: no link holds it")
         if not true.geometric:

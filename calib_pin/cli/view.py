@@ -10,10 +10,8 @@ from typing import Annotated
 
 import typer
 
-import calib_pin.cli.options as options
-from calib_pin.cli.files import open_measurements, require_folders
+from calib_pin.cli import files, options, printing
 from calib_pin.cli.options import Told, number
-from calib_pin.cli.printing import notice, progress_bar, stage, tell_notices
 from calib_pin.errors import OptionError
 
 PORT = number(int, "--port", "0 to 65535", 0, 65535)
@@ -52,11 +50,11 @@ def view(asked: View) -> int:
     from calib_pin.viewer.server import Window
 
     folders = asked.package_dir or []
-    require_folders(folders)
-    calibrated, chains, stated = asked.subject(notice, asked.chain)
-    with progress_bar() as bar:
+    files.require_folders(folders)
+    calibrated, chains, stated = asked.subject(printing.notice, asked.chain)
+    with printing.progress_bar() as bar:
         read = partial(
-            open_measurements,
+            files.open_measurements,
             asked.measurements or [],
             chain=asked.chain,
             station_per_file=asked.station_per_file,
@@ -69,14 +67,14 @@ def view(asked: View) -> int:
             read if asked.measurements else None,
             asked.plan,
             folders,
-            tell=notice,
-            stage=partial(stage, bar),
+            tell=printing.notice,
+            stage=partial(printing.stage, bar),
         )
     window = Window(scene, asked.port)
     try:
         if asked.port not in (0, window.port):
-            notice(f"port {asked.port} cannot be used; {window.port} is free")
-        tell_notices()
+            printing.notice(f"port {asked.port} cannot be used; {window.port} is free")
+        printing.tell_notices()
         typer.echo(f"viewing at {window.url} (Ctrl-C ends it)")
         window.run(asked.once)
     except KeyboardInterrupt:

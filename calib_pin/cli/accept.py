@@ -82,7 +82,7 @@ def accept(asked: Accept) -> int:
     blocks = [*acceptance_text.acceptance_report(tests, limit, found.about, path=path)]
     contents = {}
     if made:
-        figure = next(figures.drawn("acceptance", figures.Judged(tests, limit, path)))
+        figure = next(figures.drawn("acceptance", tests, limit, path))
         about = options.dated(entries), found.about
         cover = acceptance_cover(
             tests, limit, chains.robot, *about, path=path, figure=figure

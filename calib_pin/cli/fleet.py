@@ -259,7 +259,7 @@ def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
     from calib_pin.io.trials import kept, read_trials
     from calib_pin.monte_carlo import outlooks, try_robot
     from calib_pin.report import fleet_text, html
-    from calib_pin.report.figures import Foreseen, drawn
+    from calib_pin.report.figures import drawn
 
     stated, resume = setup.read_setup(file), asked.resume
     study, name = _study(file, stated, asked.seed)
@@ -281,7 +281,7 @@ def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
     blocks = [*fleet_text.outlook_report(study, found, limit)]
     title = f"Expected accuracy of {study.chains.robot.name}"
     document = outlook_document(study, found, limit)
-    figures = [*drawn("outlook", Foreseen(found, limit))]
+    figures = [*drawn("outlook", found, limit)]
     data = json_text.encode(document), html.blocks_page(title, blocks, figures, NUMBERS)
     contents = dict(zip(made, data, strict=True))
     return Made(contents, lambda: document, blocks, placed=[trials])

@@ -192,7 +192,7 @@ def draw(
     from calib_pin.report.figures import NAMES, drawn
 
     result: list[Drawn] = []
-    for figure in drawn(of, subject, shapes):
+    for figure in drawn(of, subject, shapes=shapes):
         result.append(figure)
         if bar is not None:
             bar("figures", len(result) / len(NAMES[of]))

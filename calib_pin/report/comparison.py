@@ -56,10 +56,11 @@ def _verdict(found: compared.Comparison) -> Line:
         leading = found.differences[0]
         terms = leading.terms
         name = f"a combination with {terms[0][0]}" if terms else leading.name
+        far = tables.amount(leading.change, leading.unit)
         return Line(
-            f"The robot changed, but not visibly at the tool point: {name} by "
-            f"{tables.amount(leading.change, leading.unit)}, {leading.significance:.0f} "
-            f"standard deviations; the tool points differ by {within}",
+            f"The robot changed, but not visibly at the tool point: {name} by {far}, "
+            f"{leading.significance:.0f} standard deviations; the tool points differ "
+            f"by {within}",
             "bad",
         )
     said = "No drift beyond the noise of both: the tool points differ by"
@@ -210,8 +211,9 @@ def _farthest(found: compared.Comparison) -> Facts:
     for value, turns in zip(drift.q[position], chain.revolute, strict=True):
         unit, factor = tables.unit_of("rad" if turns else "m")
         angles.append(f"{factor * value:.1f} {unit}")
+    largest = tables.amount(drift.drift[position], "m")
     return Facts(
-        f"Largest difference{_where(found)}: {tables.amount(drift.drift[position], 'm')}",
+        f"Largest difference{_where(found)}: {largest}",
         [
             ("tool point", f"at {x}, {y}, {z} mm in {chain.base}"),
             ("joints", f"at {', '.join(angles)}"),
@@ -288,8 +290,9 @@ def _counted(found: compared.Comparison) -> Iterator[str]:
             for bound in (math.inf, compared.BOUND)
         )
         yield (
-            f"Both identify {both} of the robot; {agree} agree within {compared.BOUND:.0f} "
-            "standard deviations of the difference. By chance, one in 370 does not."
+            f"Both identify {both} of the robot; {agree} agree within "
+            f"{compared.BOUND:.0f} standard deviations of the difference. By chance, "
+            "one in 370 does not."
         )
     else:
         yield "No parameter and no combination of the robot is identified by both."

@@ -176,7 +176,7 @@ def report(
     else:
         result, document, suggested = read_written(result)
     shapes = robot_shapes(result.model.chains.robot).parts
-    figures = list(drawn("calibration", result, shapes))
+    figures = list(drawn("calibration", result, shapes=shapes))
     page = html_report(result, document, figures=figures, suggestions=suggested)
     write_atomically(Path(file), page, force=force)
 

@@ -110,16 +110,16 @@ class Drawn:
     """A figure with its name, title and caption.
 
     Attributes:
-        name: Stem of its file and id in a page.
         title: Its heading.
         reading: The caption: what to look for, and the numbers, in one line.
         figure: The figure.
+        name: Stem of its file and id in a page.
     """
 
-    name: str
     title: str
     reading: str
     figure: Figure
+    name: str = ""
 
     def svg(self) -> str:
         """Part of an HTML page, whose style sheet gives it font and colors."""

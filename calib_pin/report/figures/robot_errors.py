@@ -128,7 +128,6 @@ def robot_errors(
     bar = figure.colorbar(scale, place, orientation="horizontal")
     bar.set_label(f"{measured.name} error [{unit}]{clipped}")
     return canvas.Drawn(
-        "robot-errors",
         "Errors of the robot before and after calibration",
         f"Every ball is a measured tool point; its color is the {measured.name} error "
         "there, on one scale for both. A ball behind the robot shines through. "

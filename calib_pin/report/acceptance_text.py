@@ -9,7 +9,7 @@ from math import isfinite, nan
 import numpy as np
 import pinocchio as pin
 
-import calib_pin.validation.acceptance as tests
+import calib_pin.validation.acceptance as tested
 from calib_pin.control.acceptance_poses import ORDER, AcceptancePoses
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.blocks import Block, Cell, Line, Tone, table
@@ -31,7 +31,7 @@ MM = unit_of("m")[0]
 
 
 def acceptance_report(
-    found: Mapping[str, tests.Acceptance],
+    found: Mapping[str, tested.Acceptance],
     limit: LimitSetup,
     about: str,
     *,
@@ -54,8 +54,8 @@ def acceptance_report(
             (
                 name,
                 str(len(test.poses)),
-                *cells_of(tests.worst(tests.measured(test)["AP"][0]), "m"),
-                *cells_of(tests.worst(tests.measured(test)["RP"][0]), "m"),
+                *cells_of(tested.worst(tested.measured(test)["AP"][0]), "m"),
+                *cells_of(tested.worst(tested.measured(test)["RP"][0]), "m"),
                 MM,
             )
             for name, test in found.items()
@@ -94,7 +94,7 @@ def acceptance_report(
     yield from _further(last)
 
 
-def _further(test: tests.Acceptance) -> Iterator[Block]:
+def _further(test: tested.Acceptance) -> Iterator[Block]:
     """Orientations, distances and drift, as far as they were tested."""
     if test.poses[0].angles:
         rows = [
@@ -127,18 +127,18 @@ def _further(test: tests.Acceptance) -> Iterator[Block]:
         titles = ("poses|word", "distance", "AD", "95 %", "RD", "95 %", UNIT)
         yield table("Distances between poses", titles, pairs_told)
     if test.drift is not None and not test.untestable:
-        accuracy, tests.repeatability = (amount(size, "m") for size in test.drift)
+        accuracy, spread = (amount(size, "m") for size in test.drift)
         yield Line(
             "From the first to the last third of the visits AP changes by at most "
-            f"{accuracy}, RP by {tests.repeatability}."
+            f"{accuracy}, RP by {spread}."
         )
 
 
 def limit_lines(
-    test: tests.Acceptance, limit: LimitSetup, *, path: bool = False
+    test: tested.Acceptance, limit: LimitSetup, *, path: bool = False
 ) -> Iterator[Line]:
     """Whether each limit is met, by how much, in a sentence each."""
-    for name, status, interval, allowed, unit in tests.judged(test, limit):
+    for name, status, interval, allowed, unit in tested.judged(test, limit):
         tone, name = TONES[status], PATH.get(name, name) if path else name
         said = f"{amount(interval.value, unit)} ({ends(interval, unit)})"
         if not isfinite(interval.high):
@@ -148,7 +148,7 @@ def limit_lines(
         yield Line(f"{status.upper()}: {name} {said}, {limited}.", tone)
 
 
-def doubt_lines(test: tests.Acceptance) -> Iterator[Line]:
+def doubt_lines(test: tested.Acceptance) -> Iterator[Line]:
     """Why AP is not testable, and why nothing passes, in a sentence each."""
     if test.untestable:
         yield Line(f"AP is not testable: {test.untestable}. {REMEDY}", "bad")
@@ -156,12 +156,12 @@ def doubt_lines(test: tests.Acceptance) -> Iterator[Line]:
         yield Line(f"No PASS: {doubt.rstrip('.')}.", "bad")
 
 
-def cells_of(interval: tests.Interval, unit: str) -> tuple[Cell, str]:
+def cells_of(interval: tested.Interval, unit: str) -> tuple[Cell, str]:
     """A value, a dash where there is none, and its interval."""
     return quantity(interval.value, unit), ends(interval, unit)
 
 
-def ends(interval: tests.Interval, unit: str) -> str:
+def ends(interval: tested.Interval, unit: str) -> str:
     """Both ends of an interval, in the unit in which people read it."""
     low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
     if not isfinite(interval.high):
@@ -208,7 +208,7 @@ def acceptance_schedule(
     rng = np.random.default_rng(0)
     noise = rng.standard_normal((max(cycles, 4), 3))
     u, _, v = np.linalg.svd(noise - noise.mean(axis=0), full_matrices=False)
-    told = tests.repeatability(np.asarray(u @ v), rng)
+    told = tested.repeatability(np.asarray(u @ v), rng)
     text = (files("calib_pin.report") / "page" / "schedule.txt").read_text("utf-8")
     return text.format(
         robot=robot,
@@ -226,6 +226,6 @@ def acceptance_schedule(
         moves=said,
         low=100.0 * (told.low / told.value - 1.0),
         high=100.0 * (told.high / told.value - 1.0),
-        half=tests.student(cycles - 1) / cycles**0.5,
+        half=tested.student(cycles - 1) / cycles**0.5,
         command=command,
     )

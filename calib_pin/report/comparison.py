@@ -245,13 +245,13 @@ def _frames(found: compared.Comparison) -> Iterator[Block]:
 
 def _displaced(moved: compared.Displacement) -> str:
     """The displacement of a frame in words, with its uncertainty where it is known."""
-    tables.sizes = [(moved.shift, "m", moved.sigma[0])]
+    both = [(moved.shift, "m", moved.sigma[0])]
     if moved.turn is not None:
-        tables.sizes.append((moved.turn, "rad", moved.sigma[1]))
+        both.append((moved.turn, "rad", moved.sigma[1]))
     words = " and ".join(
         tables.amount(size, unit)
         + (f" +- {tables.amount(sigma, unit)}" if math.isfinite(sigma) else "")
-        for size, unit, sigma in tables.sizes
+        for size, unit, sigma in both
     )
     words += f", relative to the {'tip link' if moved.of_tool else 'instrument'}"
     return words + ("; no more than noise" if moved.chance > INSIGNIFICANT else "")

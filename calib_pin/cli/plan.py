@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -187,7 +187,7 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
         joints=stated.joints,
         degrees=asked.degrees,
     )
-    more = {"places": found.places, "sides": planning.sides_of(found)}
+    more: dict[str, Any] = {"places": found.places, "sides": planning.sides_of(found)}
     comments = [f"planned by: {command}"]
     table = encode(found.q, found.target, **more, comments=comments)
     contents, shut = {asked.output: table, **figures}, list[int]()
@@ -266,7 +266,7 @@ def _interruptible(
 
     def progress(stage: str, part: float) -> bool:
         if bar is not None:
-            bar(printing.stage, part)
+            bar(stage, part)
         return asked
 
     before = signal.signal(signal.SIGINT, interrupt)

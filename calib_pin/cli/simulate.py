@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -93,7 +93,8 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
     else:
         given = setup.read_true_errors(asked.errors, problem.parameters.names)
         theta = problem.parameters.vector(given)
-    given = {name: getattr(asked, name) for name in ("noise", "repeats", "average")}
+    names = ("noise", "repeats", "average")
+    given: dict[str, Any] = {name: getattr(asked, name) for name in names}
     measure = partial(
         run,
         *(problem, theta, rng),

@@ -94,13 +94,13 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
         given = setup.read_true_errors(asked.errors, problem.parameters.names)
         theta = problem.parameters.vector(given)
     names = ("noise", "repeats", "average")
-    given: dict[str, Any] = {name: getattr(asked, name) for name in names}
+    about: dict[str, Any] = {name: getattr(asked, name) for name in names}
     measure = partial(
         run,
         *(problem, theta, rng),
         # An image shows all corners of a board.
         per_configuration=asked.all_targets or stated.board is not None,
-        **given,
+        **about,
     )
     with progress_bar() as bar:
         stage(bar, "measure")
@@ -108,8 +108,8 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
             files.tell_limits(chains)
             rows = measure(count=asked.count)
         else:
-            about = stated.joints, stated.columns
-            q = measurements.read_configurations(file, chains, *about)
+            read = measurements.read_configurations
+            q = read(file, chains, stated.joints, stated.columns)
             held = measurements.read_held(table, chains.joints, q)
             target = named.pop("target", ())
             with stated_in(str(file)):

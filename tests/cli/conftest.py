@@ -122,7 +122,11 @@ def here(workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 @pytest.fixture(autouse=True)
 def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages without figures, unless a test asks for `drawn`: they take the longest."""
+    """Pages without figures, unless a test asks for `drawn`: they take the longest.
+
+    Stages are not told, however slow the machine is.
+    """
+    monkeypatch.setattr("calib_pin.cli.printing.PATIENCE", float("inf"))
     if "drawn" not in request.fixturenames:
         for place in DRAW:
             monkeypatch.setattr(place, lambda *about: [])

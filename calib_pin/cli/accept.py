@@ -64,9 +64,7 @@ def accept(asked: Accept) -> int:
     made = [file for file in made if file not in without]
     files.check_outputs(made, [asked.robot, asked.setup, *rows_in], asked.force)
     with printing.progress_bar(quiet=asked.quiet) as bar:
-        measured, rows = files.open_measurements(
-            rows_in, chains, used, quiet=asked.quiet, bar=bar
-        )
+        measured, rows = asked.read(rows_in, chains, used, bar=bar)
         with stated_in(str(rows_in[0])):
             found = pose_tests.tested(
                 measured if calibrated is None else results.read_result(asked.robot),

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import calib_pin.cli.options as options
-from calib_pin.cli.files import open_measurements
 from calib_pin.cli.options import Told
 from calib_pin.cli.printing import notice, progress_bar, stage
 
@@ -50,15 +49,7 @@ def evaluate(asked: Evaluate) -> int:
         for file in used_files(asked.robot, rows_in):
             notice(f"{file}: the calibration has used it already, to fit or to check")
     with progress_bar() as bar:
-        measured, rows = open_measurements(
-            rows_in,
-            chains,
-            stated,
-            chain=asked.chain,
-            station_per_file=asked.station_per_file,
-            sockets=sockets,
-            bar=bar,
-        )
+        measured, rows = asked.read(rows_in, chains, stated, sockets=sockets, bar=bar)
         stage(bar, "evaluate")
         subject, others = calibrated or measured, partial(other_robots, chains, stated)
         found = run(subject, rows, stated, registration=asked.register, others=others)

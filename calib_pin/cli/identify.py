@@ -54,13 +54,8 @@ def identify(asked: Identify) -> int:
         # What is learned has no parameters that could be known.
         stated = replace(stated, learned=None)
         with printing.progress_bar() as bar:
-            chains, rows = files.open_measurements(
-                asked.measurements,
-                asked.chains(stated),
-                stated,
-                station_per_file=asked.station_per_file,
-                bar=bar,
-            )
+            chains = asked.chains(stated)
+            chains, rows = asked.read(asked.measurements, chains, stated, bar=bar)
             others = partial(other_robots, chains, stated)
             fit = partial(run, validate=False, seed=seed, others=others, progress=bar)
             result = fit(chains, rows, stated)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
     from calib_pin.kinematics.chains import Chains
     from calib_pin.kinematics.collision import Collisions
-    from calib_pin.observations import BlockKey
+    from calib_pin.observations import BlockKey, Observations
     from calib_pin.planning.ways import Ways
     from calib_pin.report.blocks import Block
     from calib_pin.setup import Obstacle, ReportSetup, Setup
@@ -260,6 +260,13 @@ class OfRobot:
     ) -> Chains:
         """The chains of the robot; all else as for `open_chains`."""
         return files.open_chains(self.robot, setup, measured, self.package_dir)
+
+    def read(
+        self, rows: Sequence[Path], chains: Chains, setup: Setup, **more: Any
+    ) -> tuple[Chains, Observations]:
+        """Measurements by the options of the command, see `open_measurements`."""
+        given = {**same(self, files.open_measurements), "setup": setup, **more}
+        return files.open_measurements(rows, chains, **given)
 
 
 @dataclass(frozen=True, kw_only=True)

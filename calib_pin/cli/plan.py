@@ -170,6 +170,7 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
         _interruptible(bar) as progress,
     ):
         given = options.same(asked, planning.plan) | {
+            "chain": chains,
             "model": keys,
             "count": asked.add or asked.count,
             "setup": stated,
@@ -178,7 +179,7 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
             "tests": poses,
             "workers": several,
         }
-        found = planning.plan(chains, **given, progress=progress)
+        found = planning.plan(**given, progress=progress)
         drawn = results.draw("plan", found, bar) if pictures else []
         figures = results.figure_contents(drawn, pictures)
     encode = partial(
@@ -231,9 +232,8 @@ def _opened(
     keys: Sequence[BlockKey]
     if asked.to:
         chains = asked.chains(stated, asked.chain)
-        read = partial(files.open_measurements, asked.to, quiet=asked.quiet)
         with printing.progress_bar(quiet=asked.quiet) as bar:
-            chains, rows = read(chains, stated, chain=asked.chain, bar=bar)
+            chains, rows = asked.read(asked.to, chains, stated, bar=bar)
         rows = fitted_and_held_out(rows)[0]
         keys = rows.keys
     else:

@@ -101,15 +101,12 @@ def opened(
     else:
         results.check_results(files, pictures, chains.robot, inputs, force)
     files_of.require_distinct([*rows_in, *further])
-    read = partial(
-        files_of.open_measurements, station_per_file=request.station_per_file
-    )
-    chains, rows = read(rows_in, chains, stated, quiet=quiet, bar=bar)
+    chains, rows = request.read(rows_in, chains, stated, quiet=quiet, bar=bar)
     unseen = None
     if further:
         same = replace(stated, model="+".join(rows.models))
         sockets = map(place_of, rows.target.distinct)
-        _, unseen = read(further, chains, same, quiet=True, sockets=sockets)
+        _, unseen = request.read(further, chains, same, quiet=True, sockets=sockets)
     if rows.validate.any() and (further or request.holdout is not None):
         option = "--validation" if further else "--holdout"
         reason = "the measurements that 'set' marks for validation are not used with"

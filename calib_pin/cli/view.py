@@ -53,13 +53,7 @@ def view(asked: View) -> int:
     files.require_folders(folders)
     calibrated, chains, stated = asked.subject(printing.notice, asked.chain)
     with printing.progress_bar() as bar:
-        read = partial(
-            files.open_measurements,
-            asked.measurements or [],
-            chain=asked.chain,
-            station_per_file=asked.station_per_file,
-            bar=bar,
-        )
+        read = partial(asked.read, asked.measurements or [], bar=bar)
         scene = make_scene(
             chains,
             calibrated,

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
 _Number = TypeVar("_Number", int, float)
 
-LAST = ("force", "quiet", "json")
-"""Options of nearly all commands, the last ones of their help."""
+PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
+"""Options of nearly all commands, by their places before or behind others."""
 
 _names: dict[Any, Callable[[], Iterable[str]]] = {}
 """The names of robots, and those that parsers know."""
@@ -189,9 +189,8 @@ def spread(function: Callable[..., int]) -> Callable[..., int]:
     for name, hint in hints.items():
         made = _declared(name, hint.__metadata__[0], texts[name])
         hints[name] = Annotated[hint.__origin__, made]
-    names = [*(name for name in hints if name not in LAST), *LAST]
     given = signature(kind).parameters
-    asked = [given[name] for name in names if name in hints]
+    asked = [given[name] for name in sorted(hints, key=lambda n: PLACES.get(n, 0))]
     options = [p.replace(annotation=hints[p.name], kind=only) for p in asked]
     options += [p.replace(kind=only) for p in own]
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.resources import files
+from itertools import chain
 from math import isfinite, nan
 
 import numpy as np
@@ -12,7 +13,7 @@ import pinocchio as pin
 import calib_pin.validation.acceptance as tested
 from calib_pin.control.acceptance_poses import ORDER, AcceptancePoses
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.report.blocks import Block, Cell, Line, Tone, table
+from calib_pin.report.blocks import Block, Cell, Line, Table, Tone, table
 from calib_pin.report.tables import UNIT, amount, quantity, unit_of
 from calib_pin.setup import LimitSetup
 
@@ -26,8 +27,6 @@ REMEDY = "Base and tool must be of a calibration, of the setup, or of other pose
 
 SHOWN = 12
 """Pairs of poses whose distance is shown: those that err most."""
-
-MM = unit_of("m")[0]
 
 
 def acceptance_report(
@@ -50,18 +49,12 @@ def acceptance_report(
     yield from doubt_lines(last)
     yield Line(about)
     if path:
-        rows = [
-            (
-                name,
-                str(len(test.poses)),
-                *cells_of(tested.worst(tested.measured(test)["AP"][0]), "m"),
-                *cells_of(tested.worst(tested.measured(test)["RP"][0]), "m"),
-                MM,
-            )
+        worsts = {
+            name: [tested.worst(tested.measured(test)[key][0]) for key in PATH]
             for name, test in found.items()
-        ]
-        titles = ("", "points", "AT", "95 %", "RT", "95 %", UNIT)
-        yield table("Path", titles, rows)
+        }
+        rows = [(name, str(len(found[name].poses)), *worsts[name]) for name in found]
+        yield _table("Path", ("", "points", "AT", "95 %", "RT", "95 %"), rows)
         yield Line(
             "AT and RT: AP and RP of the worst point; the 95 % intervals are those of "
             "this point alone.",
@@ -69,21 +62,13 @@ def acceptance_report(
         )
         return
     for name, test in found.items():
-        yield table(
-            f"Poses, {name}" if len(found) > 1 else "Poses",
-            ("pose", "visits", "AP", "95 %", "RP", "95 %", "vAP", UNIT),
-            [
-                (
-                    f"P{pose.pose}",
-                    str(pose.visits),
-                    *cells_of(pose.accuracy, "m"),
-                    *cells_of(pose.repeatability, "m"),
-                    quantity(nan if pose.directions is None else pose.directions, "m"),
-                    MM,
-                )
-                for pose in test.poses
-            ],
-        )
+        title = f"Poses, {name}" if len(found) > 1 else "Poses"
+        visited = [
+            (f"P{p.pose}", str(p.visits), p.accuracy, p.repeatability, p.directions)
+            for p in test.poses
+        ]
+        titles = ("pose", "visits", "AP", "95 %", "RP", "95 %", "vAP")
+        yield _table(title, titles, visited)
     yield Line(
         "AP: distance of the mean of the visits from the commanded position; RP: mean "
         "distance from that mean and three standard deviations; vAP: distance between "
@@ -91,47 +76,52 @@ def acceptance_report(
         "visits.",
         "note",
     )
-    yield from _further(last)
-
-
-def _further(test: tested.Acceptance) -> Iterator[Block]:
-    """Orientations, distances and drift, as far as they were tested."""
-    if test.poses[0].angles:
-        rows = [
-            (
-                f"P{pose.pose}" if axis == "x" else "",
-                axis,
-                *cells_of(mean, "rad"),
-                *cells_of(sigma, "rad"),
-                unit_of("rad")[0],
-            )
-            for pose in test.poses
+    if last.poses[0].angles:
+        turned = [
+            (f"P{p.pose}" if axis == "x" else "", axis, mean, sigma)
+            for p in last.poses
             for axis, mean, sigma in zip(
-                "xyz", pose.angles, pose.angle_repeatability, strict=True
+                "xyz", p.angles, p.angle_repeatability, strict=True
             )
         ]
-        titles = ("pose", "about", "mean", "95 %", "3 sigma", "95 %", UNIT)
-        yield table("Orientations", titles, rows)
-    if test.distances:
-        pairs = sorted(test.distances, key=lambda d: -abs(d.accuracy.value))
-        pairs_told = [
+        angles = ("pose", "about", "mean", "95 %", "3 sigma", "95 %")
+        yield _table("Orientations", angles, turned, "rad")
+    if last.distances:
+        pairs = sorted(last.distances, key=lambda d: -abs(d.accuracy.value))
+        apart = [
             (
-                "-".join(f"P{pose}" for pose in pair.poses),
-                quantity(pair.commanded, "m"),
-                *cells_of(pair.accuracy, "m"),
-                *cells_of(pair.repeatability, "m"),
-                MM,
+                "-".join(f"P{k}" for k in p.poses),
+                p.commanded,
+                p.accuracy,
+                p.repeatability,
             )
-            for pair in pairs[:SHOWN]
+            for p in pairs[:SHOWN]
         ]
-        titles = ("poses|word", "distance", "AD", "95 %", "RD", "95 %", UNIT)
-        yield table("Distances between poses", titles, pairs_told)
-    if test.drift is not None and not test.untestable:
-        accuracy, spread = (amount(size, "m") for size in test.drift)
+        lengths = ("poses|word", "distance", "AD", "95 %", "RD", "95 %")
+        yield _table("Distances between poses", lengths, apart)
+    if last.drift is not None and not last.untestable:
+        accuracy, spread = (amount(size, "m") for size in last.drift)
         yield Line(
             "From the first to the last third of the visits AP changes by at most "
             f"{accuracy}, RP by {spread}."
         )
+
+
+def _table(
+    title: str, titles: Sequence[str], rows: Iterable[Sequence[object]], unit: str = "m"
+) -> Table:
+    """A table of words, numbers and intervals of one unit."""
+
+    def cells(item: object) -> Sequence[object]:
+        if isinstance(item, tested.Interval):
+            return cells_of(item, unit)
+        if item is None or isinstance(item, float):
+            return [quantity(nan if item is None else item, unit)]
+        return [item]
+
+    shown = unit_of(unit)[0]
+    lines = [[*chain.from_iterable(map(cells, row)), shown] for row in rows]
+    return table(title, (*titles, UNIT), lines)
 
 
 def limit_lines(

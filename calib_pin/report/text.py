@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import calib_pin.report.accuracy as accurate
@@ -26,6 +27,8 @@ from calib_pin.validation.result import CalibrationResult, Evaluation, Identific
 
 LINES = 16
 """Lines of a report that are shown of it first."""
+
+PLACES = "Tool, base, stations and cameras"
 
 LISTED = 5, 200
 """Outliers and correlated pairs that a terminal and a page list."""
@@ -135,56 +138,31 @@ def sections(
         most: How many outliers are listed.
     """
     frames = [*offsets(result, suggestions), *frame_blocks(result)]
-    yield Section(
-        "frames",
-        "Tool, base, stations and cameras",
-        frames or [Line(accurate.KNOWN, "note")],
+    accuracy = (
+        *(accurate.accuracy(result), accurate.recalibrated(result), parts(result)),
+        *(accurate.moves(result), trust.expected(result), accurate.beyond(result)),
     )
-    yield Section("measured", "Measurements", [accurate.taken(result)])
-    yield Section(
-        "findings",
-        "Outliers and findings",
-        [*_outliers(result, most)],
-        ("residuals-over-order",),
+    remedies = (
+        listed(f"identifiable if you {remedy.change}", remedy.parameters)
+        for remedy in suggestions
     )
-    yield Section(
-        "accuracy",
-        "Accuracy",
-        [
-            *accurate.accuracy(result),
-            *accurate.recalibrated(result),
-            *parts(result),
-            *accurate.moves(result),
-            *trust.expected(result),
-            *accurate.beyond(result),
-        ],
-        ("errors-per-measurement", "tip-accuracy-in-workspace"),
+    known = identified(result, fitted=True, suggestions=suggestions)
+    identifiable = (known, told(result), *remedies, trust.correlated(result, most))
+    bounded = listed("at a bound", result.solver.at_bounds)
+    noise = trust.noise(result), trust.statistics(result)
+    outliers = _outliers(result, most)
+    errors = "errors-per-measurement", "tip-accuracy-in-workspace"
+    every: tuple[tuple[str, str, Iterable[Iterable[Block]], Sequence[str]], ...] = (
+        ("frames", PLACES, [frames or [Line(accurate.KNOWN, "note")]], []),
+        ("measured", "Measurements", [[accurate.taken(result)]], []),
+        ("findings", "Outliers and findings", [outliers], ["residuals-over-order"]),
+        ("accuracy", "Accuracy", accuracy, errors),
+        ("identifiability", "Identifiability", identifiable, ["tip-error-by-count"]),
+        ("parameters", "Parameters", [bounded], []),
+        ("residuals", "Noise and statistics", noise, ["residuals-by-joint"]),
     )
-    yield Section(
-        "identifiability",
-        "Identifiability",
-        [
-            *identified(result, fitted=True, suggestions=suggestions),
-            *told(result),
-            *(
-                names
-                for remedy in suggestions
-                for names in listed(
-                    f"identifiable if you {remedy.change}", remedy.parameters
-                )
-            ),
-            *trust.correlated(result, most),
-        ],
-        ("tip-error-by-count",),
-    )
-    bounded = [*listed("at a bound", result.solver.at_bounds)]
-    yield Section("parameters", "Parameters", bounded)
-    yield Section(
-        "residuals",
-        "Noise and statistics",
-        [*trust.noise(result), *trust.statistics(result)],
-        ("residuals-by-joint",),
-    )
+    for key, title, blocks, figures in every:
+        yield Section(key, title, [*chain.from_iterable(blocks)], tuple(figures))
 
 
 def _outliers(result: CalibrationResult, most: int) -> Iterator[Block]:

@@ -13,7 +13,7 @@ import pinocchio as pin
 import calib_pin.validation.acceptance as tested
 from calib_pin.control.acceptance_poses import ORDER, AcceptancePoses
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.report.blocks import Block, Cell, Line, Table, Tone, table
+from calib_pin.report.blocks import Block, Cell, Line, Table, Tone, note, table
 from calib_pin.report.tables import UNIT, amount, quantity, unit_of
 from calib_pin.setup import LimitSetup
 
@@ -55,10 +55,9 @@ def acceptance_report(
         }
         rows = [(name, str(len(found[name].poses)), *worsts[name]) for name in found]
         yield _table("Path", ("", "points", "AT", "95 %", "RT", "95 %"), rows)
-        yield Line(
+        yield note(
             "AT and RT: AP and RP of the worst point; the 95 % intervals are those of "
-            "this point alone.",
-            "note",
+            "this point alone."
         )
         return
     for name, test in found.items():
@@ -69,12 +68,11 @@ def acceptance_report(
         ]
         titles = ("pose", "visits", "AP", "95 %", "RP", "95 %", "vAP")
         yield _table(title, titles, visited)
-    yield Line(
+    yield note(
         "AP: distance of the mean of the visits from the commanded position; RP: mean "
         "distance from that mean and three standard deviations; vAP: distance between "
         "means of approaches from different poses. The 95 % intervals hold for many "
-        "visits.",
-        "note",
+        "visits."
     )
     if last.poses[0].angles:
         turned = [

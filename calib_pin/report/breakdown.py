@@ -12,7 +12,7 @@ from itertools import combinations
 from typing import Any
 
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.report.blocks import Block, Line, Names, table
+from calib_pin.report.blocks import Block, Names, note, table
 from calib_pin.report.tables import UNIT, counted, measures
 from calib_pin.validation.result import Breakdown
 
@@ -78,7 +78,7 @@ def told(found: Breakdown, *, details: bool = True) -> Iterator[Block]:
             of_chain = f" of chain {chain.name}" if chain.name else ""
             joints = f"joint{'s' if len(chain.still) > 1 else ''} "
             joints += f"{', '.join(chain.still)}{of_chain}"
-            yield Line(f"No measurement moves {joints}: held at nominal.", "note")
+            yield note(f"No measurement moves {joints}: held at nominal.")
     if details and len(found.blocks) > 1:
         yield from _blocks(found)
     coupled = [coupled.sentence for coupled in found.coupled_frames]
@@ -86,7 +86,7 @@ def told(found: Breakdown, *, details: bool = True) -> Iterator[Block]:
         yield Names("Frames that cannot be told apart", coupled)
     elif coupled:
         said = counted(len(coupled), "combination")
-        yield Line(f"Frames that cannot be told apart: {said}, see --details.", "note")
+        yield note(f"Frames that cannot be told apart: {said}, see --details.")
 
 
 def _blocks(found: Breakdown) -> Iterator[Block]:
@@ -103,15 +103,13 @@ def _blocks(found: Breakdown) -> Iterator[Block]:
             first = ranks = "", ""
     titles = ("", "measurements", QUANTITY, "rms", UNIT, "rank", "added")
     yield table("Blocks of measurements", titles, rows)
-    yield Line(
+    yield note(
         "Rank: errors of the robot that the measurements of a block identify by "
-        "themselves. Added: those that the others do not identify without them.",
-        "note",
+        "themselves. Added: those that the others do not identify without them."
     )
     for name, block in zip(names, found.blocks, strict=True):
         if block.ties:
             groups = " | ".join(", ".join(group) for group in block.ties)
-            yield Line(
-                f"Without the measurements of {name} the frames fall apart: {groups}.",
-                "note",
+            yield note(
+                f"Without the measurements of {name} the frames fall apart: {groups}."
             )

@@ -9,7 +9,7 @@ import calib_pin.report.tables as tables
 import calib_pin.validation.comparison as compared
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.report.accuracy import chain_words, model_words
-from calib_pin.report.blocks import Block, Cell, Facts, Line, table
+from calib_pin.report.blocks import Block, Cell, Facts, Line, note, table
 from calib_pin.report.trust import below, findings, judged
 from calib_pin.validation.result import CalibrationResult
 
@@ -26,7 +26,7 @@ def comparison_report(found: compared.Comparison) -> Iterator[Block]:
     yield from findings(compared.faults(found), "")
     for label, record in pair:
         yield from findings(record.findings, record.reason, label)
-    yield from (Line(doubt, "note") for doubt in _doubts(found))
+    yield from (note(doubt) for doubt in _doubts(found))
     yield Facts(
         chain_words(found.first.model),
         [(label, _origin(record)) for label, record in pair],
@@ -165,7 +165,7 @@ def tip_differences(found: compared.Comparison) -> Iterator[Block]:
             rows.append((of + name, *cells, tables.quantity(noise, unit), shown))
     title = "Tool-point difference over the workspace"
     yield table(title, ("", *tables.SIZES[:-1], "noise rms", tables.UNIT), rows)
-    yield Line(" ".join(_how(found)), "note")
+    yield note(" ".join(_how(found)))
     if not found.identical:
         yield _farthest(found)
     yield from _frames(found)
@@ -240,7 +240,7 @@ def _frames(found: compared.Comparison) -> Iterator[Block]:
             noise = (
                 f", where noise explains {tables.amount(found.drift.explained[0], 'm')}"
             )
-        yield Line(f"Measured tool points moved {', '.join(parts)}{noise}.", "note")
+        yield note(f"Measured tool points moved {', '.join(parts)}{noise}.")
 
 
 def _displaced(moved: compared.Displacement) -> str:
@@ -277,7 +277,7 @@ def parameter_changes(found: compared.Comparison) -> Iterator[Block]:
             ("", "B - A", "std. dev.", "ratio", tables.UNIT),
             rows,
         )
-    yield Line(" ".join(_counted(found)), "note")
+    yield note(" ".join(_counted(found)))
     for label, names in zip("AB", found.alone, strict=True):
         yield from tables.listed(f"identifiable in {label} only", names)
 
@@ -333,4 +333,4 @@ def accuracies(found: compared.Comparison) -> Iterator[Block]:
     said = ", ".join(f"{label} {record.validation.method}" for label, record in pair)
     if not found.same_rows:
         said += ". The measurements differ: the numbers are not strictly comparable"
-    yield Line(f"Validation: {said}.", "note")
+    yield note(f"Validation: {said}.")

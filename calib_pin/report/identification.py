@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from calib_pin.planning.suggestions import LARGEST, Suggestion
-from calib_pin.report.blocks import Block, Facts, Line, table
+from calib_pin.report.blocks import Block, Facts, Line, note, table
 from calib_pin.report.robot_errors import error_table, held
 from calib_pin.report.tables import ESTIMATE, STATUS, estimate, listed, number
 from calib_pin.validation.result import CoupledGroup, Identification
@@ -86,10 +86,9 @@ def in_full(found: Identification, *, fitted: bool) -> Iterator[Block]:
             ],
         )
     if hidden := len(found.groups) - len(groups):
-        yield Line(
+        yield note(
             f"{hidden} more combinations start with the position of a socket, sphere "
-            "or fixed reference point; see calibration.json or `identify --json`.",
-            "note",
+            "or fixed reference point; see calibration.json or `identify --json`."
         )
 
 
@@ -116,12 +115,11 @@ def _remedied(
         yield table("Suggested measurements", titles, rows)
     if found.identifiability.parameters > LARGEST:
         many = f"more than {LARGEST} parameters"
-        yield Line(f"No measurements are suggested for {many}.", "note")
+        yield note(f"No measurements are suggested for {many}.")
     if any(remedy.complete for remedy in suggestions):
-        yield Line(
+        yield note(
             "The combinations that remain move the tool point only together: no "
-            "measurement of it can separate them, and no task requires it.",
-            "note",
+            "measurement of it can separate them, and no task requires it."
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib_pin.io.setup import yaml_text
 from calib_pin.measurement_models.pinhole import INTRINSICS
-from calib_pin.report.blocks import Block, Cell, Code, Line, Table, table
+from calib_pin.report.blocks import Block, Cell, Code, Table, note, table
 from calib_pin.report.tables import UNIT, decimals, significant
 from calib_pin.setup import CameraSetup
 from calib_pin.units import DISPLAY
@@ -37,14 +37,13 @@ def frame_blocks(result: CalibrationResult, *, lines: bool = True) -> Iterator[B
         of_stations = f"of {_link(stations)} in the measurement frame of a station"
         of_tools = f"of a tool on {_link(tools)}"
         of = [of_stations] * bool(stations) + [of_tools] * bool(tools)
-        yield Line(
+        yield note(
             f"Pose {', and '.join(of)}, with standard deviations; rotations are roll, "
-            "pitch and yaw, their deviations those about x, y and z.",
-            "note",
+            "pitch and yaw, their deviations those about x, y and z."
         )
     open_ones = {name.partition(".intrinsics.")[0] for name in result.unknown}
     if any({*"xyz"} & {*f.unknown} for f in stations + tools) or open_ones & {*seen}:
-        yield Line(f"-: unknown, the measurements leave it open; {REMEDY}.", "note")
+        yield note(f"-: unknown, the measurements leave it open; {REMEDY}.")
     variances = np.nan_to_num(np.diag(result.covariance))
     sigmas = dict(zip(result.covariance.rows, np.sqrt(variances), strict=True))
     sigmas |= dict.fromkeys(result.unknown, math.nan)

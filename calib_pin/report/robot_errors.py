@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from calib_pin.errors import enumerated
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.report.blocks import Block, Cell, Line, Table, table
+from calib_pin.report.blocks import Block, Cell, Line, Table, note, table
 from calib_pin.report.tables import ESTIMATE, counted, estimate
 from calib_pin.validation.joint_errors import FoundOffset, joint_offsets
 from calib_pin.validation.result import CalibrationResult, RobotError
@@ -47,7 +47,7 @@ def offsets(
         titles = ("offset", *ESTIMATE[1:], *["steps"][:stepped])
         rows = [_offset(offset, stepped) for offset in known]
         yield table("Joint offsets", ("", *titles, "the joint stands|remark"), rows)
-        yield Line(USE, "note")
+        yield note(USE)
     for offset in found:
         if offset.sigma is None:
             yield Line(_unknown(offset, suggestions), "strong")
@@ -131,10 +131,9 @@ def corrections(result: CalibrationResult) -> Iterator[Block]:
     if clear:
         yield error_table(clear, "Errors of the robot that were found", ESTIMATE)
     if clear and (count := len(known) - len(clear)):
-        yield Line(
+        yield note(
             f"{count} more {'is' if count == 1 else 'are'} smaller than {CLEAR:.0f} "
-            "standard deviations.",
-            "note",
+            "standard deviations."
         )
 
 
@@ -159,4 +158,4 @@ def held(found: Sequence[RobotError], *, details: bool = True) -> Iterator[Line]
         )
         if len(by_owner) > MANY and not details:
             said = f"{counted(len(errors), 'error')}, see --details"
-        yield Line(f"{meaning}: {said}.", "note")
+        yield note(f"{meaning}: {said}.")

@@ -13,7 +13,7 @@ import calib_pin.report.trust as trust
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.report.blocks import Block, Line
+from calib_pin.report.blocks import Block, Line, note
 from calib_pin.report.breakdown import parts, told
 from calib_pin.report.comparison import comparison_report
 from calib_pin.report.identification import identified, in_full, summary
@@ -153,7 +153,7 @@ def sections(
     outliers = _outliers(result, most)
     errors = "errors-per-measurement", "tip-accuracy-in-workspace"
     every: tuple[tuple[str, str, Iterable[Iterable[Block]], Sequence[str]], ...] = (
-        ("frames", PLACES, [frames or [Line(accurate.KNOWN, "note")]], []),
+        ("frames", PLACES, [frames or [note(accurate.KNOWN)]], []),
         ("measured", "Measurements", [[accurate.taken(result)]], []),
         ("findings", "Outliers and findings", [outliers], ["residuals-over-order"]),
         ("accuracy", "Accuracy", accuracy, errors),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,6 +21,9 @@ from calib_pin.cli.files import (
 from calib_pin.cli.printing import notice, progress_bar, stage, tell_notices
 from calib_pin.cli.request import Told, number
 from calib_pin.errors import OptionError, require_known
+
+if TYPE_CHECKING:
+    from calib_pin.viewer.server import Window
 
 PORT = number(int, "--port", "0 to 65535", 0, 65535)
 
@@ -54,9 +57,7 @@ def view(asked: View) -> int:
     those of the calibration as it is (after). The page is open to this machine only, at
     the address that is printed.
     """
-    if find_spec("viser") is None:
-        reason = "the viewer needs viser, which is missing: pip install "
-        raise OptionError(f"{reason}'calib-pin[view]'")
+    require_viser()
     from calib_pin.viewer.scene import make_scene
     from calib_pin.viewer.server import Window
 
@@ -88,15 +89,32 @@ def view(asked: View) -> int:
             tell=notice,
             stage=partial(stage, bar),
         )
-    window = Window(scene, asked.port)
+    window = Window(scene.title, asked.port)
+    window.show(scene)
+    serve(window, asked.port, asked.once)
+    return 0
+
+
+def require_viser() -> None:
+    """Refuse to show anything without the library for it.
+
+    Raises:
+        OptionError: If it is missing.
+    """
+    if find_spec("viser") is None:
+        reason = "the viewer needs viser, which is missing: pip install "
+        raise OptionError(f"{reason}'calib-pin[view]'")
+
+
+def serve(window: Window, port: int, once: bool) -> None:
+    """Tell where a window is, and keep it until Ctrl-C or the last tab is closed."""
     try:
-        if asked.port not in (0, window.port):
-            notice(f"port {asked.port} cannot be used; {window.port} is free")
+        if port not in (0, window.port):
+            notice(f"port {port} cannot be used; {window.port} is free")
         tell_notices()
         typer.echo(f"viewing at {window.url} (Ctrl-C ends it)")
-        window.run(asked.once)
+        window.run(once)
     except KeyboardInterrupt:
         typer.echo()
     finally:
         window.close()
-    return 0

@@ -25,12 +25,14 @@ from calib_pin.cli.report import report
 from calib_pin.cli.robots import robots
 from calib_pin.cli.simulate import simulate
 from calib_pin.cli.view import view
+from calib_pin.cli.watch import watch
 from calib_pin.errors import OptionError
 from calib_pin.plugins import extensions
 
 COMMANDS: dict[Callable[..., int | None], str] = {
     init: "Draft a setup file from a robot and its measurements.",
     calibrate: "Fit a robot to measurements and write the corrected URDF.",
+    watch: "Follow measurements while they are taken.",
     identify: "Print which parameters are identifiable.",
     evaluate: "Print the accuracy of a robot or a calibration on measurements.",
     accept: "Test repeated poses in the terms of ISO 9283.",

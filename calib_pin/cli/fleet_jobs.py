@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from calib_pin.cli.jobs import PREVIOUS, Job, folder_name
-from calib_pin.cli.printing import taken_notices
+from calib_pin.cli.printing import tell_notices
 from calib_pin.cli.request import Request
 from calib_pin.cli.requests import calibrated, opened
 from calib_pin.cli.results import write_results
@@ -94,7 +94,7 @@ def calibrate_job(orders: Orders, job: Job) -> Outcome:
     except Exception as error:  # One broken job stops nothing.
         return failed(job, one_line(f"{type(error).__name__}: {error}"))
     finally:
-        taken_notices()
+        tell_notices(forget=True)
 
 
 def failed(job: Job, reason: str) -> Outcome:

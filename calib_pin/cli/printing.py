@@ -86,10 +86,11 @@ def notice(message: str) -> None:
     _notices.append(message)
 
 
-def tell_notices() -> None:
-    """Print the remarks so far."""
-    for message in taken_notices():
+def tell_notices(*, forget: bool = False) -> None:
+    """Print the remarks so far, or forget them."""
+    for message in () if forget else _notices:
         print(f"calib-pin: {one_line(f'note: {message}')}", file=sys.stderr)
+    _notices.clear()
 
 
 def taken_notices() -> list[str]:

@@ -90,8 +90,8 @@ class Told(Protocol):
     def scene(self) -> Scene | None:
         """The robot and its measurements, if there are any yet."""
 
-    def sections(self) -> Iterable[Section]:
-        """All sections, in their order; a title stands for the same one."""
+    def sections(self, seconds: float) -> Iterable[Section]:
+        """All sections in their order, some seconds after the last time."""
 
 
 class Page:
@@ -123,9 +123,9 @@ class Page:
         self._waited += seconds
         if self._waited < PAUSE:
             return
-        self._waited = 0.0
+        waited, self._waited = self._waited, 0.0
         with self._viewer.atomic():
-            for order, section in enumerate(self._told.sections()):
+            for order, section in enumerate(self._told.sections(waited)):
                 self._show(section, order)
             if (scene := self._told.scene) is not self._scene and scene is not None:
                 self._draw(scene)

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
+from urllib.parse import unquote
 
 import calib_pin.cli.options as options
 from calib_pin.cli.request import Told
 from calib_pin.cli.view import PORT, require_viser, serve
+
+TYPES, BYTES = {".html": "text/html; charset=utf-8"}, "application/octet-stream"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,22 +40,29 @@ def app(asked: App) -> int:
     temporary folder, which is removed at the end.
     """
     require_viser()
-    from calib_pin.cli.page_job import Jobs
+    from calib_pin.cli.page_job import Job
     from calib_pin.viewer.app import Page
     from calib_pin.viewer.server import Window
 
+    jobs, start = dict[str, Job](), Path.cwd()
+
+    def file(path: str) -> tuple[str, bytes] | None:
+        tab, _, name = unquote(path[1:]).partition("/")
+        content = jobs[tab].files.get(name) if tab in jobs else None
+        return None if content is None else (TYPES.get(name[-5:], BYTES), content)
+
     def page(client: Any, tab: str) -> Callable[[float], None]:
-        job = jobs.of(tab, f"/{tab}/{{}}?token={window.token}")
-        return Page(client, client.camera, job).tick
+        if tab not in jobs:
+            own, to = Path(folder, str(len(jobs))), f"/{tab}/{{}}?token={window.token}"
+            own.mkdir()
+            jobs[tab] = Job(own, start, to, worker.submit)
+        return Page(client, client.camera, jobs[tab]).tick
 
     # One worker: jobs share remarks, the working folder and the processors.
-    with (
-        TemporaryDirectory(prefix="calib-pin-") as folder,
-        ThreadPoolExecutor(1) as one,
-    ):
-        jobs = Jobs(Path(folder), one.submit)
-        window = Window("calib-pin", asked.port, jobs.file)
+    worker = ThreadPoolExecutor(1)
+    with TemporaryDirectory(prefix="calib-pin-") as folder:
+        window = Window("calib-pin", asked.port, file)
         window.welcome(page)
         serve(window, asked.port, asked.once)
-        jobs.stop()
+        worker.shutdown(cancel_futures=True)
     return 0

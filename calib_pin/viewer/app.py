@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from calib_pin.viewer.panel import Controls, Player, add_panel, text
 from calib_pin.viewer.scene import Scene
@@ -58,14 +58,17 @@ class Widget:
         do: Told what a person chooses or writes, or the name and bytes of a file.
     """
 
-    kind: Literal[
-        "words", "links", "choice", "entry", "lines", "button", "upload", "progress"
-    ]
+    kind: str
     label: str = ""
     value: Any = ""
     choices: tuple[str, ...] = ()
     tone: str = "plain"
     do: Callable[..., None] = field(default=lambda: None, compare=False)
+
+
+def words(said: str, tone: str = "plain") -> Widget:
+    """Words alone."""
+    return Widget("words", value=said, tone=tone)
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ class Section:
 
 
 class Told(Protocol):
-    """What a page shows."""
+    """The content of a page."""
 
     @property
     def scene(self) -> Scene | None:
@@ -148,14 +151,18 @@ class Page:
 
     def _draw(self, scene: Scene) -> None:
         """Draw another scene, and its controls below everything else."""
+        gui, before = self._viewer.gui, self._scene
         if self._look is not None:
             self._look[0].remove()
         self._viewer.scene.reset()
-        gui = self._viewer.gui
         folder = gui.add_folder("View", order=len(self._drawn), expand_by_default=False)
         with folder:
-            stage = Stage(self._viewer, self._camera, scene)
+            stage = Stage(self._viewer, scene)
             player = add_panel(Controls(gui), scene, stage)
+        # While rows come in, and after the calibration, nobody's view is moved.
+        kinds = [(s.title, s.rows is None) for s in (before, scene) if s is not None]
+        if len(kinds) == 1 or kinds[0] != kinds[1]:
+            stage.see(self._camera)
         self._scene, self._look = scene, (folder, player)
 
 

@@ -88,7 +88,8 @@ class Window:
 
     def show(self, scene: Scene) -> None:
         """Show one scene in all tabs."""
-        stage = Stage(self._server, self._server.initial_camera, scene)
+        stage = Stage(self._server, scene)
+        stage.see(self._server.initial_camera)
         player = add_panel(Controls(self._server.gui), scene, stage)
         if player is not None:
             self._ticks[-1] = player.tick

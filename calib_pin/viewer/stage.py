@@ -274,10 +274,9 @@ class Stage:
     def __init__(
         self,
         viewer: viser.ViserServer | viser.ClientHandle,
-        camera: viser.InitialCameraConfig | viser.CameraHandle,
         scene: Scene,
     ) -> None:
-        """Draw everything for all tabs, or for one, and set a camera."""
+        """Draw everything for all tabs, or for one."""
         self._viewer, self._bodies = viewer, scene.bodies
         skeleton = scene.bodies[0].skeleton
         api, floor = viewer.scene, floor_height(skeleton, scene.shapes)
@@ -290,8 +289,7 @@ class Stage:
         # A tracker may stand far away.
         spots = [thing.origin for thing in scene.things]
         seen += [spot[None] for spot in spots if np.linalg.norm(spot) < CLOSE * size]
-        camera.fov, camera.up = ANGLE, (0.0, 0.0, 1.0)
-        camera.position, camera.look_at = sight(np.concatenate(seen))
+        self._seen = np.concatenate(seen)
         self.robots = {body.name: draw_robot(api, body, scene) for body in self._bodies}
         self.things, self.names = draw_things(api, scene)
         self._posture = scene.start, ""
@@ -305,6 +303,11 @@ class Stage:
                 np.array(PATH),
                 thickness=0.002 * size,
             )
+
+    def see(self, camera: viser.InitialCameraConfig | viser.CameraHandle) -> None:
+        """Have a camera see everything, but what is far away."""
+        camera.fov, camera.up = ANGLE, (0.0, 0.0, 1.0)
+        camera.position, camera.look_at = sight(self._seen)
 
     def pose(self, q: Floats, payload: str) -> None:
         """Put all robots where their joints are commanded to be.

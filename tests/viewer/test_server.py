@@ -23,12 +23,8 @@ from PIL import Image
 from calib_pin.cli import main
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_robot
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.shapes import Shape, Surface
-from calib_pin.measurement_models.position import Position
 from calib_pin.report.surroundings import Thing
-from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer.panel import (
     MAGNIFICATIONS,
     Controls,
@@ -37,7 +33,7 @@ from calib_pin.viewer.panel import (
     add_panel,
     save_picture,
 )
-from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, stage_errors, tip_paths
+from calib_pin.viewer.scene import Scene, bodies_of
 from calib_pin.viewer.stage import Stage, lines
 
 pytestmark = pytest.mark.needs("view")
@@ -171,7 +167,8 @@ def bare() -> Scene:
 def window() -> Iterator[Any]:
     from calib_pin.viewer.server import Window
 
-    window = Window(bare(), 0)
+    window = Window("arm", 0)
+    window.show(bare())
     yield window
     window.close()
 
@@ -179,9 +176,9 @@ def window() -> Iterator[Any]:
 def test_a_port_that_is_taken_and_a_token_of_its_own(window, capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        other = type(window)(bare(), port)
+        other = type(window)("arm", port)
         other.close()
-    again = type(window)(bare(), port)
+    again = type(window)("arm", port)
     again.close()
     assert other.port != port and again.port == port
     tokens = {one.url.partition("=")[2] for one in (window, other, again)}
@@ -279,41 +276,10 @@ def test_a_server_that_cannot_be_guarded_does_not_start(monkeypatch):
 
     monkeypatch.setattr(server, "_LocalServer", lambda *words, **options: None)
     with pytest.raises(RuntimeError, match="viser"):
-        server.Window(bare(), 0)
+        server.Window("arm", 0)
 
 
 # --- in this process ---------------------------------------------------------------
-
-
-@pytest.fixture
-def scene(
-    panda: Chain,
-    calibrated: Callable[..., Any],
-    measured_rows: Callable[..., Any],
-) -> Scene:
-    """Triangles for links: what is asked for is not their looks."""
-    model = calibrated(panda, Position())
-    rows = measured_rows(model, 6)
-    errors = stage_errors(prepared(model, rows), panda.base)
-    q = rows.q[:3]
-    small = Surface(np.eye(3), np.array([[0, 1, 2]]))
-    return Scene(
-        title="arm",
-        shapes=tuple(Shape(link, np.eye(4), small) for link in panda.robot.links[:9]),
-        bodies=tuple(bodies_of(panda.robot, panda.base, model)),
-        chains=model.chains,
-        rows=Rows(rows, {"before": errors, "after": errors}),
-        plan=Plan(q, tip_paths(model.chains, q, panda.base, model)),
-    )
-
-
-@pytest.fixture
-def viser_server() -> Iterator[Any]:
-    import viser
-
-    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
-    yield server
-    server.stop()
 
 
 def test_controls_do_what_they_say(scene, viser_server, monkeypatch):

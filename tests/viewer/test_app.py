@@ -1,0 +1,337 @@
+"""The page of one tab, and the job behind it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from calib_pin.cli.page_job import ALL, SETUP, Job, with_lines
+from calib_pin.io.urdf import bundled_robots
+from calib_pin.viewer.app import Page, Section, Widget
+
+ROBOT = bundled_robots()["pa10"]
+
+
+class Tab:
+    """A job whose work is done at once, and what its page shows."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / "0"
+        self.folder.mkdir()
+        self.job = Job(self.folder, folder, "/tab/{}", lambda work, *of: work(*of))
+
+    def shown(self, title: str) -> list[Widget]:
+        """The widgets of a section."""
+        (found,) = (s for s in self.job.sections(0.0) if s.title == title)
+        return [*found.widgets]
+
+    def said(self, title: str) -> str:
+        return "\n".join(w.value for w in self.shown(title) if w.kind == "words")
+
+    def widget(self, title: str, label: str) -> Widget:
+        (found,) = (w for w in self.shown(title) if w.label == label)
+        return found
+
+    def links(self, title: str) -> dict[str, str]:
+        found = (w.value for w in self.shown(title) if w.kind == "links")
+        return {label: to for links in found for label, to in links.items()}
+
+
+@pytest.fixture
+def tab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Tab:
+    # Pages of results are not looked at here.
+    draw = "calib_pin.cli.requests.draw_calibration"
+    monkeypatch.setattr(draw, lambda *about: [])
+    return Tab(tmp_path)
+
+
+def table(change: Callable[[dict[str, str]], None] = lambda row: None) -> bytes:
+    """The example measurements of the robot, each changed."""
+    text = ROBOT.with_name("measurements.csv").read_text()
+    rows = [*csv.DictReader(line for line in text.splitlines() if line[0] != "#")]
+    stream = io.StringIO()
+    for row in rows:
+        change(row)
+    writer = csv.DictWriter(stream, rows[0])
+    writer.writeheader()
+    writer.writerows(rows)
+    return stream.getvalue().encode()
+
+
+def foreign(row: dict[str, str]) -> None:
+    """Degrees and millimeters under other names."""
+    numbers = {name: float(value) for name, value in row.items()}
+    row.clear()
+    for k in range(1, 8):
+        row[f"A{k}"] = str(57.29577951308232 * numbers[f"joint_{k}"])
+    for axis in "xyz":
+        row[f"{axis.upper()}_ist"] = str(1e3 * numbers[axis])
+
+
+def reversed_joint(row: dict[str, str]) -> None:
+    row["joint_3"] = str(-float(row["joint_3"]))
+
+
+def test_from_two_files_to_a_corrected_robot(tab):
+    """Whatever they are called, with what was found on the way."""
+    before = ROBOT.read_bytes()
+    assert "robot" in tab.said("Now") and tab.job.scene is None
+    tab.job.give("C:\\arms\\arm.urdf", before)
+    assert tab.job.scene.rows is None and "measurements" in tab.said("Now")
+    tab.job.give("rows.csv", table(foreign))
+    assert len(tab.job.scene.rows.data) == 60
+    found = {w.label: w.value for w in tab.shown("Found in the files")}
+    assert found["tip"] == "tool" and found["measured"] == "position"
+    assert "60 measurements of pa10" in tab.said("Found in the files")
+    columns = {w.label: w for w in tab.shown("Columns and units")}
+    assert columns["joint_2"].value == "A2 [deg]" and columns["x"].value == "X_ist [mm]"
+    assert {"X_ist [m]", "A1 [rad]"} <= {*columns["x"].choices}
+    assert tab.shown("Result") == []
+    tab.widget("Now", "Calibrate").do()
+    verdict, *_ = tab.shown("Result")
+    assert verdict.value.startswith("GOOD:") and verdict.tone == "good"
+    assert tab.job.scene.bodies[-1].name == "corrected"
+    links = tab.links("Result")
+    assert links["corrected robot: pa10.urdf"] == "/tab/pa10.urdf"
+    assert {"report", "calibration.json", "setup.yaml", "all files"} <= links.keys()
+    assert tab.job.files["pa10.urdf"] != before
+    with zipfile.ZipFile(io.BytesIO(tab.job.files[ALL])) as archive:
+        names = {Path(name).name for name in archive.namelist()}
+    assert names == tab.job.files.keys() - {ALL}
+    # Files are named as they were dropped.
+    assert b"rows.csv" in tab.job.files["calibration.json"]
+    assert str(tab.folder).encode() not in tab.job.files["calibration.json"]
+    assert (tab.folder / "arm.urdf").read_bytes() == before
+
+
+def test_untrusted_there_is_a_reason_and_no_robot_until_its_lines_are_applied(tab):
+    tab.job.add("pa10")
+    tab.job.give("rows.csv", table(reversed_joint))
+    assert "no setup file could be drafted" in tab.said("Now")
+    tab.job.calibrate()
+    first = tab.shown("Result")[0]
+    assert first.value.startswith("UNTRUSTED: joint 'joint_3' is reversed")
+    assert "no corrected robot" in tab.said("Result")
+    assert not any(label.startswith("corrected") for label in tab.links("Result"))
+    assert "pa10.urdf" not in tab.job.files
+    tab.widget("Result", "apply these lines").do()
+    assert tab.shown("Result") == []
+    assert "sign: -1" in tab.said("Found in the files")
+    assert "sign: -1" in tab.job.read.text
+    tab.job.calibrate()
+    assert tab.job.result.verdict == "good"
+    assert b"sign: -1" in tab.job.files[SETUP.name]
+
+
+def test_what_was_found_can_be_changed(tab):
+    tab.job.add("pa10")
+    tab.job.give("rows.csv", table(foreign))
+    tab.widget("Found in the files", "tip").do("link_7")
+    assert tab.job.read.opened.setup.tip == "link_7"
+    tab.widget("Columns and units", "x").do("X_ist [m]")
+    assert "X_ist" in tab.job.problem + tab.said("Now")
+    tab.widget("Columns and units", "x").do("X_ist [mm]")
+    assert tab.job.problem == ""
+    assert yaml.safe_load(tab.job.read.text)["tip"] == "link_7"
+    # A wrong tip is one line, and the way back is there.
+    tab.widget("Found in the files", "tip").do("base_link")
+    assert tab.job.problem.count("\n") == 0 and tab.job.problem
+    assert tab.job.read.opened is None
+    tab.widget("Found in the files", "tip").do("tool")
+    assert tab.job.problem == "" and tab.job.read.opened is not None
+    # Of a person's own text nothing is drafted.
+    (lines,) = (w for w in tab.shown("Setup file") if w.kind == "lines")
+    lines.do("tip: tool\nno_such_key: 1\n")
+    assert tab.job.problem.startswith("setup.yaml:2: ")
+    lines.do("")
+    assert tab.job.problem == "" and tab.job.read.text.startswith("# Setup file")
+
+
+BROKEN = {
+    "bad.urdf": (b"<robot", "bad.urdf:1: "),
+    "bad.csv": (table() + b"1,2,x\n", "bad.csv:62: "),
+    "bad.yaml": (b"tip: [", "setup.yaml"),
+    "empty.csv": (b"", "empty.csv"),
+    "noise.xacro": (bytes(range(256)), "noise.xacro"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_file_is_one_line(name, tab):
+    content, line = BROKEN[name]
+    tab.job.add("pa10")
+    tab.job.give("rows.csv", table())
+    tab.job.give(name, content)
+    assert line in tab.job.problem and "\n" not in tab.job.problem
+    assert "internal" not in tab.job.problem
+    assert [w.label for w in tab.shown("Now") if w.kind == "button"] == []
+
+
+@pytest.mark.parametrize(
+    "name", ["../../arm.urdf", "/etc/arm.urdf", "a\\..\\arm.urdf", "..", "", "a\nb"]
+)
+def test_nothing_is_written_outside_of_the_folder(name, tab):
+    tab.job.give(name, ROBOT.read_bytes())
+    everything = [p for p in tab.folder.parent.rglob("*") if p.is_file()]
+    assert everything == ([tab.folder / "arm.urdf"] if "arm" in name else [])
+
+
+def test_paths_examples_and_files_of_the_same_name(tab, tmp_path):
+    tab.widget("Robot and measurements", "or bundled robot").do("pa10")
+    tab.widget("Chosen", "take its example measurements").do()
+    (example,) = tab.job.chosen.measurements
+    assert example.name == "measurements.csv" and tab.job.read.opened is not None
+    tab.widget("Chosen", f"remove {example.name}").do()
+    assert tab.job.chosen.measurements == () and tab.job.read.opened is None
+    (tmp_path / "own.csv").write_bytes(table()[:-300])
+    tab.widget("Robot and measurements", "take this path").do(" own.csv ")
+    assert tab.job.chosen.measurements == (tmp_path / "own.csv",)
+    tab.job.choose(measurements=())
+    for count in (1, 2):  # A file that is corrected takes the place of the first.
+        tab.job.give("rows.csv", b"\n".join(table().splitlines()[: 20 * count + 1]))
+        assert len(tab.job.scene.rows.data) == 20 * count
+    (tmp_path / "packages").mkdir()
+    tab.job.add("packages")
+    assert tab.job.read.opened.request.package_dir == [tmp_path / "packages"]
+    tab.job.add("nobody")
+    assert "nobody" in tab.job.problem
+
+
+def test_a_length_that_only_a_person_knows_is_asked_for(tab, monkeypatch):
+    def looked(asked: Any, choose: Any, ask: Any) -> None:
+        assert choose("which link", ["a", "b"], "--tip") == "a"
+        ask("how far apart") if asked.distance is None else known.append(asked.distance)
+        raise SystemError
+
+    known: list[str] = []
+    monkeypatch.setattr("calib_pin.cli.page_job.looked_at", looked)
+    tab.job.add("pa10")
+    tab.job.give("rows.csv", table())
+    assert "which link? a is taken" in tab.said("Now")
+    entry = tab.widget("Now", "take this length")
+    assert entry.choices == ("how far apart",)
+    entry.do("50 mm")
+    assert known == ["50 mm"] and "internal error" in tab.job.problem
+
+
+def test_work_is_stopped(tab, monkeypatch):
+    tab.job.add("pa10")
+    tab.job.give("rows.csv", table())
+    shown = list[list[Widget]]()
+
+    def slow(*_: Any, bar: Any, **__: Any) -> None:
+        bar("fit", 0.5)
+        shown.append(tab.shown("Now"))
+        shown[0][1].do()
+        bar("fit", 0.6)
+
+    monkeypatch.setattr("calib_pin.cli.page_job.calibrated", slow)
+    tab.job.calibrate()
+    bar, stop = shown[0]
+    assert (bar.kind, bar.label, bar.value, stop.label) == (
+        "progress",
+        "fit",
+        0.5,
+        "stop",
+    )
+    assert tab.job.problem == "stopped" and tab.job.result is None
+    assert tab.widget("Now", "Calibrate").tone == "good"
+
+
+def test_files_are_followed_while_they_are_written(tab, tmp_path):
+    *first, one = table().splitlines(keepends=True)[:23]
+    file = tmp_path / "live.csv"
+    file.write_bytes(b"".join(first))
+    tab.job.add("pa10")
+    tab.job.add("live.csv")
+    (follow,) = tab.shown("While it is measured")
+    follow.do()
+    [*tab.job.sections(10.0)]
+    told = tab.said("While it is measured")
+    assert told
+    with file.open("ab") as stream:
+        stream.write(one)
+    [*tab.job.sections(10.0)]
+    assert tab.said("While it is measured") != told
+    assert len(tab.job.scene.rows.data) == 22
+
+
+def test_two_tabs_are_two_jobs(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    one, two = Tab(tmp_path / "a"), Tab(tmp_path / "b")
+    one.job.add("pa10")
+    assert two.job.scene is None and two.job.chosen.robot == ""
+
+
+def test_lines_go_into_a_setup_file():
+    text = "# Said first.\n# More.\n\n# tip\ntip: a\nreading: {scale: 2.0}\n"
+    found = with_lines(text, {"reading": {"shift": 1}, "base": "b"})
+    assert found.startswith("# Said first.\n# More.\n\ntip: a\n")
+    whole = {"tip": "a", "reading": {"scale": 2.0, "shift": 1}, "base": "b"}
+    assert yaml.safe_load(found) == whole
+    assert yaml.safe_load(with_lines("", {"tip": "c"})) == {"tip": "c"}
+    assert with_lines(text, {}) == text
+
+
+# --- as viser draws it ---------------------------------------------------------------
+
+
+@pytest.mark.needs("view")
+def test_sections_are_drawn_and_only_those_that_changed_again(
+    scene, viser_server, monkeypatch
+):
+    done: list[object] = []
+    every = [
+        Widget("words", value="<b>1 < 2</b>", tone="good"),
+        Widget("links", value={"robot": "/a.urdf", "page": "/report.html?token=a"}),
+        Widget("progress", "fit", None),
+        Widget("progress", "fit", 0.5),
+        Widget("choice", "tip", "a", ("a", "b"), do=done.append),
+        Widget("entry", "take it", choices=("path",), do=done.append),
+        Widget("lines", "use it", "tip: a", do=done.append),
+        Widget("button", "go", do=lambda: done.append("go")),
+        Widget("upload", "choose", "drop", do=lambda *file: done.append(file)),
+    ]
+
+    class Told:
+        scene = None
+
+        def sections(self, seconds):
+            return [Section("First", every[:changed]), Section("Second", every)]
+
+    changed, told = 0, Told()
+    page = Page(viser_server, viser_server.initial_camera, told)
+    made, html, gui = list[str](), list[str](), viser_server.gui
+    add_folder, add_html = gui.add_folder, gui.add_html
+
+    def folder(title: str, **how: Any) -> Any:
+        made.append(title)
+        return add_folder(title, **how)
+
+    def text(content: str) -> Any:
+        html.append(content)
+        return add_html(content)
+
+    monkeypatch.setattr(gui, "add_folder", folder)
+    monkeypatch.setattr(gui, "add_html", text)
+    page.tick(1.0)
+    assert made == ["Second"]  # One without widgets is not shown.
+    page.tick(1.0)
+    assert made == ["Second"]
+    changed = 2
+    page.tick(1.0)
+    assert made == ["Second", "First"]
+    told.scene = scene
+    page.tick(1.0)
+    assert made[2] == "View" and "Residual map" in made
+    assert any("&lt;b&gt;1 &lt; 2" in content for content in html)
+    robot, page_link = next(c for c in html if "a.urdf" in c).split("</a>")[:2]
+    assert " download" in robot and " download" not in page_link

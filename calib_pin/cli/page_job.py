@@ -338,7 +338,7 @@ class Job:
         elif self.read.opened is not None:
             if self.result is None:
                 yield words(
-                    "Robot and measurements are read: check what was found in them."
+                    "Robot and measurements are read: check what was found."
                 )
             yield Widget("button", "Calibrate", tone="good", do=self.calibrate)
 

@@ -12,12 +12,10 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import chdir
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import quote
-
-import yaml
 
 from calib_pin.cli.files import open_chains, open_setup
 from calib_pin.cli.init import Draft, looked_at
@@ -31,7 +29,7 @@ from calib_pin.io.first_look import draft
 from calib_pin.io.json_text import merged
 from calib_pin.io.measured_columns import measured
 from calib_pin.io.results import REPORT, urdf_name
-from calib_pin.io.setup import yaml_text
+from calib_pin.io.setup import setup_document, yaml_text
 from calib_pin.io.table import read_table
 from calib_pin.io.urdf import bundled_robots, split_arguments
 from calib_pin.io.yaml_tree import read_tree
@@ -215,29 +213,32 @@ class Job:
         """Read what is there, by the setup file that it leads to, and draw it."""
         chosen, self.result, self.files = self.chosen, None, {}
         files, folders = [*chosen.measurements], [*chosen.packages]
-        nominal = self.read.nominal
-        self.read = Read(nominal, text=chosen.setup)
-        if chosen.robot and (self.scene is None or not files):
-            self._bar("robot", None)
-            setup = open_setup(None)
-            chains = open_chains(chosen.robot, setup, package_dirs=folders)
-            nominal, self.scene = chains.robot, self._drawn(chains, setup)
-            self.read = replace(self.read, nominal=nominal)
-        if nominal is None or not files:
+        self.read = Read()
+        if not chosen.robot:
+            return
+        self._bar("robot", None)
+        setup = open_setup(None)
+        chains = open_chains(chosen.robot, setup, package_dirs=folders)
+        self.read = Read(chains.robot, text=chosen.setup)
+        if self.scene is None or not files:
+            self.scene = self._drawn(chains, setup)
+        if not files:
             return
         self._bar("read", None)
+        columns = read_table(files[0]).whole(chains.robot.model.names).columns
+        self.read = replace(self.read, columns=[*columns])
         fault: CalibPinError | None = None
         try:
             if not chosen.setup:
                 self._draft()
         except CalibPinError as error:
             fault = error  # As `calibrate` reads it, it may show what is wrong.
-        text = with_lines(self.read.text, chosen.changes)
-        SETUP.write_text(text, "utf-8")
-        self.files = {SETUP.name: text.encode()}
-        columns = [*read_table(files[0]).whole(nominal.model.names).columns]
-        keys = read_tree(SETUP).data or {}
-        self.read = replace(self.read, text=text, keys=keys, columns=columns)
+        self._state(self.read.text)
+        if chosen.changes:
+            # Of its comments the first ones stay, on how well the nominal robot fits.
+            head = self.read.text.partition("\n\n")[0] * bool(self.read.tips)
+            lines = merged(read_tree(SETUP).data or {}, chosen.changes)
+            self._state(f"{head}\n\n{yaml_text(lines)}\n".lstrip())
         asked = Request(chosen.robot, files, folders, setup=SETUP)
         try:
             given = opened(asked, OUT, force=True, bar=self._bar)
@@ -247,6 +248,14 @@ class Job:
             notice(f"no setup file could be drafted: {fault}")
         self.read = replace(self.read, opened=given)
         self.scene = self._drawn(given.chains, given.setup)
+
+    def _state(self, text: str) -> None:
+        """Write the setup file, and read it."""
+        SETUP.write_text(text, "utf-8")
+        self.files = {SETUP.name: text.encode()}
+        self.read = replace(self.read, text=text)
+        keys = setup_document(open_setup(SETUP))
+        self.read = replace(self.read, keys=keys)
 
     def _draft(self) -> None:
         """Draft a setup file as `init` does."""
@@ -320,14 +329,15 @@ class Job:
         yield Section("Setup file", [*self._lines()], expanded=False)
 
     def _now(self) -> Iterator[Widget]:
-        if self._stage is not None and self._stage[0]:
-            yield Widget("progress", *self._stage)
+        read, working = self.read, self._stage
+        if working is not None and working[0]:
+            yield Widget("progress", *working)
             yield Widget("button", "stop", do=self._stopped.set)
             return
         if self.problem:
             yield words(self.problem, "error")
-        if self.read.question:
-            do, asked = self._answer, (self.read.question,)
+        if read.question:
+            do, asked = self._answer, (read.question,)
             yield Widget("entry", "take this length", choices=asked, do=do)
         for remark in self._remarks:
             yield words(remark, "note")
@@ -335,20 +345,19 @@ class Job:
             yield words("Begin with the robot: its file, or a bundled one.")
         elif not self.chosen.measurements:
             yield words("Now the measurements: a table with a row for each.")
-        elif self.read.opened is not None:
-            if self.result is None:
-                yield words(
-                    "Robot and measurements are read: check what was found."
-                )
+        elif read.opened is not None and self.result is None:
+            yield words("Robot and measurements are read: check what was found.")
             yield Widget("button", "Calibrate", tone="good", do=self.calibrate)
+        elif read.opened is not None:
+            yield Widget("button", "Calibrate again", do=self.calibrate)
 
     def _followed(self) -> Iterator[Widget]:
         """The latest rows of files that another program writes, and where to go."""
+        paths = self.chosen.measurements if self.read.opened else ()
+        if self._watch is None and paths and all(path.is_absolute() for path in paths):
+            said = "follow the measurements while they are written"
+            yield Widget("button", said, do=self.follow)
         if self._watch is None:
-            paths = self.chosen.measurements if self.read.opened else ()
-            if paths and all(path.is_absolute() for path in paths):
-                said = "follow the measurements while they are written"
-                yield Widget("button", said, do=self.follow)
             return
         last = {e.kind: e for e in self._events if e.kind in STANDING}
         rows = [event for event in self._events if event.kind not in STANDING]
@@ -379,48 +388,43 @@ class Job:
         yield Widget("entry", "take this path", choices=path, do=self.add)
 
     def _found(self) -> Iterator[Widget]:
-        if self.read.nominal is None or not self.chosen.measurements:
+        read = self.read
+        if read.nominal is None or not read.columns:
             return
-        if self.read.tips:
+        if read.tips:
             # The draft begins with how well the nominal robot fits.
-            head = self.read.text.partition("\n\n")[0].replace("\n#   ", " ")
+            head = read.text.partition("\n\n")[0].replace("\n#   ", " ")
             yield words("\n".join(head.split("\n# ")[1:]))
         if self.chosen.changes:
             yield words(f"Changed lines:\n{yaml_text(self.chosen.changes)}", "code")
-        links, chains = self.read.nominal.links, self.read.keys.get("chains") or {}
-        for name in chains:
+        links = read.nominal.links
+        for name in (chains := read.keys.get("chains", {})):
             yield self._choice(f"tip of {name}", links, "chains", name, "tip")
         if not chains:
-            yield self._choice("tip", [*self.read.tips, *links], "tip")
+            yield self._choice("tip", [*read.tips, *links], "tip")
             yield self._choice("base", links, "base")
         yield self._choice("measured", MEASUREMENT_MODELS, "model")
 
     def _columns(self) -> Iterator[Widget]:
-        if self.read.nominal is None or not self.read.columns:
-            return
-        known = {*measured(), *self.read.nominal.model.names}
-        stated = self.read.keys.get("columns") or {}
-        names = [name for name in self.read.columns if name in known]
-        units = [f"{name} [{unit}]" for name in self.read.columns for unit in UNITS]
-        for ours in dict.fromkeys([*stated, *names]):
+        read = self.read
+        known = {*measured(), *(read.nominal.model.names if read.nominal else ())}
+        stated = read.keys.get("columns", {})
+        units = [f"{name} [{unit}]" for name in read.columns for unit in UNITS]
+        for ours in dict.fromkeys([*stated, *(k for k in read.columns if k in known)]):
             # The units of the column that is taken come first.
             own = str(stated.get(ours, ours)).partition(" [")[0]
             choices = sorted(units, key=lambda one: one.partition(" [")[0] != own)
-            yield self._choice(ours, [*choices, *self.read.columns], "columns", ours)
+            yield self._choice(ours, [*choices, *read.columns], "columns", ours)
 
     def _choice(self, label: str, choices: Iterable[str], *keys: str) -> Widget:
         """The choice of a value of the setup file."""
-        found: Any = self.read.keys
-        for key in keys:
-            found = found.get(key) if isinstance(found, dict) else None
+        unstated = label if keys[0] == "columns" else "(automatic)"
+        found = reduce(lambda of, key: of.get(key) or {}, keys, self.read.keys)
+        shown = str(found or unstated)
 
-        def change(word: str) -> None:
-            lines: Any = word
-            for key in reversed(keys):
-                lines = {key: lines}
-            self.change(lines)
+        def change(word: Any) -> None:
+            self.change(reduce(lambda of, key: {key: of}, reversed(keys), word))
 
-        shown = str(found or (label if keys[0] == "columns" else "(automatic)"))
         names = tuple(dict.fromkeys([shown, *choices]))
         return Widget("choice", label, shown, names, do=change)
 
@@ -458,8 +462,9 @@ class Job:
         for tile in tiles(result):
             for step in tile.steps:
                 sizes = f"{step.before.text} \N{RIGHTWARDS ARROW} {step.after.text}"
-                said = f"{tile.label} {step.name}: {sizes} {tile.unit} {step.change}"
-                yield words(said.replace(" :", ":"), "head")
+                change = f" ({step.change})" if step.change else ""
+                said = f"{tile.label} {step.name}".strip()
+                yield words(f"{said}: {sizes} {tile.unit}{change}", "head")
             yield words(tile.remark, "note")
         if urdf not in self.files:
             said = "There is no corrected robot: this result must not be trusted."
@@ -467,12 +472,3 @@ class Job:
         main = {f"corrected robot: {urdf}": urdf, "report": REPORT, "all files": ALL}
         yield self._links(main, "good")
         yield self._links({k: k for k in self.files if k not in main.values()})
-
-
-def with_lines(text: str, lines: Mapping[str, Any]) -> str:
-    """A setup file with further lines; of its comments the first ones stay."""
-    if not lines:
-        return text
-    head = text.partition("\n\n")[0] if text.startswith("#") else ""
-    whole = merged(yaml.safe_load(text) or {}, lines)
-    return f"{head}\n\n{yaml_text(whole)}\n".lstrip()

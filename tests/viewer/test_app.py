@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from calib_pin.cli.page_job import ALL, SETUP, Job, with_lines
+from calib_pin.cli.page_job import ALL, SETUP, Job
 from calib_pin.io.urdf import bundled_robots
 from calib_pin.viewer.app import Page, Section, Widget
 
@@ -271,14 +271,21 @@ def test_two_tabs_are_two_jobs(tmp_path):
     assert two.job.scene is None and two.job.chosen.robot == ""
 
 
-def test_lines_go_into_a_setup_file():
-    text = "# Said first.\n# More.\n\n# tip\ntip: a\nreading: {scale: 2.0}\n"
-    found = with_lines(text, {"reading": {"shift": 1}, "base": "b"})
-    assert found.startswith("# Said first.\n# More.\n\ntip: a\n")
-    whole = {"tip": "a", "reading": {"scale": 2.0, "shift": 1}, "base": "b"}
-    assert yaml.safe_load(found) == whole
-    assert yaml.safe_load(with_lines("", {"tip": "c"})) == {"tip": "c"}
-    assert with_lines(text, {}) == text
+def test_lines_go_into_a_setup_file(tab):
+    tab.job.add("pa10")
+    tab.job.give("rows.csv", table())
+    tab.job.change({"reading": {"scale": 2.0}})
+    tab.job.change({"reading": {"shift": 1}, "base": "base_link"})
+    whole = yaml.safe_load(tab.job.read.text)
+    assert whole["reading"] == {"scale": 2.0, "shift": 1}
+    assert whole["base"] == "base_link" and whole["tip"] == "tool"
+    assert "60 measurements of pa10" in tab.said("Found in the files")
+    assert "shift: 1" in tab.said("Found in the files")
+    for text in ("tip: [", "columns: 5\n", "- a\n"):
+        tab.job.give("setup.yaml", text.encode())
+        assert tab.job.problem.startswith("setup.yaml")
+        tab.job.change({"tip": "tool"})
+        assert tab.job.problem.startswith("setup.yaml")
 
 
 # --- as viser draws it ---------------------------------------------------------------

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -167,7 +168,8 @@ def bare() -> Scene:
 def window() -> Iterator[Any]:
     from calib_pin.viewer.server import Window
 
-    window = Window("arm", 0)
+    files = {"/tab/report.html": ("text/html", b"<p>"), "/tab/a": ("b/c", b"d")}
+    window = Window("arm", 0, files.get)
     window.show(bare())
     yield window
     window.close()
@@ -238,6 +240,25 @@ def test_the_address_opens_the_page_and_its_socket(window, upgrade, host):
     assert asked(window, path, upgrade, origin) == (101, "")
 
 
+def test_files_are_served_and_can_do_nothing_to_the_page(window):
+    for path, kind, content in (
+        ("/tab/report.html", "text/html", b"<p>"),
+        ("/tab/a", "b/c", b"d"),
+    ):
+        with urlopen(f"http://localhost:{window.port}{path}?token={window.token}") as a:
+            assert a.read() == content and a.headers["Content-Type"] == kind
+            assert a.headers["Content-Security-Policy"].startswith("sandbox")
+
+
+def test_a_tab_that_is_loaded_again_has_its_name(window):
+    places = [asked(window, "/?token={token}", GOOD)[1] for _ in range(2)]
+    first, second = (parse_qs(urlsplit(place).query)["token"][0] for place in places)
+    assert first != second
+    assert {t.partition(".")[0] for t in (first, second)} == {window.token}
+    again = asked(window, f"/?token={first}", GOOD)[1]
+    assert parse_qs(urlsplit(again).query)["token"] == [first]
+
+
 STRANGE: list[tuple[str, dict[str, str | None]]] = [
     ("/", {}),
     ("/index.html", {}),
@@ -246,6 +267,10 @@ STRANGE: list[tuple[str, dict[str, str | None]]] = [
     ("/?token=%ff{token}", {}),
     ("/?other={token}", {}),
     ("//[?token=", {}),
+    ("/tab/report.html", {}),
+    ("/tab/report.html?token=other", {}),
+    ("/tab/a?token={token}", {"Origin": "http://evil.example"}),
+    ("/tab/a?token={token}", {"Host": "evil.example:{port}"}),
     ("/?token={token}", {"Host": None}),
     ("/?token={token}", {"Host": "localhost"}),
     ("/?token={token}", {"Host": "localhost:1"}),
@@ -303,7 +328,7 @@ def test_controls_do_what_they_say(scene, viser_server, monkeypatch):
     known["nominal"][1](False)
     assert not stage.robots["nominal"].root.visible
     known["panda_joint3"][1](moved + 0.1)
-    known["magnified"][1]((5,))
+    known["magnified"][1](str(MAGNIFICATIONS[5]))
     drawn = np.asarray(stage.rows.vectors["after"].points)
     expected = np.asarray(lines(scene.rows.stages["after"], float(MAGNIFICATIONS[5])))
     np.testing.assert_array_equal(drawn, expected)

@@ -244,7 +244,7 @@ class Job:
             given = opened(asked, OUT, force=True, bar=self._bar)
         except CalibPinError as error:
             raise (fault or error) from None
-        if fault is not None:
+        if fault is not None and not chosen.changes:
             notice(f"no setup file could be drafted: {fault}")
         self.read = replace(self.read, opened=given)
         self.scene = self._drawn(given.chains, given.setup)

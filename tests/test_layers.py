@@ -23,7 +23,8 @@ ROOMS = (
     ),
     *("observations", "parameterizations", "measurement_models", "solvers"),
     *("residual_models", "estimation", "validation", "planning", "control"),
-    *("simulation", "calibration", "monte_carlo", "io", "report", "viewer", "cli"),
+    *("simulation", "calibration", "monte_carlo", "io", "guidance"),
+    *("report", "viewer", "cli"),
     "__main__",
 )
 """The modules and folders of the package, each of which imports only those before."""

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type
 
 from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.options import Request, Told
-from calib_pin.cli.printing import tell_notices
+from calib_pin.cli.printing import taken_notices
 from calib_pin.cli.requests import calibrated, opened
 from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas
@@ -325,14 +325,10 @@ def calibrate_job(orders: Orders, job: Job) -> Outcome:
             result = read_result(folder)
         row = fleet_row(job.name, result, job.serial_number, job.date)
         return Outcome(row, _evidence(result))
-    except CalibPinError as error:
-        return failed(job, str(error))
-    except OSError as error:
-        return failed(job, f"{error.filename or job.name}: {error.strerror or error}")
     except Exception as error:  # One broken job stops nothing.
-        return failed(job, one_line(f"{type(error).__name__}: {error}"))
+        return failed(job, one_line(complaint(error)))
     finally:
-        tell_notices(forget=True)
+        taken_notices()
 
 
 def failed(job: Job, reason: str) -> Outcome:

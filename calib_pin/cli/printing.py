@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from calib_pin.errors import one_line
+from calib_pin.errors import CalibPinError, one_line
 from calib_pin.progress import Progress, named
 
 if TYPE_CHECKING:
@@ -78,11 +78,27 @@ def notice(message: str) -> None:
     _notices.append(message)
 
 
-def tell_notices(*, forget: bool = False) -> None:
-    """Print the remarks so far, or forget them."""
-    for message in () if forget else _notices:
+def tell_notices() -> None:
+    """Print the remarks so far."""
+    for message in taken_notices():
         print(f"calib-pin: {one_line(f'note: {message}')}", file=sys.stderr)
+
+
+def taken_notices() -> list[str]:
+    """The remarks so far, which are told then."""
+    found = [*_notices]
     _notices.clear()
+    return found
+
+
+def complaint(error: Exception) -> str:
+    """An error as a user is told of it."""
+    if isinstance(error, CalibPinError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or 'output'}: {error.strerror or error}"
+    reason = f"{type(error).__name__}: {error}"
+    return f"internal error, please report it with --debug: {reason}"
 
 
 def stage(bar: Bar | None, name: str) -> Progress | None:

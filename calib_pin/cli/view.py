@@ -6,13 +6,16 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib_pin.cli import files, options, printing
 from calib_pin.cli.options import Told, number
 from calib_pin.errors import OptionError
+
+if TYPE_CHECKING:
+    from calib_pin.viewer.server import Window
 
 PORT = number(int, "--port", "0 to 65535", 0, 65535)
 
@@ -43,9 +46,7 @@ def view(asked: View) -> int:
     those of the calibration as it is (after). The page is open to this machine only, at
     the address that is printed.
     """
-    if find_spec("viser") is None:
-        reason = "the viewer needs viser, which is missing: pip install "
-        raise OptionError(f"{reason}'calib-pin[view]'")
+    require_viser()
     from calib_pin.viewer.scene import make_scene
     from calib_pin.viewer.server import Window
 
@@ -64,15 +65,32 @@ def view(asked: View) -> int:
             tell=printing.notice,
             stage=partial(printing.stage, bar),
         )
-    window = Window(scene, asked.port)
+    window = Window(scene.title, asked.port)
+    window.show(scene)
+    serve(window, asked.port, asked.once)
+    return 0
+
+
+def require_viser() -> None:
+    """Refuse to show anything without the library for it.
+
+    Raises:
+        OptionError: If it is missing.
+    """
+    if find_spec("viser") is None:
+        reason = "the viewer needs viser, which is missing: pip install "
+        raise OptionError(f"{reason}'calib-pin[view]'")
+
+
+def serve(window: Window, port: int, once: bool) -> None:
+    """Tell where a window is, and keep it until Ctrl-C or the last tab is closed."""
     try:
-        if asked.port not in (0, window.port):
-            printing.notice(f"port {asked.port} cannot be used; {window.port} is free")
+        if port not in (0, window.port):
+            printing.notice(f"port {port} cannot be used; {window.port} is free")
         printing.tell_notices()
         typer.echo(f"viewing at {window.url} (Ctrl-C ends it)")
-        window.run(asked.once)
+        window.run(once)
     except KeyboardInterrupt:
         typer.echo()
     finally:
         window.close()
-    return 0

@@ -246,10 +246,12 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
     scenes: list[Scene] = []
 
     class Window:
-        def __init__(self, scene: Scene, port: int) -> None:
-            scenes.append(scene)
+        def __init__(self, title: str, port: int) -> None:
             self.port = 8081 if port == 8080 else port
             self.url = f"http://localhost:{self.port}/?token=abc"
+
+        def show(self, scene: Scene) -> None:
+            scenes.append(scene)
 
         def run(self, once: bool) -> None:
             if not once:

@@ -26,7 +26,7 @@ from calib_pin.validation.model_errors import (
 LEVEL = 1e-3
 """Probability by chance below which a row is told not to be as expected."""
 
-WIDE = 3.0
+WIDE = 1.5
 """Expected sizes of an error within which a robot is looked for before its measurements
 tell more than frames."""
 
@@ -71,13 +71,20 @@ class Expectation:
     early: bool = False
 
     @staticmethod
-    def of(chains: Chains, rows: Observations, setup: Setup, seed: int) -> Expectation:
+    def of(
+        chains: Chains,
+        rows: Observations,
+        setup: Setup,
+        seed: int,
+        registered_before: bool = False,
+    ) -> Expectation:
         """The ordinary fit, or with wide priors as long as nothing tells the noise."""
         try:
             problem = make_problem(chains, rows, setup)
-            found, result = register(problem, np.zeros(len(problem.parameters)))
-            if reason := registration_reason(found, result):
-                return Expectation(None, reason)
+            if not registered_before:
+                found, result = register(problem, np.zeros(len(problem.parameters)))
+                if reason := registration_reason(found, result):
+                    return Expectation(None, reason)
             model = fit_model(chains, rows, setup, seed)
             if model.fit.noise:
                 return Expectation(model)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import CalibPinError
-from calib_pin.guidance.expectation import Expectation, wide
+from calib_pin.estimation.row_blocks import Priors
+from calib_pin.guidance.expectation import WIDE, Expectation
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
@@ -21,13 +22,12 @@ from calib_pin.planning.planned_problem import (
     STRUCTURE,
     TipTests,
     identification,
-    planned_problem,
 )
 from calib_pin.planning.selection import Selection
 from calib_pin.planning.workspace import Candidates, Workspace
 from calib_pin.setup import Setup
 
-MORE = 40
+MORE = 20
 """Most further rows that are looked ahead to."""
 
 NEAR = 0.02
@@ -153,9 +153,11 @@ class Proposals:
         fit = expected.model.fit
         found = {} if expected.early else {n.quantity: n.estimate for n in fit.noise}
         noise = {n.partition(" (")[0]: e for n, e in found.items() if e > 0.0}
-        noise, prior = {**setup.noise, **noise}, wide(fit.problem)
-        setup = replace(setup, learned=None, noise=noise, prior=prior)
-        problem = planned_problem(chains, rows.keys, setup, rows)
+        parameters = fit.problem.parameters
+        errors = parameters.free & ~parameters.nuisance & np.isinf(parameters.priors)
+        sizes = np.where(errors, WIDE * parameters.scales, np.inf)
+        stated = replace(setup, learned=None, noise={**setup.noise, **noise})
+        problem = replace(fit.problem, setup=stated, expected=Priors.alone(sizes))
         aims = Aims.of(problem, rows.keys)
         self._aims: tuple[Aim, ...] = aims.each
         workspace = Workspace.create(problem, None, 0.0, aims)

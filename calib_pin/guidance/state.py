@@ -114,6 +114,7 @@ def assess(
     expected: Expectation,
     outlook: Outlook,
     limit: float | None,
+    count: int,
     aside: int,
     seed: int,
     others: Others,
@@ -126,21 +127,22 @@ def assess(
         expected: Their fit.
         outlook: What more rows would tell.
         limit: The error that is to be reached [m].
-        aside: Number of rows that are set aside beside these.
+        count: Number of all rows.
+        aside: Number of those that are set aside.
         seed: Seed of the folds.
         others: Other robots that may have been measured.
     """
     model = expected.model
     assert model is not None
-    known = State(len(rows) + aside, aside, limit=limit)
+    known = State(count, aside, limit=limit)
     if expected.early:
         return known, causes(chains, expected, others)
     try:
         errors = fitted_errors(model, rows)
-        held_out = check(model, rows, seed)
+        held_out = check(model, rows, seed, validate=False)
         found = judge(chains, model, errors, held_out, seed, others=others)
     except CalibPinError as error:
-        return State(len(rows) + aside, aside, reason=str(error), limit=limit), ()
+        return State(count, aside, reason=str(error), limit=limit), ()
     verdict, reason = found.verdict
     _, workspace = found.worst
     numbers: dict[str, Any] = {}

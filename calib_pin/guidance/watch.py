@@ -22,7 +22,7 @@ from calib_pin.guidance.state import State, assess, causes
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.measurement_models import declared
-from calib_pin.observations import Indices, Observations, fitted_and_held_out
+from calib_pin.observations import Observations, fitted_and_held_out
 from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.units import DISPLAY
 
@@ -169,7 +169,7 @@ class Watch:
             self._fit(chains, rows, used, setup)
         self._known = found
         yield from self._reconsidered(chains, rows, setup, keys, used)
-        yield from self._guided(chains, rows, setup, keys)
+        yield from self._guided(chains, rows, setup)
 
     def _units(self, rows: Observations, new: Sequence[int]) -> list[list[int]]:
         """Rows that are judged together: those of an image, others one by one."""
@@ -188,7 +188,9 @@ class Watch:
         if not used.any():
             self._expected = Expectation(None)
             return
-        self._expected = Expectation.of(chains, rows.rows(used), setup, self._seed)
+        self._fitted = rows.rows(used)
+        given = chains, self._fitted, setup, self._seed
+        self._expected = Expectation.of(*given, self._expected.model is not None)
         self.fit = self._expected.model
 
     def _row(self, place: str, deviation: Deviation | None, repeated: bool) -> Event:
@@ -250,19 +252,18 @@ class Watch:
             yield Event("row", text, {"place": outlier.place, "wrong": True})
 
     def _guided(
-        self, chains: Chains, rows: Observations, setup: Setup, keys: Sequence[Key]
+        self, chains: Chains, rows: Observations, setup: Setup
     ) -> Iterator[Event]:
         """The state, and where to go."""
-        kept: Indices = np.array([key not in self._aside for key in keys])
         if self._expected.model is None:
             yield Event("waiting", f"{len(rows)} rows: {self._expected.reason}")
             return
         outlook = self._proposals.outlook(chains, rows, setup, self._expected)
         limit = setup.limit.position if self._limit is None else self._limit
-        aside = len(rows) - int(kept.sum())
+        aside = len(self._aside)
         others = partial(self._others, chains, setup)
-        given = self._expected, outlook, limit, aside, self._seed, others
-        self.state, found = assess(chains, rows.rows(kept), *given)
+        given = self._expected, outlook, limit, len(rows), aside, self._seed, others
+        self.state, found = assess(chains, self._fitted, *given)
         yield from self._causes(found)
         yield Event("state", self.state.text, self.state.document())
         self.next = outlook.next

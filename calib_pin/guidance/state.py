@@ -13,6 +13,7 @@ from calib_pin.guidance.expectation import Expectation
 from calib_pin.guidance.proposals import Outlook
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
+from calib_pin.setup import Setup
 from calib_pin.validation.assessment import robot_errors
 from calib_pin.validation.findings import find
 from calib_pin.validation.findings.case import Case, Others
@@ -71,6 +72,8 @@ class State:
         aside = f", {self.aside} set aside" if self.aside else ""
         words = [f"{self.rows} rows{aside}"]
         words.append(self.verdict.upper() if self.verdict else "no verdict yet")
+        if self.verdict and self.verdict not in TRUSTED:
+            words[-1] += f" ({self.reason.partition(';')[0]})"
         if np.isfinite(self.workspace):
             near = f"near {_mm(self.near)}, " if np.isfinite(self.near) else ""
             words.append(
@@ -117,7 +120,7 @@ def assess(
     count: int,
     aside: int,
     seed: int,
-    others: Others,
+    seek: bool,
 ) -> tuple[State, tuple[Finding, ...]]:
     """The state of rows that were fitted, and what is wrong with them.
 
@@ -130,17 +133,17 @@ def assess(
         count: Number of all rows.
         aside: Number of those that are set aside.
         seed: Seed of the folds.
-        others: Other robots that may have been measured.
+        seek: Whether to seek faults of all rows; they have been sought otherwise.
     """
     model = expected.model
     assert model is not None
     known = State(count, aside, limit=limit)
     if expected.early:
-        return known, causes(chains, expected, others)
+        return known, ()
     try:
         errors = fitted_errors(model, rows)
         held_out = check(model, rows, seed, validate=False)
-        found = judge(chains, model, errors, held_out, seed, others=others)
+        found = judge(chains, model, errors, held_out, seed, seek=seek)
     except CalibPinError as error:
         return State(count, aside, reason=str(error), limit=limit), ()
     verdict, reason = found.verdict
@@ -162,25 +165,25 @@ def assess(
         for error in robot_errors(fit.problem, fit.structure, fit)
         if error.status == "weak"
     )
-    state = State(
-        len(rows) + aside,
-        aside,
-        verdict,
-        reason,
-        unknown=unknown,
-        limit=limit,
-        **numbers,
-    )
+    numbers |= {"unknown": unknown, "limit": limit}
+    state = State(count, aside, verdict, reason, **numbers)
     return state, tuple(f for f in found.findings if f.severity != "info")
 
 
+def doubtful(chains: Chains, expected: Expectation) -> bool:
+    """Whether rows are so far from the robot that they may be read wrong."""
+    return expected.model is not None and Case.of(expected.model.fit, chains).doubtful
+
+
 def causes(
-    chains: Chains, expected: Expectation, others: Others
+    chains: Chains, rows: Observations, setup: Setup, others: Others
 ) -> tuple[Finding, ...]:
     """What is wrong with all rows, where no robot explains them."""
-    assert expected.model is not None
-    case = Case.of(expected.model.fit, chains, others=others)
-    return find(case).causes if case.doubtful else ()
+    try:
+        found = find(Case.of_robot(chains, rows, setup, others))
+    except CalibPinError:
+        return ()
+    return found.causes
 
 
 def _mm(size: float) -> str:

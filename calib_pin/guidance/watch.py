@@ -18,7 +18,7 @@ from calib_pin.guidance.events import Event
 from calib_pin.guidance.expectation import Deviation, Expectation
 from calib_pin.guidance.proposals import Left, Proposal, Proposals, Shown
 from calib_pin.guidance.rows import Key, fresh, keys_of, stamps, unfinished
-from calib_pin.guidance.state import State, assess, causes
+from calib_pin.guidance.state import State, assess, causes, doubtful
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.measurement_models import declared
@@ -32,8 +32,9 @@ FEW = 8
 SEVERAL = 3
 """Last rows that disagree with those before them from which all are fitted together."""
 
-SHOWN = 3
-"""Wrong rows of a first look that are named."""
+AGAIN = 1.25
+"""Number of rows, by that of the last search for a cause, from which it is sought again.
+"""
 
 
 class Job(Protocol):
@@ -92,7 +93,7 @@ class Watch:
         self._expected = Expectation(None)
         self._proposals = Proposals(plan, collisions, shown, seed)
         self._limit, self._others = limit, others
-        self._found = set[str]()
+        self._found, self._searched = set[str](), 0
         self.fit: FittedModel | None = None
         self.state: State | None = None
         self.next: Proposal | None = None
@@ -114,7 +115,8 @@ class Watch:
             if new:
                 return
             self._stamp = stamp
-            if (said := one_line(str(error))) != self._told:
+            said = one_line(str(error))
+            if said != self._told:
                 self._told = said
                 yield Event("problem" if self._known else "waiting", said)
             return
@@ -188,7 +190,7 @@ class Watch:
         if not used.any():
             self._expected = Expectation(None)
             return
-        self._fitted = rows.rows(used)
+        self._fitted, self._places = rows.rows(used), np.flatnonzero(used)
         given = chains, self._fitted, setup, self._seed
         self._expected = Expectation.of(*given, self._expected.model is not None)
         self.fit = self._expected.model
@@ -229,9 +231,6 @@ class Watch:
             used[:] = [key[2] == 0 for key in keys]
             self._fit(chains, rows, used, setup)
             self._aside = {key: None for key in keys if key[2]}
-            if self._expected.model is not None:
-                others = partial(self._others, chains, setup)
-                yield from self._causes(causes(chains, self._expected, others))
         else:
             for k in np.flatnonzero(aside).tolist():
                 again = self._expected.deviation(rows.rows(np.array([k])))
@@ -240,13 +239,12 @@ class Watch:
                     used[k] = True
                     text = f"{rows.source(k)}: agrees with the others now; used again"
                     yield Event("row", text, {"place": rows.source(k), "wrong": False})
-        if self.fit is None or self._expected.early:
+        if self.fit is None or self._expected.early or doubtful(chains, self._expected):
             return
-        positions = np.flatnonzero(used)
-        out = [o for o in self.fit.fit.robust.outliers if o.weight == 0.0]
-        new = [o for o in out if keys[positions[o.row]] not in self._aside]
-        for outlier in new:
-            key = keys[positions[outlier.row]]
+        for outlier in self.fit.fit.robust.outliers:
+            key = keys[self._places[outlier.row]]
+            if outlier.weight > 0.0 or key in self._aside:
+                continue
             self._aside[key] = None
             text = f"{outlier.place}: does not fit the other rows; set aside"
             yield Event("row", text, {"place": outlier.place, "wrong": True})
@@ -255,16 +253,22 @@ class Watch:
         self, chains: Chains, rows: Observations, setup: Setup
     ) -> Iterator[Event]:
         """The state, and where to go."""
+        far = self._expected.model is None or doubtful(chains, self._expected)
+        self._searched = self._searched if far else 0
+        if far and len(rows) >= AGAIN * max(self._searched, FEW // AGAIN):
+            self._searched = len(rows)
+            given = chains, rows, setup, partial(self._others, chains, setup)
+            yield from self._causes(causes(*given))
         if self._expected.model is None:
             yield Event("waiting", f"{len(rows)} rows: {self._expected.reason}")
             return
         outlook = self._proposals.outlook(chains, rows, setup, self._expected)
         limit = setup.limit.position if self._limit is None else self._limit
         aside = len(self._aside)
-        others = partial(self._others, chains, setup)
-        given = self._expected, outlook, limit, len(rows), aside, self._seed, others
-        self.state, found = assess(chains, self._fitted, *given)
-        yield from self._causes(found)
+        seen = self._expected, outlook, limit, len(rows), aside, self._seed, not far
+        self.state, found = assess(chains, self._fitted, *seen)
+        if not far:
+            yield from self._causes(found)
         yield Event("state", self.state.text, self.state.document())
         self.next = outlook.next
         if self.next is not None:

@@ -29,7 +29,6 @@ from benchmarks.verdict.truth import position_error
 from calib_pin.guidance import Event, Watch
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Measurements, Observations
-from calib_pin.setup import Setup
 
 INSTRUMENTS = ("position", "camera", "point-distance", "fixed-point")
 """A tracker, a camera that sees a board, a ruler to fixed points, and sockets."""
@@ -104,9 +103,8 @@ def _values(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Spoil:
 
 
 def _reversed(q: np.ndarray, _: np.ndarray) -> np.ndarray:
-    """The joint that is farthest from zero counts the other way."""
-    signs = np.ones(len(q))
-    signs[int(np.argmax(np.abs(np.sin(q[1:-1])))) + 1] = -1.0
+    """The third joint counts the other way."""
+    signs = np.where(np.arange(len(q)) == 2, -1.0, 1.0)
     return signs * q
 
 

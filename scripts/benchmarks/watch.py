@@ -18,6 +18,7 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -29,6 +30,7 @@ from benchmarks.verdict.truth import position_error
 from calib_pin.guidance import Event, Watch
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Measurements, Observations
+from calib_pin.setup import Setup
 
 INSTRUMENTS = ("position", "camera", "point-distance", "fixed-point")
 """A tracker, a camera that sees a board, a ruler to fixed points, and sockets."""
@@ -59,12 +61,13 @@ class Trial:
         """Begin with no rows."""
         self.chains, self.setup = Chains.of(job.chain), job.setup
         self.rows, self.file, self.looks = rows, folder / "rows", 0
-        self.watch = Watch(lambda: self, [self.file])
+        self.watch = Watch(self.read, [self.file], free=False)
+        self.watch._proposals.file = None  # It holds no columns.
 
-    @property
-    def measurements(self) -> Observations:
+    def read(self) -> tuple[Chains, Setup, Observations]:
         """The rows that are there."""
-        return Observations.of(self.rows.rows(np.arange(self.count)))
+        rows = Observations.of(self.rows.rows(np.arange(self.count)))
+        return self.chains, self.setup, rows
 
     def look(self, count: int) -> list[Event]:
         """The events when so many rows are there."""
@@ -229,7 +232,7 @@ def _row(number: int, model: str, kind: str, counts: Mapping[str, Count]) -> Non
         if kind == "displaced":
             own = slice(at, at + size)
             row = Observations.of(rows.rows(np.arange(at, at + size)))
-            known = trial.watch._expected.deviation(row)
+            known = trial.watch._fitted.deviation(row)
             assert known is not None
             most = LARGEST * (900.0 if model == "camera" else 1.0)
             least = min(5.0 * known.sigma, most)
@@ -326,9 +329,8 @@ def _speed() -> Iterator[str]:
             rows = job.measured(np.random.default_rng(1), count + 3)
             trial = Trial(job, rows, Path(folder))
             trial.look(count)
-            times = [
-                processor_time(lambda k=k: trial.look(count + k)) for k in range(1, 4)
-            ]
+            looks = (partial(trial.look, count + k) for k in range(1, 4))
+            times = [processor_time(look) for look in looks]
         yield f"a new row after {count}: {max(times):.2f} s"
 
 

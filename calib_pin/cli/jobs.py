@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type
 
 from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.options import Request, Told
-from calib_pin.cli.printing import taken_notices
+from calib_pin.cli.printing import complaint, taken_notices
 from calib_pin.cli.requests import calibrated, opened
 from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas

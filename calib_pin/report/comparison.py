@@ -16,21 +16,19 @@ from calib_pin.validation.result import CalibrationResult
 
 def comparison_report(found: compared.Comparison) -> Iterator[Block]:
     """Whether the robot changed, where, by which parameters, and the doubts."""
-    pair = (("A", found.first), ("B", found.second))
-    for label, record in pair:
+    pair = {"A": found.first, "B": found.second}
+    for label, record in pair.items():
         if record.verdict not in TRUSTED:
             reason = below(record.reason, record.findings)
             said = f"{label} ({record.provenance.file}): {reason}"
             yield judged(said, record.verdict)
     yield _verdict(found)
     yield from findings(compared.faults(found), "")
-    for label, record in pair:
+    for label, record in pair.items():
         yield from findings(record.findings, record.reason, label)
-    yield from (note(doubt) for doubt in _doubts(found))
-    yield Facts(
-        chain_words(found.first.model),
-        [(label, _origin(record)) for label, record in pair],
-    )
+    yield from map(note, _doubts(found))
+    origins = [(label, _origin(record)) for label, record in pair.items()]
+    yield Facts(chain_words(found.first.model), origins)
     yield from tip_differences(found)
     yield from parameter_changes(found)
     yield from accuracies(found)
@@ -77,12 +75,8 @@ def _cause(found: compared.Comparison) -> str:
     trusted = {found.first.verdict, found.second.verdict} <= set(TRUSTED)
     if found.same_rows or not found.same_parameters or not trusted:
         return "The two disagree on the tool point, which differs by"
-    if not found.described:
-        return (
-            "The robot changed, or was measured at other configurations: tool-point "
-            "drift"
-        )
-    return "The robot changed: tool-point drift"
+    other = "" if found.described else ", or was measured at other configurations"
+    return f"The robot changed{other}: tool-point drift"
 
 
 def _size(found: compared.Comparison, position: float, orientation: float) -> str:
@@ -93,38 +87,36 @@ def _size(found: compared.Comparison, position: float, orientation: float) -> st
 
 def _doubts(found: compared.Comparison) -> Iterator[str]:
     """Other possible causes of the difference."""
+    first, second = both = found.first, found.second
+    noisy = found.drifted and found.same_parameters and not found.described
+    known = None not in map(compared.stated_noise, both)
     if not found.same_nominal:
         yield (
             "The nominal robots differ: only the tool points are compared, not the "
             "parameters, which refer to different robots."
         )
-    if found.same_rows:
+    if found.same_rows and found.identical:
+        yield "Both fit the same measurements in the same way."
+    elif found.same_rows:
         yield (
-            "Both fit the same measurements in the same way."
-            if found.identical
-            else "Both fit the same measurements: not the robot but the fit changed, "
-            "and their noise is not independent."
+            "Both fit the same measurements: not the robot but the fit changed, and "
+            "their noise is not independent."
         )
+    if found.same_rows:
         return
     if found.same_nominal and not found.same_parameters:
         yield (
             "The errors are described by different parameters, which can cause a "
             "difference without any change of the robot."
         )
-    if compared.chained(found.first, found.second):
+    if compared.chained(first, second):
         yield (
             "B began with A: it tells what the new measurements have changed, and the "
             "noise of both is not independent."
         )
-    if compared.shared_files(found.first, found.second):
+    if compared.shared_files(first, second):
         yield "They share a measurement file: their noise is not independent."
-    elif (
-        found.drifted
-        and found.same_parameters
-        and None
-        not in (compared.stated_noise(found.first), compared.stated_noise(found.second))
-        and not found.described
-    ):
+    elif noisy and known:
         yield (
             "Both fits contain errors that no parameter describes, which differ from "
             "configuration to configuration: measurements at the same configurations "
@@ -154,15 +146,14 @@ def tip_differences(found: compared.Comparison) -> Iterator[Block]:
     """The distance of the tool points, its maximum, and what is no drift."""
     rows = []
     for chain, drift in found.drifts.items():
-        explained = drift.explained or (math.nan, math.nan)
-        stages = [
-            ("position", "m", drift.position, explained[0]),
-            ("orientation", "rad", drift.orientation, explained[1]),
-        ]
+        noise = drift.explained or (math.nan, math.nan)
         of = f"{chain or 'robot'}, " if len(found.drifts) > 1 else ""
-        for name, unit, accuracy, noise in stages[: 2 if found.drift.oriented else 1]:
+        stages = [("position", "m", drift.position, noise[0])]
+        if found.drift.oriented:
+            stages.append(("orientation", "rad", drift.orientation, noise[1]))
+        for name, unit, accuracy, size in stages:
             *cells, shown = tables.sizes(accuracy, unit)
-            rows.append((of + name, *cells, tables.quantity(noise, unit), shown))
+            rows.append((of + name, *cells, tables.quantity(size, unit), shown))
     title = "Tool-point difference over the workspace"
     yield table(title, ("", *tables.SIZES[:-1], "noise rms", tables.UNIT), rows)
     yield note(" ".join(_how(found)))
@@ -224,23 +215,22 @@ def _farthest(found: compared.Comparison) -> Facts:
 def _frames(found: compared.Comparison) -> Iterator[Block]:
     """The displacements of base and tool, which are no drift of the robot."""
     entries = [(d.frame, _displaced(d)) for d in found.displacements]
-    if not entries:
+    if entries:
+        yield Facts("Displaced in B, which is no drift of the robot", entries)
+    parts = [
+        f"{tables.amount(d.motion, 'm')} by the "
+        f"{'tool' if d.of_tool else 'instrument'} ({d.frame})"
+        for d in found.displacements
+        if math.isfinite(d.motion)
+    ]
+    if not parts:
         return
-    yield Facts("Displaced in B, which is no drift of the robot", entries)
-    moving = [d for d in found.displacements if math.isfinite(d.motion)]
-    if moving:
-        parts = [
-            f"{tables.amount(d.motion, 'm')} by the "
-            f"{'tool' if d.of_tool else 'instrument'} ({d.frame})"
-            for d in moving
-        ]
-        parts.append(f"{tables.amount(found.drift.position.rms, 'm')} by the robot")
-        noise = ""
-        if found.drift.explained is not None:
-            noise = (
-                f", where noise explains {tables.amount(found.drift.explained[0], 'm')}"
-            )
-        yield note(f"Measured tool points moved {', '.join(parts)}{noise}.")
+    parts.append(f"{tables.amount(found.drift.position.rms, 'm')} by the robot")
+    noise = ""
+    if found.drift.explained is not None:
+        size = tables.amount(found.drift.explained[0], "m")
+        noise = f", where noise explains {size}"
+    yield note(f"Measured tool points moved {', '.join(parts)}{noise}.")
 
 
 def _displaced(moved: compared.Displacement) -> str:

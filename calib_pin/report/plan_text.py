@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from calib_pin.planning.plan import Plan, Step, sides_of
 from calib_pin.report.accuracy import chain_words, model_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
-from calib_pin.report.robot_errors import error_table
+from calib_pin.report.identification import error_table
 from calib_pin.report.tables import ESTIMATE, STATUS, amount, listed, number, quantity
 from calib_pin.solvers import Status
 

@@ -14,12 +14,18 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.blocks import Block, Line, note
-from calib_pin.report.breakdown import parts, told
+from calib_pin.report.breakdown import frame_blocks, parts, told
 from calib_pin.report.comparison import comparison_report
-from calib_pin.report.identification import identified, in_full, summary
-from calib_pin.report.places import frame_blocks
+from calib_pin.report.identification import (
+    corrections,
+    held,
+    identified,
+    in_full,
+    offsets,
+    offsets_alone,
+    summary,
+)
 from calib_pin.report.plan_text import plan_report
-from calib_pin.report.robot_errors import corrections, held, offsets, offsets_alone
 from calib_pin.report.tables import listed, outlier_table
 from calib_pin.report.terminal import plain_text
 from calib_pin.validation.comparison import Comparison

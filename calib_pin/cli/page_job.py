@@ -27,7 +27,7 @@ from calib_pin.errors import CalibPinError, OptionError
 from calib_pin.guidance import Event, Watch
 from calib_pin.io.first_look import draft
 from calib_pin.io.json_text import merged
-from calib_pin.io.measured_columns import measured
+from calib_pin.io.measured_columns import POSITION, measured
 from calib_pin.io.results import REPORT, urdf_name
 from calib_pin.io.setup import setup_document, yaml_text
 from calib_pin.io.table import read_table
@@ -407,10 +407,13 @@ class Job:
 
     def _columns(self) -> Iterator[Widget]:
         read = self.read
-        known = {*measured(), *(read.nominal.model.names if read.nominal else ())}
-        stated = read.keys.get("columns", {})
+        if read.nominal is None or not read.columns:
+            return
+        joints, stated = [*read.nominal.model.names][1:], read.keys.get("columns", {})
         units = [f"{name} [{unit}]" for name in read.columns for unit in UNITS]
-        for ours in dict.fromkeys([*stated, *(k for k in read.columns if k in known)]):
+        known = [name for name in read.columns if name in {*joints, *measured()}]
+        missing = [] if read.tips else [*joints, *POSITION]
+        for ours in dict.fromkeys([*stated, *known, *missing]):
             # The units of the column that is taken come first.
             own = str(stated.get(ours, ours)).partition(" [")[0]
             choices = sorted(units, key=lambda one: one.partition(" [")[0] != own)

@@ -152,6 +152,7 @@ def test_what_was_found_can_be_changed(tab):
     tab.widget("Found in the files", "tip").do("base_link")
     assert tab.job.problem.count("\n") == 0 and tab.job.problem
     assert tab.job.read.opened is None
+    assert {"joint_7", "x"} <= {w.label for w in tab.shown("Columns and units")}
     tab.widget("Found in the files", "tip").do("tool")
     assert tab.job.problem == "" and tab.job.read.opened is not None
     # Of a person's own text nothing is drafted.

@@ -120,6 +120,7 @@ class Job:
         result: The result, if it is calibrated.
         files: Files to download, by name.
         problem: Why something could not be done, on one line; empty if it could.
+        stopped: Set to end what is being done.
     """
 
     def __init__(
@@ -127,7 +128,7 @@ class Job:
     ) -> None:
         """Nothing is chosen yet."""
         self._folder, self._start, self._submit = folder, start, submit
-        self._address, self._stopped = address, threading.Event()
+        self._address, self.stopped = address, threading.Event()
         self.chosen, self.read, self.problem = Chosen(), Read(), ""
         self.scene: Scene | None = None
         self.result: CalibrationResult | None = None
@@ -185,7 +186,7 @@ class Job:
     # --- what is done then ---------------------------------------------------------
 
     def _do(self, work: Callable[[], None], name: str = "waiting") -> None:
-        self._stopped.clear()
+        self.stopped.clear()
         self._stage = name, None
         self._submit(self._done, work)
 
@@ -206,7 +207,7 @@ class Job:
 
     def _bar(self, name: str, part: float | None) -> None:
         self._stage = name, part
-        if self._stopped.is_set():
+        if self.stopped.is_set():
             raise KeyboardInterrupt
 
     def _read(self) -> None:
@@ -332,7 +333,7 @@ class Job:
         read, working = self.read, self._stage
         if working is not None and working[0]:
             yield Widget("progress", *working)
-            yield Widget("button", "stop", do=self._stopped.set)
+            yield Widget("button", "stop", do=self.stopped.set)
             return
         if self.problem:
             yield words(self.problem, "error")

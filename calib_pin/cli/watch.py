@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json as plain
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,17 +17,19 @@ from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.printing import say, tell_notices
 from calib_pin.cli.request import Request, number
 from calib_pin.cli.requests import opened
+from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
     from calib_pin.guidance import Event, Watch
-    from calib_pin.kinematics.chains import Chains
-    from calib_pin.kinematics.spatial import Floats
-    from calib_pin.setup import Setup
 
 PAUSE = 0.2
 """Time between two looks at the files [s]."""
 
 LIMIT = number(float, "--limit", "1e-6 to 1 m", 1e-6, 1.0)
+
+Tell = Callable[["Event"], None]
+
+watching = partial(options.option, "Watch")
 
 
 def watched(
@@ -41,65 +43,28 @@ def watched(
 
     Args:
         request: The calibration.
-        plan: File of configurations that are planned.
+        plan: Configurations to measure.
         limit: Expected error of the tool point that is to be reached [m].
         srdf: Pairs of links that need no collision check.
     """
     from calib_pin.guidance import Watch
-    from calib_pin.io.collision import load_collisions
-    from calib_pin.io.urdf import other_robots
 
     def read() -> Any:
         try:
-            return opened(request, None)
+            found = opened(request, None)
+            return found.chains, found.setup, found.measurements
         finally:
             tell_notices(forget=True)
 
-    def solids(chains: Chains, setup: Setup) -> Any:
-        folders = request.package_dir or ()
-        return load_collisions(chains, setup.obstacles, srdf=srdf, package_dirs=folders)
-
-    files = [*request.measurements, *filter(None, [request.setup])]
     return Watch(
         read,
-        files,
-        None if plan is None else partial(_planned, plan),
+        [*request.measurements, *filter(None, [request.setup])],
+        plan,
         limit,
-        solids,
-        partial(_shown, request.measurements[0]),
-        other_robots,
-        request.seed,
+        srdf=srdf,
+        package_dirs=request.package_dir or (),
+        seed=request.seed,
     )
-
-
-def _planned(file: Path, chains: Chains, setup: Setup) -> tuple[Floats, list[str]]:
-    """The configurations and targets of a plan."""
-    from calib_pin.io.measurements import read_configurations
-    from calib_pin.io.table import read_table
-
-    q = read_configurations(file, chains, setup.joints, setup.columns)
-    return q, [*read_table(file, columns=setup.columns).labels("target")]
-
-
-def _shown(
-    file: Path, chains: Chains, setup: Setup, q: Floats, target: str
-) -> dict[str, str]:
-    """A configuration in the names, units and signs of a measurement file."""
-    from calib_pin.io.measurements import encode_configurations
-    from calib_pin.io.table import read_table
-
-    columns = read_table(file, columns=setup.columns).columns
-    named = {*chains.joints, *setup.joints}
-    degrees = any(c.unit == "deg" for name, c in columns.items() if name in named)
-    table = encode_configurations(
-        chains, q[None], [target], joints=setup.joints, degrees=degrees
-    )
-    header, cells = (line.split(",") for line in table.decode().splitlines()[-2:])
-    digits = 3 if degrees else 4
-    found = dict(zip(header, cells, strict=True))
-    return {
-        k: v if k == "target" else f"{float(v):.{digits}f}" for k, v in found.items()
-    }
 
 
 @options.spread
@@ -109,31 +74,28 @@ def watch(
     output: Annotated[
         Path | None,
         options.output(
-            "-o --output DIR",
-            "Folder for the results, written at the end as by calibrate.",
+            "-o --output DIR", "Folder for the results, written as by calibrate."
         ),
     ] = None,
     plan: Annotated[
-        Path | None,
-        options.option("Watch", "--plan CSV", "Configurations to measure, by plan."),
+        Path | None, watching("--plan CSV", "Configurations to measure.")
     ] = None,
+    by_hand: Annotated[
+        bool,
+        watching("--type", "Ask for the readings of --plan, and write the rows."),
+    ] = False,
     limit: Annotated[
         float | None,
-        options.option(
-            "Watch",
+        watching(
             "--limit S",
-            "Expected error of the tool point to be reached [m]; default 'limit' of "
-            "the setup file.",
+            "Expected error of the tool point to reach [m]; by default 'limit' of the "
+            "setup file.",
             LIMIT,
         ),
     ] = None,
     srdf: Annotated[
         Path | None,
-        options.option(
-            "Watch",
-            "--srdf FILE",
-            "SRDF file of the pairs of links that need no collision check.",
-        ),
+        watching("--srdf FILE", "SRDF file of the links that need no collision check."),
     ] = None,
     force: options.Force = False,
     quiet: options.Quiet = False,
@@ -142,47 +104,55 @@ def watch(
     """Follow measurements while they are taken.
 
     Reads the files again whenever another program has written to them. Each new row is
-    compared with what the rows before it predict; the verdict so far, the expected
-    accuracy and the configuration to measure next follow. Ctrl-C ends with the result
-    as calibrate would write it. The same command goes on with what is in the files.
+    compared with its prediction by the rows before it; the verdict so far, the expected
+    accuracy and the configuration to measure next follow. Ctrl-C ends, with the result
+    as calibrate would write it. The same command goes on with the rows that are there.
     """
-    job = watched(request, plan, limit, srdf=srdf)
-    with display(json=json, quiet=quiet) as tell:
-        follow(job, tell)
-    context.obj = request.words(output or Path())[1:]
+    before: Callable[[], object] = partial(time.sleep, PAUSE)
+    if by_hand:
+        from calib_pin.cli.typed import typed
+
+        if plan is None or len(request.measurements) != 1 or json:
+            raise OptionError("--type needs --plan and one file of measurements")
+        before = typed(request, plan)
+    job, live = watched(request, plan, limit, srdf=srdf), None
+    if sys.stdout.isatty() and not by_hand:
+        from rich.console import Console
+
+        live = Console(highlight=False, markup=False, emoji=False)
+    with display(json=json, quiet=quiet, live=live) as tell:
+        follow(job, tell, before)
     if job.fit is None:
         return 1
-    asked = {**vars(request), "output": output, "force": force}
-    return calibrate(**asked, context=context, quiet=quiet, json=json)
+    context.obj = request.words(output or Path())[1:]
+    given = {"details": False, "figures": None, "figure_format": "png"}
+    given |= {"workers": None, "cluster": None}
+    return calibrate(
+        **vars(request),
+        **given,
+        context=context,
+        output=output,
+        force=force,
+        quiet=quiet,
+        json=json,
+    )
 
 
-def follow(job: Watch, tell: Callable[[Event], None]) -> None:
-    """Look at the files until somebody interrupts."""
+def follow(job: Watch, tell: Tell, before: Callable[[], object]) -> None:
+    """Look at the files again and again, until somebody interrupts.
+
+    Args:
+        job: The job.
+        tell: Told its events.
+        before: Called before each look but the first one.
+    """
     try:
         while True:
             for event in job.look():
                 tell(event)
-            time.sleep(PAUSE)
-    except KeyboardInterrupt:
+            before()
+    except (KeyboardInterrupt, EOFError):
         return
-
-
-@contextmanager
-def display(*, json: bool, quiet: bool) -> Iterator[Callable[[Event], None]]:
-    """Shows events: on a terminal the state below them, one line each elsewhere."""
-    import sys
-
-    if quiet:
-        yield lambda event: None
-    elif json:
-        yield lambda event: say(f"{plain.dumps(event.document())}\n")
-    elif not sys.stdout.isatty():
-        yield lambda event: say(f"{event.text}\n")
-    else:
-        from rich.console import Console
-
-        with live(Console(highlight=False, markup=False, emoji=False)) as tell:
-            yield tell
 
 
 STYLES = {"finding": "bold red", "problem": "bold red", "reached": "bold green"}
@@ -190,22 +160,39 @@ STYLES = {"finding": "bold red", "problem": "bold red", "reached": "bold green"}
 
 
 @contextmanager
-def live(console: Any) -> Iterator[Callable[[Event], None]]:
-    """The display of a terminal: rows go by, the state and the next stay below."""
+def display(
+    *, json: bool = False, quiet: bool = False, live: Any = None
+) -> Iterator[Tell]:
+    """Shows events, one line each.
+
+    Args:
+        json: Whether they are shown as JSON.
+        quiet: Whether they are not shown.
+        live: A rich console where the state and the next configuration stay below the
+            other events.
+    """
+    if json or quiet or live is None:
+        from json import dumps
+
+        def line(event: Event) -> None:
+            text = dumps(event.document(), default=dict) if json else event.text
+            say("" if quiet and not json else f"{text}\n")
+
+        yield line
+        return
     from rich.live import Live
     from rich.text import Text
 
     below: dict[str, Text] = {}
-    with Live(console=console, auto_refresh=False) as shown:
+    with Live(console=live, auto_refresh=False) as shown:
 
         def tell(event: Event) -> None:
-            wrong = bool(event.numbers.get("wrong"))
-            style = "red" if wrong else STYLES.get(event.kind, "")
             if event.kind in ("state", "next", "waiting"):
                 below.pop("waiting", None)
                 below[event.kind] = Text(event.text, style="cyan")
                 shown.update(Text("\n").join(below.values()), refresh=True)
-            else:
-                shown.console.print(Text(event.text, style=style))
+                return
+            style = "red" if event.numbers.get("wrong") else STYLES.get(event.kind, "")
+            shown.console.print(Text(event.text, style=style))
 
         yield tell

@@ -2,42 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calib_pin.errors import CalibPinError
-from calib_pin.guidance.expectation import Expectation, wide
+from calib_pin.guidance.fitted import Fitted
+from calib_pin.io.collision import load_collisions
+from calib_pin.io.measured_columns import own_columns, read_positions
+from calib_pin.io.measurements import encode_configurations
+from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
-from calib_pin.planning.aims import Aim, Aims, require_plannable
+from calib_pin.planning.aims import Aims, require_plannable
 from calib_pin.planning.criteria import Prediction
 from calib_pin.planning.plan import TESTS
-from calib_pin.planning.planned_problem import (
-    STRUCTURE,
-    TipTests,
-    identification,
-    planned_problem,
-)
+from calib_pin.planning.planned_problem import STRUCTURE, TipTests, identification
 from calib_pin.planning.selection import Selection
 from calib_pin.planning.workspace import Candidates, Workspace
 from calib_pin.setup import Setup
 
-MORE = 40
+MORE = 20
 """Most further rows that are looked ahead to."""
 
 NEAR = 0.02
 """Difference of a joint up to which a planned configuration was measured [rad, m]."""
 
-Left = Callable[[Chains, Setup], tuple[Floats, Sequence[str]]]
-"""Reads a plan: configurations, shape (K, n) [rad, m], and their targets."""
+Place = tuple[Floats, str]
+"""A configuration, shape (n,) [rad, m], and its target."""
 
-Shown = Callable[[Chains, Setup, Floats, str], dict[str, str]]
-"""The columns of the measurement file for a configuration and a target."""
+Planned = tuple[Floats, Sequence[str]]
+"""Configurations, shape (N, n) [rad, m], and their targets."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Proposal:
     Attributes:
         q: Joint positions, shape (n,) [rad, m].
         joints: Names of these.
-        cells: The columns of the measurement file that bring the robot there.
+        cells: Columns of the measurement file that bring the robot there.
         left: Number of configurations of the plan that are left.
     """
 
@@ -60,154 +59,145 @@ class Proposal:
     def text(self) -> str:
         """One line."""
         where = ", ".join(f"{name} {value}" for name, value in self.cells.items())
-        more = f" ({self.left} of the plan left)" if self.left else ""
-        return f"next: {where}{more}"
+        return f"next: {where}" + (f" ({self.left} planned)" if self.left else "")
 
     def document(self) -> dict[str, Any]:
         """The proposal as plain data."""
-        named = zip(self.joints, self.q.tolist(), strict=True)
-        return {"joints": dict(named), "cells": self.cells, "left": self.left}
+        q = dict(zip(self.joints, self.q.tolist(), strict=True))
+        return {"joints": q, "cells": self.cells, "left": self.left}
 
 
-@dataclass(frozen=True)
-class Outlook:
-    """What further rows would leave of the error of the tool point.
-
-    Attributes:
-        next: The first of them; None where nobody knows.
-        errors: The error of the tool point after 0, 1, 2, ... of them [m].
-    """
-
-    next: Proposal | None = None
-    errors: tuple[float, ...] = ()
-
-    def more(self, now: float, limit: float) -> int | None:
-        """Number of rows after which an error of now is below a limit [m]."""
-        if not self.errors:
-            return None
-        reach = (
-            k for k, e in enumerate(self.errors) if now * e <= limit * self.errors[0]
-        )
-        return next(reach, None)
-
-
+@dataclass
 class Proposals:
     """Configurations that may be measured, of which the best is proposed.
 
-    Args:
-        plan: Reads a plan, of which what is left comes first; None without one.
-        collisions: Loads the collisions to avoid.
-        shown: Columns for a configuration; default those of the joints, in SI units.
-        seed: Seed of the candidates.
+    Attributes:
+        file: The measurement file, whose columns name the joints; None without one.
+        plan: File of a plan, of which the rest comes first; None without one.
+        srdf: Pairs of links that need no collision check.
+        package_dirs: Folders of the packages that the robot names.
+        free: Whether they must be free of collisions.
     """
 
-    def __init__(
-        self,
-        plan: Left | None,
-        collisions: Callable[[Chains, Setup], Collisions | None] | None,
-        shown: Shown | None,
-        seed: int,
-    ) -> None:
-        """Begin without candidates."""
-        self._plan, self._collisions, self._seed = plan, collisions, seed
-        self._shown = shown
-        self._spread: Candidates | None = None
+    file: Path | None
+    plan: Path | None
+    srdf: Path | None
+    package_dirs: Sequence[Path]
+    free: bool
+    _spread: Candidates | None = None
 
-    def outlook(
-        self,
-        chains: Chains,
-        rows: Observations,
-        setup: Setup,
-        expected: Expectation,
-    ) -> Outlook:
-        """The next configuration and what more of them would tell."""
-        left: list[tuple[Floats, str]] = []
-        if self._plan is not None:
-            left = _left(*self._plan(chains, setup), rows)
+    def ahead(
+        self, fitted: Fitted, every: Observations
+    ) -> tuple[Proposal | None, tuple[float, ...]]:
+        """The next configuration, and the error of the tool point after more of them.
+
+        The error is that after 0, 1, ... further rows [m]; of instruments that cannot
+        be planned for, and before there is a fit, nothing is known.
+        """
+        left = planned(self.plan, fitted, every)
         try:
-            selection, at = self._selection(chains, rows, setup, expected, left)
+            selection, at, names = self._selection(fitted, left)
         except (CalibPinError, np.linalg.LinAlgError):
-            if not left:
-                return Outlook()
-            return Outlook(self._proposal(chains, setup, *left[0], len(left)))
+            first = self._shown(fitted, *left[0], len(left)) if left else None
+            return first, ()
         errors = [selection.value]
         for k in range(min(MORE, selection.left)):
             selection.add(k if left else selection.best_to_add()[0])
             errors.append(selection.value)
-        first = selection.chosen[0]
-        q, aim = at.q[first], self._aims[at.aim[first]]
-        following = self._proposal(chains, setup, q, aim.target, len(left))
-        return Outlook(following, tuple(errors))
+        best = selection.chosen[0]
+        target = names[int(at.aim[best])]
+        return self._shown(fitted, at.q[best], target, len(left)), tuple(errors)
 
     def _selection(
-        self,
-        chains: Chains,
-        rows: Observations,
-        setup: Setup,
-        expected: Expectation,
-        left: Sequence[tuple[Floats, str]],
-    ) -> tuple[Selection, Candidates]:
-        """The candidates with what the rows tell already."""
-        require_plannable(rows.keys)
-        assert expected.model is not None
-        fit = expected.model.fit
-        found = {} if expected.early else {n.quantity: n.estimate for n in fit.noise}
-        noise = {n.partition(" (")[0]: e for n, e in found.items() if e > 0.0}
-        noise, prior = {**setup.noise, **noise}, wide(fit.problem)
-        setup = replace(setup, learned=None, noise=noise, prior=prior)
-        problem = planned_problem(chains, rows.keys, setup, rows)
-        aims = Aims.of(problem, rows.keys)
-        self._aims: tuple[Aim, ...] = aims.each
-        workspace = Workspace.create(problem, None, 0.0, aims)
+        self, fitted: Fitted, left: Sequence[Place]
+    ) -> tuple[Selection, Candidates, list[str]]:
+        """The candidates with all that the rows tell already, and names of targets."""
+        keys, model = fitted.rows.keys, fitted.model
+        require_plannable(keys)
+        if model is None:
+            raise CalibPinError(fitted.reason)
+        noise = {} if fitted.early else {n.quantity: n for n in model.fit.noise}
+        found = {k.partition(" (")[0]: n.estimate for k, n in noise.items()}
+        known = {name: size for name, size in found.items() if size > 0.0}
+        setup = replace(fitted.setup, noise={**fitted.setup.noise, **known})
+        problem = replace(fitted.informed, setup=replace(setup, learned=None))
+        aims = Aims.of(problem, keys)
         if self._spread is None:
-            solid = self._collisions and self._collisions(chains, setup)
-            rng = np.random.default_rng(self._seed)
-            free = replace(workspace, collisions=solid)
-            self._spread = free.candidates(STRUCTURE, rng)
+            solid, rng = None, np.random.default_rng(fitted.seed)
+            if self.free:
+                solid = load_collisions(
+                    fitted.chains,
+                    setup.obstacles,
+                    srdf=self.srdf,
+                    package_dirs=self.package_dirs,
+                )
+            workspace = Workspace.create(problem, solid, 0.0, aims)
+            self._spread = workspace.candidates(STRUCTURE, rng)
             self._spread.require(1)
         spread = at = self._spread
+        names = [aim.target for aim in aims.each]
         if left:
-            names = [aim.target for aim in aims.each]
-            aim = [names.index(t) if t in names else 0 for _, t in left]
+            aim = [names.index(name) if name in names else 0 for _, name in left]
             at = Candidates(np.array([q for q, _ in left]), np.array(aim), len(left))
-        _, basis, information = identification(problem, aims, spread, rows)
+        _, rows, information = identification(problem, aims, spread, fitted.rows)
         chain_of = np.array([aim.key.chain for aim in aims.each])[spread.aim]
-        tests = TipTests.of(
-            basis,
-            {
-                c: spread.q[chain_of == c][:TESTS]
-                for c in dict.fromkeys(chain_of.tolist())
-            },
-        )
-        table = basis.rows(at.q, at.aim)
-        criterion = Prediction(tests.position)
-        return (
-            Selection(table, basis.nuisances, criterion, information, (), len(rows)),
-            at,
-        )
+        tests = {name: spread.q[chain_of == name][:TESTS] for name in {*chain_of}}
+        tip = Prediction(TipTests.of(rows, tests).position)
+        table = rows.rows(at.q, at.aim)
+        return Selection(table, rows.nuisances, tip, information), at, names
 
-    def _proposal(
-        self, chains: Chains, setup: Setup, q: Floats, target: str, left: int
-    ) -> Proposal:
-        if self._shown is None:
-            named = zip(chains.joints, q.tolist(), strict=True)
-            return Proposal(q, chains.joints, {n: f"{x:.4f}" for n, x in named}, left)
-        cells = self._shown(chains, setup, q, target)
+    def _shown(self, fitted: Fitted, q: Floats, target: str, left: int) -> Proposal:
+        """A configuration in the names, units and signs of the measurement file."""
+        chains, joints, degrees = fitted.chains, fitted.setup.joints, False
+        if self.file is not None:
+            columns = read_table(self.file, columns=fitted.setup.columns).columns
+            units = (columns[n].unit for n in {*chains.joints, *joints} & {*columns})
+            degrees = "deg" in units
+        table = encode_configurations(
+            chains, q[None], [target], joints=joints, degrees=degrees
+        )
+        header, row = (line.split(",") for line in table.decode().splitlines()[-2:])
+        cells = {
+            name: cell if name == "target" else f"{float(cell):.{3 if degrees else 4}f}"
+            for name, cell in zip(header, row, strict=True)
+        }
         return Proposal(q, chains.joints, cells, left)
 
 
-def _left(
-    q: Floats, targets: Sequence[str], rows: Observations
-) -> list[tuple[Floats, str]]:
-    """The configurations of a plan that were not measured yet, in their order."""
-    open_ = list(zip(q, targets, strict=True))
-    for k, at in enumerate(rows.q):
-        own = rows.target[k]
-        near = (
-            place
-            for place, (there, target) in enumerate(open_)
-            if np.abs(there - at).max() < NEAR and target in ("", own)
-        )
-        if (place := next(near, None)) is not None:
-            del open_[place]
-    return open_
+def planned(plan: Path | None, fitted: Fitted, rows: Observations) -> list[Place]:
+    """The configurations of a plan that were not measured yet, in their order.
+
+    Raises:
+        InputError: If the plan cannot be read.
+    """
+    if plan is None:
+        return []
+    table = read_table(plan, columns=fitted.setup.columns)
+    q, names = _read(table, fitted.chains, fitted.setup)
+    return [(q[k], names[k]) for k in _left((q, names), (rows.q, rows.target))]
+
+
+def remaining(plan: Table, rows: Table, chains: Chains, setup: Setup) -> list[int]:
+    """Positions of the rows of a plan that a file does not have yet.
+
+    Raises:
+        InputError: If one of them has not the joints.
+    """
+    return _left(_read(plan, chains, setup), _read(rows, chains, setup))
+
+
+def _read(table: Table, chains: Chains, setup: Setup) -> Planned:
+    """Configurations, shape (N, n) [rad, m], and their targets."""
+    named, own = own_columns(table, chains, setup.joints)
+    return read_positions(named, chains, own), table.labels("target")
+
+
+def _left(plan: Planned, rows: Planned) -> list[int]:
+    """Positions of planned configurations that no row has; each row has one."""
+    left = [*range(len(plan[0]))]
+    for at, own in zip(*rows, strict=True):
+        for k in left:
+            if np.abs(plan[0][k] - at).max() < NEAR and plan[1][k] in ("", own):
+                left.remove(k)
+                break
+    return left

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -14,17 +16,18 @@ from calib_pin.errors import CalibPinError, one_line
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.formulation import fitting
-from calib_pin.guidance.events import Event
-from calib_pin.guidance.expectation import Deviation, Expectation
-from calib_pin.guidance.proposals import Left, Proposal, Proposals, Shown
-from calib_pin.guidance.rows import Key, fresh, keys_of, stamps, unfinished
-from calib_pin.guidance.state import State, assess, causes
+from calib_pin.guidance.events import Event, State
+from calib_pin.guidance.fitted import Deviation, Fitted
+from calib_pin.guidance.proposals import Proposal, Proposals
+from calib_pin.io.urdf import other_robots
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.collision import Collisions
 from calib_pin.measurement_models import declared
-from calib_pin.observations import Indices, Observations, fitted_and_held_out
+from calib_pin.observations import Booleans, Observations, fitted_and_held_out
 from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.units import DISPLAY
+
+SETTLED = 1.0
+"""Age of a file from which what looks unfinished is what it is [s]."""
 
 FEW = 8
 """New rows up to which each is judged by those before it; more are judged together."""
@@ -32,38 +35,25 @@ FEW = 8
 SEVERAL = 3
 """Last rows that disagree with those before them from which all are fitted together."""
 
-SHOWN = 3
-"""Wrong rows of a first look that are named."""
+AGAIN = 1.25
+"""Number of rows by that of the last search for a cause, from which it is repeated."""
 
-
-class Job(Protocol):
-    """A calibration as it stands in its files, read and checked."""
-
-    @property
-    def chains(self) -> Chains:
-        """The nominal chains."""
-
-    @property
-    def setup(self) -> Setup:
-        """The setup."""
-
-    @property
-    def measurements(self) -> Observations:
-        """The rows so far."""
+Key = tuple[str, bytes, int]
+"""File, content and number of occurrence of a row."""
 
 
 class Watch:
     """Follows files that others write.
 
     Args:
-        read: Reads the job as it stands now.
-        files: The files to follow; the first ones hold the rows.
-        plan: Reads the plan; None where there is none.
+        read: Reads the job as it stands now: nominal chains, setup, measurements.
+        files: The files to follow, the first one of measurements.
+        plan: Configurations to measure.
         limit: Expected error of the tool point that is to be reached [m]; default the
             limit of the setup.
-        collisions: Loads the collisions to avoid.
-        shown: Columns of the measurement file for a configuration and a target.
-        others: Other robots with the same joints that may have been measured.
+        srdf: Pairs of links that need no collision check.
+        package_dirs: Folders of the packages that the robot names.
+        free: Whether configurations that are proposed must be free of collisions.
         seed: Seed of whatever is random.
 
     Attributes:
@@ -74,210 +64,215 @@ class Watch:
 
     def __init__(
         self,
-        read: Callable[[], Job],
+        read: Callable[[], tuple[Chains, Setup, Observations]],
         files: Sequence[Path],
-        plan: Left | None = None,
+        plan: Path | None = None,
         limit: float | None = None,
-        collisions: Callable[[Chains, Setup], Collisions | None] | None = None,
-        shown: Shown | None = None,
-        others: Callable[[Chains, Setup], Iterable[Chains]] = lambda *_: (),
+        *,
+        srdf: Path | None = None,
+        package_dirs: Sequence[Path] = (),
+        free: bool = True,
         seed: int = 0,
     ) -> None:
         """Begin with nothing."""
-        self._read, self._files, self._seed = read, tuple(files), seed
-        self._stamp: object = None
-        self._told, self._reached = "", False
-        self._aside: dict[Key, Deviation | None] = {}
-        self._known: dict[Key, str] = {}
-        self._expected = Expectation(None)
-        self._proposals = Proposals(plan, collisions, shown, seed)
-        self._limit, self._others = limit, others
-        self._found = set[str]()
+        self._read, self._files, self._limit = read, tuple(files), limit
+        self._proposals = Proposals(files[0], plan, srdf, package_dirs, free)
+        self._seed, self._searched = seed, 0
+        self._stamp: tuple[Any, ...] | None = None
+        self._told, self._reached, self._found = "", False, set[str]()
+        self._known, self._aside = dict[Key, str](), set[Key]()
+        self._fitted: Fitted | None = None
         self.fit: FittedModel | None = None
         self.state: State | None = None
         self.next: Proposal | None = None
 
     def look(self) -> Iterator[Event]:
-        """What changed since the last look; nothing where nothing did."""
-        stamp = stamps(self._files)
+        """The events since the last look; none where no file changed."""
+        stamp, unfinished = _stamp(self._files)
         if stamp == self._stamp:
             return
-        new = fresh(self._files)
-        if new and any(map(unfinished, self._files)):
+        newest = max((one[0] for one in stamp if one), default=0)
+        new = time.time() - 1e-9 * newest < SETTLED
+        if new and unfinished:
             return  # A half-written line waits.
         try:
-            job = self._read()
-            setup = replace(job.setup, reading=ReadingSetup())
-            rows = fitted_and_held_out(job.measurements)[0]
-            chains, (rows,) = fitting(job.chains, setup, rows)
+            chains, setup, rows = self._read()
+            setup = replace(setup, reading=ReadingSetup())
+            chains, (rows,) = fitting(chains, setup, fitted_and_held_out(rows)[0])
+            found = {key: rows.source(k) for k, key in enumerate(_keys(rows))}
+            gone = [place for key, place in self._known.items() if key not in found]
+            if new and gone:
+                return  # A file that is written anew begins with nothing.
+            self._stamp, self._told = stamp, ""
+            yield from self._changed(chains, setup, rows, found, gone)
         except CalibPinError as error:
             if new:
                 return
-            self._stamp = stamp
-            if (said := one_line(str(error))) != self._told:
-                self._told = said
-                yield Event("problem" if self._known else "waiting", said)
-            return
-        found = dict(
-            zip(keys_of(rows), map(rows.source, range(len(rows))), strict=True)
-        )
-        gone = [place for key, place in self._known.items() if key not in found]
-        if gone and new:
-            return  # A file that is written anew begins with nothing.
-        self._stamp, self._told = stamp, ""
-        yield from self._changed(chains, rows, setup, found, gone)
+            self._stamp, told = stamp, one_line(str(error))
+            if told != self._told:
+                self._told = told
+                yield Event("problem" if self._known else "waiting", told)
 
     def _changed(
         self,
         chains: Chains,
-        rows: Observations,
         setup: Setup,
+        rows: Observations,
         found: dict[Key, str],
         gone: Sequence[str],
     ) -> Iterator[Event]:
         """Tell of rows that came and went, then of the job."""
         keys = [*found]
+        self._aside &= {*keys}
+        used = np.array([key in self._known and key not in self._aside for key in keys])
         new = [k for k in rows.in_order.tolist() if keys[k] not in self._known]
-        self._aside = {key: d for key, d in self._aside.items() if key in found}
+        self._known = found
         if gone:
             what = gone[0] if len(gone) == 1 else f"{len(gone)} rows"
-            text = f"{what}: removed or corrected; no longer used as it was"
+            text = f"{what}: removed or corrected, no longer used as before"
             yield Event("removed", text, {"places": [*gone]})
-        units = self._units(rows, new)
-        one_by_one = len(units) <= FEW
-        used = np.array(
-            [
-                k not in set(new) and keys[k] not in self._aside
-                for k in range(len(rows))
-            ],
-            bool,
-        )
-        if gone or self._expected.model is None:
-            self._fit(chains, rows, used, setup)
-        for unit in units if one_by_one else ():
-            deviation = self._expected.deviation(rows.rows(np.array(unit)))
-            repeated = [k for k in unit if keys[k][2]]
-            wrong = repeated or (deviation is not None and deviation.wrong)
-            if wrong:
-                self._aside |= {keys[k]: deviation for k in unit}
-            yield self._row(found[keys[unit[0]]], deviation, bool(repeated))
-            if not wrong:
-                used[unit] = True
-                self._fit(chains, rows, used, setup)
-        if not one_by_one:
-            used[new] = True
-            self._fit(chains, rows, used, setup)
-        self._known = found
-        yield from self._reconsidered(chains, rows, setup, keys, used)
-        yield from self._guided(chains, rows, setup, keys)
+        units = _units(rows, new)
+        fit = partial(self._fit, chains, setup, rows)
+        if gone or self._fitted is None or len(units) > FEW:
+            used[new] = len(units) > FEW
+            self._fitted = fit(used)
+        for unit in units if len(units) <= FEW else ():
+            deviation = self._fitted.deviation(rows.rows(np.array(unit)))
+            again = any(keys[k][2] for k in unit)
+            if again or (deviation is not None and deviation.wrong):
+                self._aside |= {keys[k] for k in unit}
+            yield self._row(rows.source(unit[0]), deviation, again)
+            used[unit] = keys[unit[0]] not in self._aside
+            if used[unit[0]]:
+                self._fitted = fit(used)
+        # Which of several are wrong is for the fit of all to say.
+        if all(keys[k] in self._aside for k in rows.in_order[-SEVERAL:]) and new:
+            self._aside = {key for key in keys if key[2]}
+            used = np.array([not key[2] for key in keys])
+            self._fitted = fit(used)
+        yield from self._reconsidered(rows, keys, used)
+        yield from self._guided(rows)
 
-    def _units(self, rows: Observations, new: Sequence[int]) -> list[list[int]]:
-        """Rows that are judged together: those of an image, others one by one."""
-        found: dict[tuple[int, int], list[int]] = {}
-        groups = rows.groups()
-        for k in new:
-            block = int(rows.block_of[k])
-            together = declared(rows.blocks[block].model).at_once
-            found.setdefault(
-                (block, int(groups[k]) if together else -k - 1), []
-            ).append(k)
-        return [*found.values()]
-
-    def _fit(self, chains: Chains, rows: Observations, used: Any, setup: Setup) -> None:
+    def _fit(
+        self, chains: Chains, setup: Setup, rows: Observations, used: Booleans
+    ) -> Fitted:
         """Fit the rows that are used."""
-        if not used.any():
-            self._expected = Expectation(None)
-            return
-        self._expected = Expectation.of(chains, rows.rows(used), setup, self._seed)
-        self.fit = self._expected.model
+        known = self._fitted is not None and self._fitted.model is not None
+        found = Fitted(chains, rows.rows(used), setup, self._seed)
+        found = found.fit(known) if used.any() else found
+        self.fit, self._places = found.model, np.flatnonzero(used)
+        return found
 
-    def _row(self, place: str, deviation: Deviation | None, repeated: bool) -> Event:
+    def _row(self, place: str, found: Deviation | None, again: bool) -> Event:
         """Tell of a new row."""
-        numbers: dict[str, Any] = {"place": place, "wrong": repeated}
-        if repeated:
+        numbers: dict[str, Any] = {"place": place, "wrong": again}
+        if again:
             text = f"{place}: the same numbers as in a row before; was it measured?"
             return Event("row", text, numbers)
-        if deviation is None:
-            reason = self._expected.reason or "nothing to compare it with yet"
-            return Event("row", f"{place}: {reason}", {**numbers, "expected": None})
-        unit, factor = DISPLAY[deviation.unit]
-        size, sigma = factor * deviation.size, factor * deviation.sigma
-        numbers |= {"size": deviation.size, "sigma": deviation.sigma}
-        numbers |= {"chance": deviation.chance, "wrong": deviation.wrong}
-        text = (
-            f"{place}: {size:.2g} {unit} from where it is expected ({sigma:.2g} {unit})"
-        )
-        if deviation.wrong:
+        if found is None:
+            reason = "not known yet" if self._fitted is None else self._fitted.reason
+            return Event("row", f"{place}: {reason}", numbers)
+        unit, factor = DISPLAY[found.unit]
+        size, sigma = (f"{factor * x:.2g} {unit}" for x in found[:2])
+        text = f"{place}: {size} from where it is expected ({sigma})"
+        if found.wrong:
             text += "; set aside: is the target seated? is the robot still?"
-        return Event("row", text, numbers)
+        return Event("row", text, numbers | found._asdict() | {"wrong": found.wrong})
 
     def _reconsidered(
-        self,
-        chains: Chains,
-        rows: Observations,
-        setup: Setup,
-        keys: Sequence[Key],
-        used: Any,
+        self, rows: Observations, keys: Sequence[Key], used: Booleans
     ) -> Iterator[Event]:
-        """Rows that were set aside, after what came since; and those set aside now."""
-        order = rows.in_order
-        aside = np.array([key in self._aside for key in keys], bool)
-        if aside[order[-SEVERAL:]].sum() == SEVERAL:
-            # Which of them are wrong is for the fit of all to say.
-            used[:] = [key[2] == 0 for key in keys]
-            self._fit(chains, rows, used, setup)
-            self._aside = {key: None for key in keys if key[2]}
-            if self._expected.model is not None:
-                others = partial(self._others, chains, setup)
-                yield from self._causes(causes(chains, self._expected, others))
-        else:
-            for k in np.flatnonzero(aside).tolist():
-                again = self._expected.deviation(rows.rows(np.array([k])))
-                if keys[k][2] == 0 and again is not None and not again.wrong:
-                    del self._aside[keys[k]]
-                    used[k] = True
-                    text = f"{rows.source(k)}: agrees with the others now; used again"
-                    yield Event("row", text, {"place": rows.source(k), "wrong": False})
-        if self.fit is None or self._expected.early:
+        """Tell of rows that agree now, and of those that the fit has set aside."""
+        fitted = self._fitted
+        if fitted is None or fitted.doubtful:
             return
-        positions = np.flatnonzero(used)
-        out = [o for o in self.fit.fit.robust.outliers if o.weight == 0.0]
-        new = [o for o in out if keys[positions[o.row]] not in self._aside]
-        for outlier in new:
-            key = keys[positions[outlier.row]]
-            self._aside[key] = None
-            text = f"{outlier.place}: does not fit the other rows; set aside"
-            yield Event("row", text, {"place": outlier.place, "wrong": True})
+        for k in [k for k, key in enumerate(keys) if key in self._aside and not key[2]]:
+            found, place = fitted.deviation(rows.rows(np.array([k]))), rows.source(k)
+            if found is not None and not found.wrong:
+                self._aside.remove(keys[k])
+                text = f"{place}: agrees with the others now; used again"
+                yield Event("row", text, {"place": place, "wrong": False})
+        assert fitted.model is not None
+        for outlier in () if fitted.early else fitted.model.fit.robust.outliers:
+            key = keys[self._places[outlier.row]]
+            if outlier.weight == 0.0 and key not in self._aside:
+                self._aside.add(key)
+                text = f"{outlier.place}: does not fit the other rows; set aside"
+                yield Event("row", text, {"place": outlier.place, "wrong": True})
 
-    def _guided(
-        self, chains: Chains, rows: Observations, setup: Setup, keys: Sequence[Key]
-    ) -> Iterator[Event]:
-        """The state, and where to go."""
-        kept: Indices = np.array([key not in self._aside for key in keys])
-        if self._expected.model is None:
-            yield Event("waiting", f"{len(rows)} rows: {self._expected.reason}")
-            return
-        outlook = self._proposals.outlook(chains, rows, setup, self._expected)
-        limit = setup.limit.position if self._limit is None else self._limit
-        aside = len(rows) - int(kept.sum())
-        others = partial(self._others, chains, setup)
-        given = self._expected, outlook, limit, aside, self._seed, others
-        self.state, found = assess(chains, rows.rows(kept), *given)
-        yield from self._causes(found)
-        yield Event("state", self.state.text, self.state.document())
-        self.next = outlook.next
+    def _guided(self, rows: Observations) -> Iterator[Event]:
+        """Tell the state, and where to go."""
+        fitted, count = self._fitted, len(rows)
+        assert fitted is not None
+        doubtful = fitted.doubtful
+        self._searched = self._searched if doubtful else 0
+        if doubtful and count >= max(AGAIN * self._searched, SEVERAL):
+            self._searched = count
+            others = partial(other_robots, fitted.chains, fitted.setup)
+            yield from self._causes(fitted.causes(rows, others))
+        self.next, ahead = self._proposals.ahead(fitted, rows)
+        if fitted.model is None:
+            yield Event("waiting", f"{count} rows: {fitted.reason}")
+        else:
+            limit = self._limit or fitted.setup.limit.position
+            known = State(count, len(self._aside), limit=limit)
+            self.state, found = fitted.assess(known, ahead, not doubtful)
+            if not doubtful:
+                yield from self._causes(found)
+            yield Event("state", self.state.text, self.state.document())
         if self.next is not None:
             yield Event("next", self.next.text, self.next.document())
-        if self.state.reached and not self._reached:
+        if self.state is not None and self.state.reached and not self._reached:
             self._reached = True
             yield Event("reached", self.state.conclusion)
 
     def _causes(self, found: Iterable[Finding]) -> Iterator[Event]:
         """Tell of findings, each once as long as it stands."""
-        found = [*found]
-        for one in found:
-            if one.code not in self._found:
-                told = "; ".join(filter(None, (one.message, one.remedy)))
-                numbers = {"code": one.code, "severity": one.severity}
-                yield Event("finding", told, {**numbers, "setup": dict(one.setup)})
-        self._found = {one.code for one in found}
+        by_code = {one.code: one for one in found}
+        for code, one in by_code.items():
+            if code not in self._found:
+                text = "; ".join(filter(None, (one.message, one.remedy)))
+                numbers = {"code": code, "severity": one.severity, "setup": one.setup}
+                yield Event("finding", text, numbers)
+        self._found = {*by_code}
+
+
+def _stamp(files: Sequence[Path]) -> tuple[tuple[Any, ...], bool]:
+    """Times of change and sizes of files, and whether one ends within a line."""
+    stamp, unfinished = list[Any](), False
+    for file in files:
+        try:
+            found = file.stat()
+            with file.open("rb") as stream:
+                stream.seek(max(found.st_size - 1, 0))
+                unfinished |= stream.read() not in (b"\n", b"\r")
+            stamp.append((found.st_mtime_ns, found.st_size))
+        except OSError:
+            stamp.append(None)  # It is not there.
+    return tuple(stamp), unfinished
+
+
+def _keys(rows: Observations) -> list[Key]:
+    """The content of every row, in the order of the rows; equal ones are counted."""
+    found, seen = list[Key](), Counter[tuple[str, bytes]]()
+    for block, place in zip(rows.blocks, rows.slices, strict=True):
+        parts = [block.q, block.values, block.sigma, block.conditions.time]
+        numbers = [p.reshape(len(block), -1) for p in parts if p is not None and p.size]
+        names = zip(np.hstack(numbers), block.target, rows.files[place], strict=True)
+        for cells, target, file in names:
+            same = file, cells.tobytes() + "/".join((*block.key, target)).encode()
+            found.append((*same, seen[same]))
+            seen[same] += 1
+    return found
+
+
+def _units(rows: Observations, new: Iterable[int]) -> list[list[int]]:
+    """Rows that are judged together: those of an image, others one by one."""
+    found: dict[tuple[int, int], list[int]] = {}
+    groups = rows.groups()
+    for k in new:
+        block = int(rows.block_of[k])
+        together = declared(rows.blocks[block].model).at_once
+        unit = int(groups[k]) if together else -k - 1
+        found.setdefault((block, unit), []).append(k)
+    return [*found.values()]

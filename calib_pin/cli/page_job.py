@@ -88,6 +88,7 @@ class Read:
     Attributes:
         nominal: The robot; None for none yet.
         tips: Links that may be the tip, the likeliest first.
+        fit: How well the nominal robot fits as drafted; empty without a draft.
         text: The setup file.
         keys: Its keys.
         columns: Columns with units that may be meant.
@@ -97,6 +98,7 @@ class Read:
 
     nominal: Robot | None = None
     tips: Sequence[str] = ()
+    fit: str = ""
     text: str = ""
     keys: Mapping[str, Any] = field(default_factory=dict)
     columns: Sequence[str] = ()
@@ -236,8 +238,7 @@ class Job:
             fault = error  # As `calibrate` reads it, it may show what is wrong.
         self._state(self.read.text)
         if chosen.changes:
-            # Of its comments the first ones stay, on how well the nominal robot fits.
-            head = self.read.text.partition("\n\n")[0] * bool(self.read.tips)
+            head = self.read.text.partition("\n")[0] * bool(self.read.fit)
             lines = merged(read_tree(SETUP).data or {}, chosen.changes)
             self._state(f"{head}\n\n{yaml_text(lines)}\n".lstrip())
         asked = Request(chosen.robot, files, folders, setup=SETUP)
@@ -277,7 +278,10 @@ class Job:
         asked = Draft(package_dir=[*chosen.packages], **{k: given[k] for k in names})
         robot, look = looked_at(asked, choose, ask)
         text = draft(robot, look, "calib-pin app")
-        self.read = replace(self.read, tips=look.tips, text=text)
+        # It begins with comments on the whole.
+        told = text.partition("\n\n")[0].replace("\n#   ", " ").split("\n# ")[1:]
+        fit = "\n".join(told)
+        self.read = replace(self.read, tips=look.tips, text=text, fit=fit)
 
     def _calibrate(self) -> None:
         given = self.read.opened
@@ -392,10 +396,8 @@ class Job:
         read = self.read
         if read.nominal is None or not read.columns:
             return
-        if read.tips:
-            # The draft begins with how well the nominal robot fits.
-            head = read.text.partition("\n\n")[0].replace("\n#   ", " ")
-            yield words("\n".join(head.split("\n# ")[1:]))
+        if read.fit:
+            yield words(f"As drafted: {read.fit}" if self.chosen.changes else read.fit)
         if self.chosen.changes:
             yield words(f"Changed lines:\n{yaml_text(self.chosen.changes)}", "code")
         links = read.nominal.links
@@ -413,7 +415,7 @@ class Job:
         joints, stated = [*read.nominal.model.names][1:], read.keys.get("columns", {})
         units = [f"{name} [{unit}]" for name in read.columns for unit in UNITS]
         known = [name for name in read.columns if name in {*joints, *measured()}]
-        missing = [] if read.tips else [*joints, *POSITION]
+        missing = [] if read.fit else [*joints, *POSITION]
         for ours in dict.fromkeys([*stated, *known, *missing]):
             # The units of the column that is taken come first.
             own = str(stated.get(ours, ours)).partition(" [")[0]

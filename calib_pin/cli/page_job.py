@@ -25,6 +25,7 @@ from calib_pin.cli.requests import Opened, calibrated, opened
 from calib_pin.cli.watch import watched
 from calib_pin.errors import CalibPinError, OptionError
 from calib_pin.guidance import Event, Watch
+from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.first_look import draft
 from calib_pin.io.json_text import merged
 from calib_pin.io.measured_columns import POSITION, measured
@@ -48,10 +49,9 @@ from calib_pin.viewer.scene import Scene, make_scene
 ROBOTS, SETUPS = (".urdf", ".xacro", ".xml", ".mjcf"), (".yaml", ".yml")
 """Endings of files that are no measurements."""
 
-OUT, SETUP, ALL = Path("calibrated"), Path("setup.yaml"), "calibrated.zip"
+NOTHING = "(choose)"
 
-UNITS = ("m", "mm", "in", "rad", "deg")
-"""Units of columns that are offered; a setup file may state others."""
+OUT, SETUP, ALL = Path("calibrated"), Path("setup.yaml"), "calibrated.zip"
 
 PAUSE = 1.0
 """Time between two looks at files that are followed [s]."""
@@ -152,6 +152,8 @@ class Job:
     def add(self, word: str) -> None:
         """Take a robot by its name, or a file or folder of this machine by its path."""
         name = split_arguments(word.strip())[0]
+        if name in ("", NOTHING):
+            return
         path, there = Path(name), self._folder / name
         if not there.is_file() and (self._start / path.expanduser()).exists():
             path = there = self._start / path.expanduser()
@@ -160,7 +162,7 @@ class Job:
             self.choose(packages=(path,))
         elif ending in SETUPS and there.is_file():
             self.choose(setup=there.read_text("utf-8", "replace"), changes={})
-        elif ending in ROBOTS or not there.exists():
+        elif ending in ROBOTS or not (ending or there.exists()):
             self.scene, robot = None, word.strip().replace(name, str(path), 1)
             self.choose(robot=robot, changes={})
         else:
@@ -387,7 +389,7 @@ class Job:
         """Where files come from; always the same, so that uploads are not disturbed."""
         said = "Drop files here: the robot (URDF, xacro), measurements (CSV, ...), and "
         said += "a setup file if there is one"
-        names, path = ("(choose)", *bundled_robots()), ("or a path here",)
+        names, path = (NOTHING, *bundled_robots()), ("or a path here",)
         yield Widget("upload", "or choose a file", said, do=self.give)
         yield Widget("choice", "or bundled robot", names[0], names, do=self.add)
         yield Widget("entry", "take this path", choices=path, do=self.add)
@@ -413,7 +415,8 @@ class Job:
         if read.nominal is None or not read.columns:
             return
         joints, stated = [*read.nominal.model.names][1:], read.keys.get("columns", {})
-        units = [f"{name} [{unit}]" for name in read.columns for unit in UNITS]
+        kinds = [*LENGTH.units, *ANGLE.units]
+        units = [f"{name} [{unit}]" for name in read.columns for unit in kinds]
         known = [name for name in read.columns if name in {*joints, *measured()}]
         missing = [] if read.fit else [*joints, *POSITION]
         for ours in dict.fromkeys([*stated, *known, *missing]):

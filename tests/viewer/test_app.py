@@ -209,6 +209,11 @@ def test_paths_examples_and_files_of_the_same_name(tab, tmp_path):
     (tmp_path / "packages").mkdir()
     tab.job.add("packages")
     assert tab.job.read.opened.request.package_dir == [tmp_path / "packages"]
+    for nothing in ("", " ", "(choose)"):
+        tab.job.add(nothing)
+    tab.job.add("missing.csv")
+    assert "missing.csv: no such file" in tab.job.problem
+    assert tab.job.chosen.robot == "pa10"
     tab.job.add("nobody")
     assert "nobody" in tab.job.problem
 

@@ -378,9 +378,11 @@ def test_the_whole_way_in_a_browser_and_another_tab(browser, address, tmp_path):
     assert other.get_by_text("GOOD: ").count() == 0
     other.evaluate(
         "const data = new DataTransfer();"
+        "data.items.add(new File(['x,y,z\\n'], 'empty.csv'));"
         "data.items.add(new File(['<robot'], 'bad.urdf'));"
         "document.querySelector('[ondrop]').dispatchEvent(new DragEvent('drop',"
         "{dataTransfer: data, bubbles: true, cancelable: true}))"
     )
     other.get_by_text("bad.urdf:1: ").first.wait_for()
+    other.get_by_text("Measurements: empty.csv").wait_for()
     assert complaints == []

@@ -20,6 +20,8 @@ from calib_pin.cli.requests import opened
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from calib_pin.guidance import Event, Watch
 
 PAUSE = 0.2
@@ -97,6 +99,9 @@ def watch(
         Path | None,
         watching("--srdf FILE", "SRDF file of the links that need no collision check."),
     ] = None,
+    once: Annotated[
+        bool, watching("--once", "Look once, and end without a result.")
+    ] = False,
     force: options.Force = False,
     quiet: options.Quiet = False,
     json: options.Json = False,
@@ -121,6 +126,9 @@ def watch(
 
         live = Console(highlight=False, markup=False, emoji=False)
     with display(json=json, quiet=quiet, live=live) as tell:
+        if once:
+            any(map(tell, job.look()))
+            return 0 if job.fit is not None else 1
         follow(job, tell, before)
     if job.fit is None:
         return 1
@@ -155,8 +163,20 @@ def follow(job: Watch, tell: Tell, before: Callable[[], object]) -> None:
         return
 
 
-STYLES = {"finding": "bold red", "problem": "bold red", "reached": "bold green"}
+STYLES = {
+    **dict.fromkeys(("state", "next", "waiting"), "cyan"),
+    **dict.fromkeys(("finding", "problem"), "bold red"),
+    "reached": "bold green",
+}
 """Styles of the lines of a terminal by the kind of their event."""
+
+
+def styled(event: Event) -> Text:
+    """The line of an event on a terminal."""
+    from rich.text import Text
+
+    wrong = event.numbers.get("wrong")
+    return Text(event.text, style="red" if wrong else STYLES.get(event.kind, ""))
 
 
 @contextmanager
@@ -183,16 +203,15 @@ def display(
     from rich.live import Live
     from rich.text import Text
 
-    below: dict[str, Text] = {}
+    below = dict[str, Text]()
     with Live(console=live, auto_refresh=False) as shown:
 
         def tell(event: Event) -> None:
-            if event.kind in ("state", "next", "waiting"):
-                below.pop("waiting", None)
-                below[event.kind] = Text(event.text, style="cyan")
-                shown.update(Text("\n").join(below.values()), refresh=True)
+            if event.kind not in ("state", "next", "waiting"):
+                shown.console.print(styled(event))
                 return
-            style = "red" if event.numbers.get("wrong") else STYLES.get(event.kind, "")
-            shown.console.print(Text(event.text, style=style))
+            below.pop("waiting", None)
+            below[event.kind] = styled(event)
+            shown.update(Text("\n").join(below.values()), refresh=True)
 
         yield tell

@@ -64,5 +64,7 @@ def app(asked: App) -> int:
         window = Window("calib-pin", asked.port, file)
         window.welcome(page)
         serve(window, asked.port, asked.once)
+        for job in jobs.values():
+            job.stopped.set()
         worker.shutdown(cancel_futures=True)
     return 0

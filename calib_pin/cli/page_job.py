@@ -25,9 +25,10 @@ from calib_pin.cli.requests import Opened, calibrated, opened
 from calib_pin.cli.watch import watched
 from calib_pin.errors import CalibPinError, OptionError
 from calib_pin.guidance import Event, Watch
+from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.first_look import draft
 from calib_pin.io.json_text import merged
-from calib_pin.io.measured_columns import measured
+from calib_pin.io.measured_columns import POSITION, measured
 from calib_pin.io.results import REPORT, urdf_name
 from calib_pin.io.setup import setup_document, yaml_text
 from calib_pin.io.table import read_table
@@ -48,10 +49,9 @@ from calib_pin.viewer.scene import Scene, make_scene
 ROBOTS, SETUPS = (".urdf", ".xacro", ".xml", ".mjcf"), (".yaml", ".yml")
 """Endings of files that are no measurements."""
 
-OUT, SETUP, ALL = Path("calibrated"), Path("setup.yaml"), "calibrated.zip"
+NOTHING = "(choose)"
 
-UNITS = ("m", "mm", "in", "rad", "deg")
-"""Units of columns that are offered; a setup file may state others."""
+OUT, SETUP, ALL = Path("calibrated"), Path("setup.yaml"), "calibrated.zip"
 
 PAUSE = 1.0
 """Time between two looks at files that are followed [s]."""
@@ -88,6 +88,7 @@ class Read:
     Attributes:
         nominal: The robot; None for none yet.
         tips: Links that may be the tip, the likeliest first.
+        fit: How well the nominal robot fits as drafted; empty without a draft.
         text: The setup file.
         keys: Its keys.
         columns: Columns with units that may be meant.
@@ -97,6 +98,7 @@ class Read:
 
     nominal: Robot | None = None
     tips: Sequence[str] = ()
+    fit: str = ""
     text: str = ""
     keys: Mapping[str, Any] = field(default_factory=dict)
     columns: Sequence[str] = ()
@@ -120,6 +122,7 @@ class Job:
         result: The result, if it is calibrated.
         files: Files to download, by name.
         problem: Why something could not be done, on one line; empty if it could.
+        stopped: Set to end what is being done.
     """
 
     def __init__(
@@ -127,7 +130,7 @@ class Job:
     ) -> None:
         """Nothing is chosen yet."""
         self._folder, self._start, self._submit = folder, start, submit
-        self._address, self._stopped = address, threading.Event()
+        self._address, self.stopped = address, threading.Event()
         self.chosen, self.read, self.problem = Chosen(), Read(), ""
         self.scene: Scene | None = None
         self.result: CalibrationResult | None = None
@@ -149,6 +152,8 @@ class Job:
     def add(self, word: str) -> None:
         """Take a robot by its name, or a file or folder of this machine by its path."""
         name = split_arguments(word.strip())[0]
+        if name in ("", NOTHING):
+            return
         path, there = Path(name), self._folder / name
         if not there.is_file() and (self._start / path.expanduser()).exists():
             path = there = self._start / path.expanduser()
@@ -157,7 +162,7 @@ class Job:
             self.choose(packages=(path,))
         elif ending in SETUPS and there.is_file():
             self.choose(setup=there.read_text("utf-8", "replace"), changes={})
-        elif ending in ROBOTS or not there.exists():
+        elif ending in ROBOTS or not (ending or there.exists()):
             self.scene, robot = None, word.strip().replace(name, str(path), 1)
             self.choose(robot=robot, changes={})
         else:
@@ -185,7 +190,7 @@ class Job:
     # --- what is done then ---------------------------------------------------------
 
     def _do(self, work: Callable[[], None], name: str = "waiting") -> None:
-        self._stopped.clear()
+        self.stopped.clear()
         self._stage = name, None
         self._submit(self._done, work)
 
@@ -206,7 +211,7 @@ class Job:
 
     def _bar(self, name: str, part: float | None) -> None:
         self._stage = name, part
-        if self._stopped.is_set():
+        if self.stopped.is_set():
             raise KeyboardInterrupt
 
     def _read(self) -> None:
@@ -235,8 +240,7 @@ class Job:
             fault = error  # As `calibrate` reads it, it may show what is wrong.
         self._state(self.read.text)
         if chosen.changes:
-            # Of its comments the first ones stay, on how well the nominal robot fits.
-            head = self.read.text.partition("\n\n")[0] * bool(self.read.tips)
+            head = self.read.text.partition("\n")[0] * bool(self.read.fit)
             lines = merged(read_tree(SETUP).data or {}, chosen.changes)
             self._state(f"{head}\n\n{yaml_text(lines)}\n".lstrip())
         asked = Request(
@@ -278,7 +282,10 @@ class Job:
         asked = Draft(package_dir=[*chosen.packages], **{k: given[k] for k in names})
         robot, look = looked_at(asked, choose, ask)
         text = draft(robot, look, "calib-pin app")
-        self.read = replace(self.read, tips=look.tips, text=text)
+        # It begins with comments on the whole.
+        told = text.partition("\n\n")[0].replace("\n#   ", " ").split("\n# ")[1:]
+        fit = "\n".join(told)
+        self.read = replace(self.read, tips=look.tips, text=text, fit=fit)
 
     def _calibrate(self) -> None:
         given = self.read.opened
@@ -334,7 +341,7 @@ class Job:
         read, working = self.read, self._stage
         if working is not None and working[0]:
             yield Widget("progress", *working)
-            yield Widget("button", "stop", do=self._stopped.set)
+            yield Widget("button", "stop", do=self.stopped.set)
             return
         if self.problem:
             yield words(self.problem, "error")
@@ -384,7 +391,7 @@ class Job:
         """Where files come from; always the same, so that uploads are not disturbed."""
         said = "Drop files here: the robot (URDF, xacro), measurements (CSV, ...), and "
         said += "a setup file if there is one"
-        names, path = ("(choose)", *bundled_robots()), ("or a path here",)
+        names, path = (NOTHING, *bundled_robots()), ("or a path here",)
         yield Widget("upload", "or choose a file", said, do=self.give)
         yield Widget("choice", "or bundled robot", names[0], names, do=self.add)
         yield Widget("entry", "take this path", choices=path, do=self.add)
@@ -393,10 +400,8 @@ class Job:
         read = self.read
         if read.nominal is None or not read.columns:
             return
-        if read.tips:
-            # The draft begins with how well the nominal robot fits.
-            head = read.text.partition("\n\n")[0].replace("\n#   ", " ")
-            yield words("\n".join(head.split("\n# ")[1:]))
+        if read.fit:
+            yield words(f"As drafted: {read.fit}" if self.chosen.changes else read.fit)
         if self.chosen.changes:
             yield words(f"Changed lines:\n{yaml_text(self.chosen.changes)}", "code")
         links = read.nominal.links
@@ -409,10 +414,14 @@ class Job:
 
     def _columns(self) -> Iterator[Widget]:
         read = self.read
-        known = {*measured(), *(read.nominal.model.names if read.nominal else ())}
-        stated = read.keys.get("columns", {})
-        units = [f"{name} [{unit}]" for name in read.columns for unit in UNITS]
-        for ours in dict.fromkeys([*stated, *(k for k in read.columns if k in known)]):
+        if read.nominal is None or not read.columns:
+            return
+        joints, stated = [*read.nominal.model.names][1:], read.keys.get("columns", {})
+        kinds = [*LENGTH.units, *ANGLE.units]
+        units = [f"{name} [{unit}]" for name in read.columns for unit in kinds]
+        known = [name for name in read.columns if name in {*joints, *measured()}]
+        missing = [] if read.fit else [*joints, *POSITION]
+        for ours in dict.fromkeys([*stated, *known, *missing]):
             # The units of the column that is taken come first.
             own = str(stated.get(ours, ours)).partition(" [")[0]
             choices = sorted(units, key=lambda one: one.partition(" [")[0] != own)

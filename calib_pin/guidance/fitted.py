@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,12 +87,16 @@ class Fitted:
     reason: str = "nothing to compare it with yet"
     early: bool = False
 
-    def fit(self, known: bool) -> Fitted:
+    def fit(self, known: bool, robust: bool) -> Fitted:
         """The ordinary fit, or with wide priors as long as nothing tells the noise.
 
         Args:
             known: Whether fewer rows than these determined the frames.
+            robust: Whether the rows may have outliers that nobody has set aside.
         """
+        if not robust and self.setup.loss == "auto":
+            squared = replace(self.setup, loss="squared")
+            return replace(self, setup=squared).fit(known, True)
         try:
             problem = make_problem(self.chains, self.rows, self.setup)
             if not known:
@@ -143,7 +148,7 @@ class Fitted:
         chance = f_tail(square / values, values, freedom)
         return Deviation(float(size), float(sigma), unit, chance)
 
-    @property
+    @cached_property
     def doubtful(self) -> bool:
         """Whether the rows are so far from the robot that they may be read wrong."""
         if self.model is None:
@@ -168,8 +173,11 @@ class Fitted:
             seek: Whether to seek faults of all rows; they have been sought otherwise.
         """
         model = self.model
-        if model is None or self.early:
+        if model is None:
             return known, ()
+        if self.early:
+            case = Case.of(model.fit, self.chains)
+            return known, find(case, seek=False).others
         try:
             errors = fitted_errors(model, self.rows)
             held_out = check(model, self.rows, self.seed, validate=False)
@@ -191,8 +199,7 @@ class Fitted:
             if error.status == "weak"
         )
         verdict, reason = found.verdict
-        wrong = (one for one in found.findings if one.severity != "info")
-        return replace(known, verdict=verdict, reason=reason, **told), wrong
+        return replace(known, verdict=verdict, reason=reason, **told), found.findings
 
 
 def _wide(problem: Problem) -> JointPrior | dict[str, float]:

@@ -30,13 +30,15 @@ SETTLED = 1.0
 """Age of a file from which what looks unfinished is what it is [s]."""
 
 FEW = 8
-"""New rows up to which each is judged by those before it; more are judged together."""
+"""New rows up to which each is judged by those before it, while more are judged
+together; and rows from which a cause is sought why no robot explains them."""
 
 SEVERAL = 3
 """Last rows that disagree with those before them from which all are fitted together."""
 
 AGAIN = 1.25
-"""Number of rows by that of the last search for a cause, from which it is repeated."""
+"""Number of rows by that of the last robust fit, or the last search for a cause, from
+which it is repeated."""
 
 Key = tuple[str, bytes, int]
 """File, content and number of occurrence of a row."""
@@ -77,7 +79,7 @@ class Watch:
         """Begin with nothing."""
         self._read, self._files, self._limit = read, tuple(files), limit
         self._proposals = Proposals(files[0], plan, srdf, package_dirs, free)
-        self._seed, self._searched = seed, 0
+        self._seed, self._searched, self._reviewed = seed, 0, FEW
         self._stamp: tuple[Any, ...] | None = None
         self._told, self._reached, self._found = "", False, set[str]()
         self._known, self._aside = dict[Key, str](), set[Key]()
@@ -135,7 +137,7 @@ class Watch:
         fit = partial(self._fit, chains, setup, rows)
         if gone or self._fitted is None or len(units) > FEW:
             used[new] = len(units) > FEW
-            self._fitted = fit(used)
+            self._fitted = fit(used, True)
         for unit in units if len(units) <= FEW else ():
             deviation = self._fitted.deviation(rows.rows(np.array(unit)))
             again = any(keys[k][2] for k in unit)
@@ -146,20 +148,29 @@ class Watch:
             if used[unit[0]]:
                 self._fitted = fit(used)
         # Which of several are wrong is for the fit of all to say.
-        if all(keys[k] in self._aside for k in rows.in_order[-SEVERAL:]) and new:
+        last = _units(rows, rows.in_order.tolist())[-SEVERAL:]
+        if new and all(keys[unit[0]] in self._aside for unit in last):
             self._aside = {key for key in keys if key[2]}
             used = np.array([not key[2] for key in keys])
-            self._fitted = fit(used)
+            self._fitted = fit(used, True)
         yield from self._reconsidered(rows, keys, used)
         yield from self._guided(rows)
 
     def _fit(
-        self, chains: Chains, setup: Setup, rows: Observations, used: Booleans
+        self,
+        chains: Chains,
+        setup: Setup,
+        rows: Observations,
+        used: Booleans,
+        robust: bool = False,
     ) -> Fitted:
-        """Fit the rows that are used."""
+        """Fit the rows that are used, now and then robustly."""
         known = self._fitted is not None and self._fitted.model is not None
         found = Fitted(chains, rows.rows(used), setup, self._seed)
-        found = found.fit(known) if used.any() else found
+        robust = robust or used.sum() >= AGAIN * self._reviewed
+        if robust:
+            self._reviewed = int(used.sum())
+        found = found.fit(known, robust) if used.any() else found
         self.fit, self._places = found.model, np.flatnonzero(used)
         return found
 
@@ -186,10 +197,14 @@ class Watch:
         fitted = self._fitted
         if fitted is None or fitted.doubtful:
             return
-        for k in [k for k, key in enumerate(keys) if key in self._aside and not key[2]]:
-            found, place = fitted.deviation(rows.rows(np.array([k]))), rows.source(k)
+        aside = [k for k, key in enumerate(keys) if key in self._aside and not key[2]]
+        for unit in _units(rows, aside):
+            found, place = (
+                fitted.deviation(rows.rows(np.array(unit))),
+                rows.source(unit[0]),
+            )
             if found is not None and not found.wrong:
-                self._aside.remove(keys[k])
+                self._aside -= {keys[k] for k in unit}
                 text = f"{place}: agrees with the others now; used again"
                 yield Event("row", text, {"place": place, "wrong": False})
         assert fitted.model is not None
@@ -206,7 +221,7 @@ class Watch:
         assert fitted is not None
         doubtful = fitted.doubtful
         self._searched = self._searched if doubtful else 0
-        if doubtful and count >= max(AGAIN * self._searched, SEVERAL):
+        if doubtful and count >= max(AGAIN * self._searched, FEW):
             self._searched = count
             others = partial(other_robots, fitted.chains, fitted.setup)
             yield from self._causes(fitted.causes(rows, others))
@@ -228,11 +243,11 @@ class Watch:
 
     def _causes(self, found: Iterable[Finding]) -> Iterator[Event]:
         """Tell of findings, each once as long as it stands."""
-        by_code = {one.code: one for one in found}
+        by_code = {one.code: one for one in found if one.severity == "error"}
         for code, one in by_code.items():
             if code not in self._found:
                 text = "; ".join(filter(None, (one.message, one.remedy)))
-                numbers = {"code": code, "severity": one.severity, "setup": one.setup}
+                numbers = {"code": code, "setup": one.setup}
                 yield Event("finding", text, numbers)
         self._found = {*by_code}
 

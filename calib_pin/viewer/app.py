@@ -20,12 +20,15 @@ PAUSE = 0.2
 DROP = """
 <div ondragover="event.preventDefault()" ondrop="event.preventDefault();
 const input = document.querySelector('input[type=file]');
-for (const file of event.dataTransfer.files) {{
+[...event.dataTransfer.files].forEach((file, k) => setTimeout(() => {{
   const one = new DataTransfer(); one.items.add(file); input.files = one.files;
   input.dispatchEvent(new Event('change', {{bubbles: true}}));
-}}" style="border: 2px dashed #8aa; border-radius: 8px; margin: 0.2em 0.9em 0.6em;
-padding: 1.1em 0.8em; text-align: center; font-size: 0.9em">{}</div>"""
-"""Where files may be dropped; the button for the choice of one takes them in."""
+}}, 500 * k))" style="border: 2px dashed #8aa; border-radius: 8px; text-align: center;
+margin: 0.2em 0.9em 0.6em; padding: 1.1em 0.8em; font-size: 0.9em">{}</div>"""
+"""Where files may be dropped; the button for the choice of one takes them in.
+
+It knows the last one only: several follow one another.
+"""
 
 TONES = {
     **{"plain": "", "note": "opacity: 0.75", "strong": "font-weight: 600"},
@@ -205,4 +208,8 @@ def draw(gui: viser.GuiApi, widget: Widget) -> None:
         case "upload":
             gui.add_html(DROP.format(html.escape(value)))
             upload = gui.add_upload_button(label)
-            upload.on_upload(lambda _: do(upload.value.name, upload.value.content))
+
+            # Where uploads come in, so that the next one cannot take its place.
+            @upload.on_upload
+            async def take(_: object) -> None:
+                do(upload.value.name, upload.value.content)

@@ -152,6 +152,7 @@ def test_what_was_found_can_be_changed(tab):
     tab.widget("Found in the files", "tip").do("base_link")
     assert tab.job.problem.count("\n") == 0 and tab.job.problem
     assert tab.job.read.opened is None
+    assert {"joint_7", "x"} <= {w.label for w in tab.shown("Columns and units")}
     tab.widget("Found in the files", "tip").do("tool")
     assert tab.job.problem == "" and tab.job.read.opened is not None
     # Of a person's own text nothing is drafted.
@@ -208,6 +209,11 @@ def test_paths_examples_and_files_of_the_same_name(tab, tmp_path):
     (tmp_path / "packages").mkdir()
     tab.job.add("packages")
     assert tab.job.read.opened.request.package_dir == [tmp_path / "packages"]
+    for nothing in ("", " ", "(choose)"):
+        tab.job.add(nothing)
+    tab.job.add("missing.csv")
+    assert "missing.csv: no such file" in tab.job.problem
+    assert tab.job.chosen.robot == "pa10"
     tab.job.add("nobody")
     assert "nobody" in tab.job.problem
 
@@ -372,9 +378,11 @@ def test_the_whole_way_in_a_browser_and_another_tab(browser, address, tmp_path):
     assert other.get_by_text("GOOD: ").count() == 0
     other.evaluate(
         "const data = new DataTransfer();"
+        "data.items.add(new File(['x,y,z\\n'], 'empty.csv'));"
         "data.items.add(new File(['<robot'], 'bad.urdf'));"
         "document.querySelector('[ondrop]').dispatchEvent(new DragEvent('drop',"
         "{dataTransfer: data, bubbles: true, cancelable: true}))"
     )
     other.get_by_text("bad.urdf:1: ").first.wait_for()
+    other.get_by_text("Measurements: empty.csv").wait_for()
     assert complaints == []

@@ -21,6 +21,8 @@ from calib_pin.cli.requests import opened
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from calib_pin.guidance import Event, Watch
 
 PAUSE = 0.2
@@ -77,6 +79,7 @@ class Watched(options.QuietAnswer, Request):
         limit: Expected error of the tool point to reach [m]; by default 'limit' of the
             setup file.
         srdf: SRDF file of the links that need no collision check.
+        once: Look once, and end without a result.
     """
 
     output: Annotated[Path | None, Told("DIR", "Output")] = None
@@ -84,6 +87,7 @@ class Watched(options.QuietAnswer, Request):
     type: Annotated[bool, Told("", "Watch")] = False
     limit: Annotated[float | None, Told("S", "Watch", LIMIT)] = None
     srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
+    once: Annotated[bool, Told("", "Watch")] = False
 
 
 @options.spread
@@ -108,11 +112,14 @@ def watch(asked: Watched, context: typer.Context) -> int:
 
         live = Console(highlight=False, markup=False, emoji=False)
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
+        if asked.once:
+            any(map(tell, job.look()))
+            return 0 if job.fit is not None else 1
         follow(job, tell, before)
     if job.fit is None:
         return 1
     context.obj = asked.words(asked.output or Path())[1:]
-    own = {"plan", "type", "limit", "srdf"}
+    own = {"plan", "type", "limit", "srdf", "once"}
     given = {name: value for name, value in vars(asked).items() if name not in own}
     return calibrate(**given, context=context)
 
@@ -134,8 +141,20 @@ def follow(job: Watch, tell: Tell, before: Callable[[], object]) -> None:
         return
 
 
-STYLES = {"finding": "bold red", "problem": "bold red", "reached": "bold green"}
+STYLES = {
+    **dict.fromkeys(("state", "next", "waiting"), "cyan"),
+    **dict.fromkeys(("finding", "problem"), "bold red"),
+    "reached": "bold green",
+}
 """Styles of the lines of a terminal by the kind of their event."""
+
+
+def styled(event: Event) -> Text:
+    """The line of an event on a terminal."""
+    from rich.text import Text
+
+    wrong = event.numbers.get("wrong")
+    return Text(event.text, style="red" if wrong else STYLES.get(event.kind, ""))
 
 
 @contextmanager
@@ -162,16 +181,15 @@ def display(
     from rich.live import Live
     from rich.text import Text
 
-    below: dict[str, Text] = {}
+    below = dict[str, Text]()
     with Live(console=live, auto_refresh=False) as shown:
 
         def tell(event: Event) -> None:
-            if event.kind in ("state", "next", "waiting"):
-                below.pop("waiting", None)
-                below[event.kind] = Text(event.text, style="cyan")
-                shown.update(Text("\n").join(below.values()), refresh=True)
+            if event.kind not in ("state", "next", "waiting"):
+                shown.console.print(styled(event))
                 return
-            style = "red" if event.numbers.get("wrong") else STYLES.get(event.kind, "")
-            shown.console.print(Text(event.text, style=style))
+            below.pop("waiting", None)
+            below[event.kind] = styled(event)
+            shown.update(Text("\n").join(below.values()), refresh=True)
 
         yield tell

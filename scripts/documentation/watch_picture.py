@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 import calib_pin
-from calib_pin.cli.request import Request
+from calib_pin.cli.options import Request
 from calib_pin.cli.watch import styled, watched
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chains import Chains
@@ -51,7 +51,9 @@ def text() -> str:
     with TemporaryDirectory() as folder:
         os.chdir(folder)  # Its name is in no line.
         try:
-            job = watched(Request("space6", [Path("tracker.csv")], tip="tool"))
+            job = watched(
+                Request(robot="space6", measurements=[Path("tracker.csv")], tip="tool")
+            )
             last = {}
             for count in range(FIRST, ROWS + 1):
                 some = every.rows(np.arange(count))

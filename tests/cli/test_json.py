@@ -11,7 +11,7 @@ import pytest
 from calib_pin.cli.app import COMMANDS
 from tests.cli.files import table, write
 
-INTERACTIVE = {"app", "view"}
+INTERACTIVE = {"app", "view", "watch"}
 """Commands whose result is in a browser."""
 
 PLAN = "--method greedy --candidates 60 --ignore-collisions --count 8 -o new.csv"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from calib_pin.cli import files, options
+from calib_pin.cli import files, options, printing
 from calib_pin.cli.options import Told
 from calib_pin.errors import OptionError, require_known
 
@@ -39,12 +39,15 @@ def export(asked: Export) -> int:
     Exit status 1: the calibration must not be trusted, or has nothing of this kind.
     """
     from calib_pin.io import exchange, results
+    from calib_pin.report.blocks import table
 
     form, output, template = asked.format, asked.output, asked.template
     if form == "list":
-        for known in exchange.FORMATS.values():
-            needs = f" (--template {known.template})" if known.template else ""
-            print(f"{known.name:16} {known.summary}{needs}")
+        rows = [
+            (f.name, f.summary + f" (--template {f.template})" * bool(f.template))
+            for f in exchange.FORMATS.values()
+        ]
+        printing.show([table("", ("|word", "|remark"), rows)])
         return 0
     wanted = exchange.FORMATS[form]
     if output is None:

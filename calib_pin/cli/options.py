@@ -120,11 +120,12 @@ def _loaded(where: str, more: Iterable[str] = ()) -> list[str]:
 def _model(text: str) -> str:
     """A measurement model; `list` prints all with their help, and ends."""
     from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+    from calib_pin.report.blocks import table
 
     if text != "list":
         return text
-    for name in MEASUREMENT_MODELS:
-        print(f"{name:18} {declared(name).help}")
+    rows = [(name, declared(name).help) for name in MEASUREMENT_MODELS]
+    show([table("", ("|word", "|remark"), rows)])
     raise typer.Exit
 
 

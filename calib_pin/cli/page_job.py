@@ -311,11 +311,15 @@ class Job:
         self, chains: Chains, setup: Setup, model: CalibratedModel | None = None
     ) -> Scene:
         given, folders = self.read.opened, self.chosen.packages
-        tells, read = partial(stage, self._bar), None
-        if given is not None:
-            read = lambda *_, **__: (given.chains, given.measurements)  # noqa: E731
         return make_scene(
-            chains, model, setup, read, None, folders, tell=notice, stage=tells
+            chains,
+            model,
+            setup,
+            given and (lambda *_, **__: (given.chains, given.measurements)),
+            None,
+            folders,
+            tell=notice,
+            stage=partial(stage, self._bar),
         )
 
     # --- what is shown -------------------------------------------------------------

@@ -311,15 +311,9 @@ class Job:
         self, chains: Chains, setup: Setup, model: CalibratedModel | None = None
     ) -> Scene:
         given, folders = self.read.opened, self.chosen.packages
+        read, tells = None if given is None else given.again, partial(stage, self._bar)
         return make_scene(
-            chains,
-            model,
-            setup,
-            given and (lambda *_, **__: (given.chains, given.measurements)),
-            None,
-            folders,
-            tell=notice,
-            stage=partial(stage, self._bar),
+            chains, model, setup, read, None, folders, tell=notice, stage=tells
         )
 
     # --- what is shown -------------------------------------------------------------

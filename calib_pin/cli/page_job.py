@@ -313,9 +313,7 @@ class Job:
         self, chains: Chains, setup: Setup, model: CalibratedModel | None = None
     ) -> Scene:
         given, folders = self.read.opened, self.chosen.packages
-        tells, read = partial(stage, self._bar), None
-        if given is not None:
-            read = lambda *_, **__: (given.chains, given.measurements)  # noqa: E731
+        read, tells = None if given is None else given.again, partial(stage, self._bar)
         return make_scene(
             chains, model, setup, read, None, folders, tell=notice, stage=tells
         )

@@ -45,6 +45,10 @@ class Opened:
     files: results.ResultFiles | None
     older: CalibrationResult | None = None
 
+    def again(self, *_: object, **options: object) -> tuple[Chains, Observations]:
+        """The chains and measurements, for who reads them as `open_measurements`."""
+        return self.chains, self.measurements
+
 
 @dataclass(frozen=True)
 class Calibrated:

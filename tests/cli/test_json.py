@@ -12,7 +12,7 @@ from calib_pin.cli.app import COMMANDS
 from tests.cli.files import table, write
 
 INTERACTIVE = {"app", "view", "watch"}
-"""Commands whose result is in a browser."""
+"""Commands that go on until they are ended."""
 
 PLAN = "--method greedy --candidates 60 --ignore-collisions --count 8 -o new.csv"
 RESULTS = {

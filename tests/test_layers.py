@@ -23,7 +23,8 @@ ROOMS = (
     ),
     *("observations", "parameterizations", "measurement_models", "solvers"),
     *("residual_models", "estimation", "validation", "planning", "control"),
-    *("simulation", "calibration", "monte_carlo", "io", "report", "viewer", "cli"),
+    *("simulation", "calibration", "monte_carlo", "io", "guidance"),
+    *("report", "viewer", "cli"),
     "__main__",
 )
 """The modules and folders of the package, each of which imports only those before."""
@@ -81,11 +82,20 @@ def imported(tree: ast.AST) -> set[str]:
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "relative imports hide where they point"
+            names = {f"{node.module}.{alias.name}" for alias in node.names}
+            modules = {name for name in names if is_module(name)}
             if node.module == "calib_pin":
-                found |= {f"calib_pin.{alias.name}" for alias in node.names}
-            else:
+                found |= names
+            elif names - modules:
                 found.add(str(node.module))
+            found |= modules
     return found
+
+
+def is_module(name: str) -> bool:
+    """Whether a full name is that of a module of the package."""
+    path = PACKAGE.parent.joinpath(*name.split("."))
+    return path.is_dir() or path.with_suffix(".py").is_file()
 
 
 def room_of(module: str) -> str:

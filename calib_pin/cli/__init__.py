@@ -50,10 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from typer.exceptions import TyperException
 
     from calib_pin.cli.app import application
-    from calib_pin.cli.printing import tell_notices
-    from calib_pin.errors import CalibPinError
+    from calib_pin.cli.printing import complaint, taken_notices, tell_notices
 
-    tell_notices(forget=True)
+    taken_notices()
     given = list(sys.argv[1:] if arguments is None else arguments)
     words = [word for word in given if word != "--debug"]
     try:
@@ -72,15 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if "--debug" in given:
             raise
-        if isinstance(error, CalibPinError):
-            _complain(str(error))
-        elif isinstance(error, TyperException):
-            _complain(_usage(error))
-        elif isinstance(error, OSError):
-            _complain(f"{error.filename or 'output'}: {error.strerror or error}")
-        else:
-            reason = f"{type(error).__name__}: {error}"
-            _complain(f"internal error, please report it with --debug: {reason}")
+        usage = isinstance(error, TyperException)
+        _complain(_usage(error) if usage else complaint(error))
         return 1
     tell_notices()
     if status == INTERRUPTED:

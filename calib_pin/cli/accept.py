@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import calib_pin.cli.options as options
-from calib_pin.cli.files import (
-    check_outputs,
-    exists,
-    open_calibration,
-    open_measurements,
-    require_distinct,
-    require_file,
-)
-from calib_pin.cli.options import dated
-from calib_pin.cli.printing import notice, progress_bar
-from calib_pin.cli.request import Told
+from calib_pin.cli import files, options, printing
+from calib_pin.cli.options import Told
 from calib_pin.errors import stated_in
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from calib_pin.kinematics.chains import Chains
-    from calib_pin.validation.result import CalibrationResult
-
-PDF = "acceptance.pdf"
+NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Accept(options.QuietAnswer, options.OfRobot):
+class Accept(options.QuietAnswer, options.OfCalibration):
     """An acceptance test as it is asked for.
 
     Attributes:
@@ -41,8 +26,7 @@ class Accept(options.QuietAnswer, options.OfRobot):
         path: The poses are points of a path, measured in every cycle: AT, RT.
     """
 
-    robot: options.RobotOrCalibration
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...")]
+    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
     output: Annotated[Path | None, Told("DIR", "Output")] = None
     register: Annotated[bool, Told("", "Robot")] = False
     path: Annotated[bool, Told("", "Robot")] = False
@@ -62,98 +46,64 @@ def accept(asked: Accept) -> int:
     a limit is not reached, or the test does not decide.
     """
     from calib_pin.cli.documents import acceptance_document
-    from calib_pin.io.json_text import encode
-    from calib_pin.io.measurements import encode_table
-    from calib_pin.io.results import read_result
-    from calib_pin.report.acceptance_text import acceptance_report
+    from calib_pin.io import json_text, measurements, results
+    from calib_pin.report import acceptance_text, figures, html
     from calib_pin.report.cover import acceptance_cover
-    from calib_pin.report.figures import Judged, drawn
-    from calib_pin.report.html import acceptance_page
     from calib_pin.report.pdf import MISSING, can_write_pdf, pdf_report
-    from calib_pin.setup import LimitSetup, ReportSetup
-    from calib_pin.validation.acceptance import judged, tested
+    from calib_pin.validation import acceptance
 
-    stated, robot, measurements = asked.stated(), asked.robot, asked.measurements
-    output, path = asked.output, asked.path
-    limit, entries = stated.limit, stated.report
-    subject: Chains | CalibrationResult
-    doubts: list[str] = []
-    require_file(robot, ", or a robot")
-    if robot.endswith(".json"):
-        calibrated, used = open_calibration(
-            robot, asked.setup, stated, doubts.append, "limit", "report"
-        )
-        subject, chains = read_result(robot), calibrated.chains
-        if limit == LimitSetup():
-            limit = used.limit
-        if entries == ReportSetup():
-            # These of the calibration are not those of the test.
-            entries = replace(
-                used.report, date=None, temperature=None, load="", speed=""
-            )
-    else:
-        used = stated
-        chains = asked.chains(stated)
-    require_distinct(measurements)
-    files = []
-    if output is not None:
-        names = ["acceptance.json", "acceptance.csv", "acceptance.html"]
-        files = [
-            output / name for name in (*names, *([PDF] if can_write_pdf() else []))
-        ]
-    check_outputs(files, [robot, asked.setup, *measurements], asked.force)
-    with progress_bar(quiet=asked.quiet) as bar:
-        measured, rows = open_measurements(
-            measurements, chains, used, quiet=asked.quiet, bar=bar
-        )
-        if not robot.endswith(".json"):
-            subject = measured
-        with stated_in(str(measurements[0])):
-            named = _named(measurements, used.columns)
-            found = tested(
-                subject,
+    rows_in, output, path = asked.measurements, asked.output, asked.path
+    doubts = list[str]()
+    calibrated, chains, used = asked.subject(doubts.append, None, "limit", "report")
+    limit, entries = used.limit, used.report
+    if calibrated is not None and entries is calibrated.setup.report:
+        # These of the calibration are not those of the test.
+        entries = replace(entries, date=None, temperature=None, load="", speed="")
+    made = [output / name for name in NAMES] if output is not None else []
+    without = [] if can_write_pdf() else made[-1:]
+    made = [file for file in made if file not in without]
+    files.check_outputs(made, [asked.robot, asked.setup, *rows_in], asked.force)
+    with printing.progress_bar(quiet=asked.quiet) as bar:
+        measured, rows = asked.read(rows_in, chains, used, bar=bar)
+        with stated_in(str(rows_in[0])):
+            found = acceptance.tested(
+                measured if calibrated is None else results.read_result(asked.robot),
                 rows,
                 used,
                 registration=asked.register,
-                named=named,
+                named=_named(rows_in, used.columns),
                 doubts=doubts,
             )
     for doubt in doubts:
-        notice(doubt)
-    blocks = [*acceptance_report(found.tests, limit, found.about, path=path)]
+        printing.notice(doubt)
+    tests = found.tests
+    blocks = [*acceptance_text.acceptance_report(tests, limit, found.about, path=path)]
     contents = {}
-    if output is not None:
-        figure = next(drawn("acceptance", Judged(found.tests, limit, path)))
+    if made:
+        figure = next(figures.drawn("acceptance", tests, limit, path))
+        about = options.dated(entries), found.about
         cover = acceptance_cover(
-            found.tests,
-            limit,
-            chains.robot,
-            dated(entries),
-            found.about,
-            path=path,
-            figure=figure,
+            tests, limit, chains.robot, *about, path=path, figure=figure
         )
-        contents = {
-            output / "acceptance.json": encode(acceptance_document(found.tests, limit)),
-            output / "acceptance.csv": encode_table(found.table(), [found.about]),
-            output / "acceptance.html": acceptance_page(cover, blocks),
-        }
-        if can_write_pdf():
-            contents[output / PDF] = pdf_report(cover, blocks)
-        else:
-            stays = (
-                f"; {old} is not from this test" if exists(old := output / PDF) else ""
-            )
-            notice(f"no {PDF} is written: {MISSING}{stays}")
-    written = {"written": [*map(str, files)]} if files else {}
+        data = (
+            json_text.encode(acceptance_document(tests, limit)),
+            measurements.encode_table(found.table(), [found.about]),
+            html.acceptance_page(cover, blocks),
+            *(pdf_report(cover, blocks) for _ in made[3:]),
+        )
+        contents = dict(zip(made, data, strict=True))
+    for pdf in without:
+        stays = f"; {pdf} is not from this test" if files.exists(pdf) else ""
+        printing.notice(f"no {pdf.name} is written: {MISSING}{stays}")
+    written = {"written": [*map(str, made)]} if made else {}
     asked.give(
         contents,
-        lambda: acceptance_document(found.tests, limit) | written,
+        lambda: acceptance_document(tests, limit) | written,
         blocks,
-        [f"wrote {file}" for file in files],
+        [f"wrote {file}" for file in made],
     )
-    *_, last = found.tests.values()
-    passed = all(status == "pass" for _, status, *_ in judged(last, limit))
+    *_, last = tests.values()
+    passed = all(status == "pass" for _, status, *_ in acceptance.judged(last, limit))
     return 0 if passed and not last.doubts else 2
 
 

@@ -19,17 +19,20 @@ from calib_pin.cli.fleet import fleet
 from calib_pin.cli.identify import identify
 from calib_pin.cli.init import init
 from calib_pin.cli.join import join
+from calib_pin.cli.page import app
 from calib_pin.cli.plan import plan
 from calib_pin.cli.report import report
 from calib_pin.cli.robots import robots
 from calib_pin.cli.simulate import simulate
 from calib_pin.cli.view import view
+from calib_pin.cli.watch import watch
 from calib_pin.errors import OptionError
 from calib_pin.plugins import extensions
 
 COMMANDS: dict[Callable[..., int | None], str] = {
     init: "Draft a setup file from a robot and its measurements.",
     calibrate: "Fit a robot to measurements and write the corrected URDF.",
+    watch: "Follow measurements while they are taken.",
     identify: "Print which parameters are identifiable.",
     evaluate: "Print the accuracy of a robot or a calibration on measurements.",
     accept: "Test repeated poses in the terms of ISO 9283.",
@@ -43,6 +46,7 @@ COMMANDS: dict[Callable[..., int | None], str] = {
     compare: "Print the difference between two calibrations of a robot.",
     report: "Write the page and figures of a calibration again.",
     view: "Show a robot, its errors and a plan in the browser.",
+    app: "Calibrate in a page of the browser.",
     robots: "List the bundled robots.",
 }
 
@@ -56,12 +60,12 @@ def application(words: Sequence[str]) -> typer.Typer:
     Where it begins with a command, the others are left out: building all their options
     takes a while.
     """
-    app = typer.Typer(
+    made = typer.Typer(
         name="calib-pin",
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
     )
-    app.callback(
+    made.callback(
         invoke_without_command=True,
         epilog="Lengths are in m and angles in rad unless another unit is given. "
         "Exit status: 0 good, 1 wrong input or option, 2 the result must not be "
@@ -70,8 +74,8 @@ def application(words: Sequence[str]) -> typer.Typer:
     commands = {command.__name__: command for command in COMMANDS}
     for name in commands.keys() & set(words[:1]) or commands:
         summary = COMMANDS[commands[name]]
-        app.command(name, cls=Command, short_help=summary)(commands[name])
-    return app
+        made.command(name, cls=Command, short_help=summary)(commands[name])
+    return made
 
 
 def overview(

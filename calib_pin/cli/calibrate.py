@@ -2,52 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import calib_pin.cli.options as options
-from calib_pin.cli.printing import (
-    notice,
-    progress_bar,
-    say,
-    say_json,
-    say_written,
-    show,
-)
-from calib_pin.cli.request import Request
-from calib_pin.cli.requests import calibrated, opened
-from calib_pin.cli.results import (
-    FigureFormat,
-    Figures,
-    figure_files,
-    told_figures,
-    write_results,
-)
-from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
+from calib_pin.cli import options, printing, requests, results
+
+if TYPE_CHECKING:
+    from calib_pin.report.blocks import Block
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(
+    options.QuietAnswer,
+    options.Shared,
+    options.Pictured,
+    options.Detailed,
+    options.Request,
+):
+    """A calibration with what is to be left of it.
+
+    Attributes:
+        output: Folder for the results; without it they are only printed.
+    """
+
+    output: Annotated[Path | None, options.Told("DIR", "Output")] = None
 
 
 @options.spread
-def calibrate(
-    request: Request,
-    context: typer.Context,
-    output: Annotated[
-        Path | None,
-        options.output(
-            "-o --output DIR",
-            "Folder for the results; without it they are only printed.",
-        ),
-    ] = None,
-    details: options.Details = False,
-    figures: Figures = None,
-    figure_format: FigureFormat = "png",
-    workers: WorkerCount = None,
-    cluster: ClusterAddress = None,
-    force: options.Force = False,
-    quiet: options.Quiet = False,
-    json: options.Json = False,
-) -> int:
+def calibrate(asked: Calibrate, context: typer.Context) -> int:
     """Fit a robot to measurements and write the corrected URDF.
 
     DIR receives <robot name>.urdf, nominal.urdf, calibration.json, measurements.csv
@@ -58,36 +44,42 @@ def calibrate(
     be trusted; the reason comes first, and no <robot name>.urdf is written.
     """
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.files import write_files
-    from calib_pin.report.text import report
+    from calib_pin.io.results import calibration_document
+    from calib_pin.report import blocks, text
 
-    pictures = figure_files(figures, figure_format, "calibration")
-    with progress_bar(quiet=quiet) as bar:
-        given = opened(request, output, pictures, force=force, quiet=quiet, bar=bar)
-    with progress_bar(quiet=quiet) as bar, asked_workers(workers, cluster) as several:
-        words = ("calib-pin", *context.obj)
-        found = calibrated(given, words, pictures, bar=bar, workers=several)
-    result, files, contents = found.result, given.files, found.contents
+    force, quiet, details = asked.force, asked.quiet, asked.details
+    pictures = results.figure_files(asked.figures, asked.figure_format, "calibration")
+    with printing.progress_bar(quiet=quiet) as bar:
+        given = requests.opened(
+            asked, asked.output, pictures, force=force, quiet=quiet, bar=bar
+        )
     with (
-        write_files(contents, force=force)
-        if files is None
-        else write_results(result, files, contents, force=force)
+        printing.progress_bar(quiet=quiet) as bar,
+        options.asked_workers(asked.workers, asked.cluster) as several,
     ):
-        if json and files is not None:
-            say(contents[files.json].decode())
-        elif json:
-            from calib_pin.io.results import calibration_document
+        words = ("calib-pin", *context.obj)
+        found = requests.calibrated(given, words, pictures, bar=bar, workers=several)
+    result, files, contents = found.result, given.files, found.contents
 
-            say_json(calibration_document(result, suggestions=found.suggestions))
-        elif not quiet:
-            show(report(result, found.suggestions, details=details))
-            if not details:
-                more = f"{files.report}, or --details" if files else "--details"
-                say(f"Statistics and all parameters: {more}\n")
-    pictured = told_figures(found.pictures, pictures)
-    if not quiet and not json:
-        written = [path for path in files or () if path in contents]
-        say_written([*(f"wrote {path}" for path in written), *pictured])
-    elif result.verdict not in TRUSTED:
-        notice(f"{result.verdict}: {result.reason}")
+    def said() -> Iterator[Block]:
+        yield from text.report(result, found.suggestions, details=details)
+        if not details:
+            more = f"{files.report}, or --details" if files else "--details"
+            yield blocks.Line(f"Statistics and all parameters: {more}")
+
+    def document() -> Mapping[str, Any] | bytes:
+        if files is None:
+            return calibration_document(result, suggestions=found.suggestions)
+        return contents[files.json]
+
+    def written() -> Iterator[str]:
+        yield from (f"wrote {path}" for path in files or () if path in contents)
+        yield from results.told_figures(found.pictures, pictures)
+
+    writing = None
+    if files is not None:
+        writing = results.write_results(result, files, contents, force=force)
+    asked.give(contents, document, said(), written(), writing)
+    if (quiet or asked.json) and result.verdict not in TRUSTED:
+        printing.notice(f"{result.verdict}: {result.reason}")
     return 0 if result.verdict in TRUSTED else 2

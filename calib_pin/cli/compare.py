@@ -6,21 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import calib_pin.cli.options as options
-from calib_pin.cli.files import check_outputs, require_distinct, require_file
-from calib_pin.cli.request import SEED, Told
-from calib_pin.cli.results import (
-    FigureFormat,
-    Figures,
-    draw,
-    figure_contents,
-    figure_files,
-    told_figures,
-)
+from calib_pin.cli import files, options, results
+from calib_pin.cli.options import SEED, Told
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare(options.Answer):
+class Compare(options.Answer, options.Pictured):
     """A question for the difference of two calibrations.
 
     Attributes:
@@ -29,11 +20,9 @@ class Compare(options.Answer):
         seed: Random seed of the configurations that are compared.
     """
 
-    first: Annotated[Path, Told("A.json")]
-    second: Annotated[Path, Told("B.json")]
+    first: Annotated[Path, Told("A.json", "")]
+    second: Annotated[Path, Told("B.json", "")]
     seed: Annotated[int, Told("N", "Workspace", SEED)] = 0
-    figures: Figures = None
-    figure_format: FigureFormat = "png"
 
 
 @options.spread
@@ -53,21 +42,21 @@ def compare(asked: Compare) -> int:
     from calib_pin.validation.comparison import compare as run
     from calib_pin.validation.comparison import faults
 
-    files = (asked.first, asked.second)
-    for file in files:
-        require_file(file)
-    require_distinct(files)
-    pictures = figure_files(asked.figures, asked.figure_format, "comparison")
-    check_outputs(pictures, files, asked.force)
-    A, B = map(read_result, files)
+    both = (asked.first, asked.second)
+    for file in both:
+        files.require_file(file)
+    files.require_distinct(both)
+    pictures = results.figure_files(asked.figures, asked.figure_format, "comparison")
+    files.check_outputs(pictures, both, asked.force)
+    A, B = map(read_result, both)
     found = run(A, B, seed=asked.seed)
-    drawn = draw("comparison", None, found.drift) if pictures else []
-    contents = figure_contents(drawn, pictures)
+    drawn = results.draw("comparison", found.drift, None) if pictures else []
+    contents = results.figure_contents(drawn, pictures)
     asked.give(
         contents,
         lambda: comparison_document(found),
         comparison_report(found),
-        told_figures(contents, pictures),
+        results.told_figures(contents, pictures),
     )
     trusted = {A.verdict, B.verdict} <= set(TRUSTED)
     different = any(fault.severity == "error" for fault in faults(found))

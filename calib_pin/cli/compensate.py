@@ -4,23 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-import calib_pin.cli.options as options
-from calib_pin.cli.collisions import Untouched, ways_of
-from calib_pin.cli.files import (
-    check_outputs,
-    open_setup,
-    require_file,
-    require_folders,
-    require_joints_only,
-)
-from calib_pin.cli.printing import notice, progress_bar, stage, told_command
-from calib_pin.cli.request import Told, number
-from calib_pin.errors import OptionError, require_known
+from calib_pin.cli import files, options, printing
+from calib_pin.cli.options import Told, known, number
+from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
     from calib_pin.control.calibrated import Frame, Point
@@ -39,11 +31,16 @@ if TYPE_CHECKING:
 SPEED = 0.25
 """Part of the joint speeds at which programs move."""
 
+FRAMES, POINTS = ("measuring", "base"), ("tool", "tip")
+"""Frames of targets, and points that are brought there; the usual ones first."""
+
 PART = number(float, "--speed", "0.001 to 1", 1e-3, 1.0)
+FORMAT = known("format", "io.exchange.motions:PROGRAMS", "csv")
+FRAME, POINT = known("frame", "", *FRAMES), known("point", "", *POINTS)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Commands(Untouched):
+class Commands(options.Untouched, options.InDegrees, options.OfChain):
     """Commands as they are asked for.
 
     Attributes:
@@ -51,6 +48,7 @@ class Commands(Untouched):
         targets: CSV file of positions or poses (optionally with joint positions to
             start from), or of joint positions alone: a motion of the nominal robot.
         output: File of joint commands to write.
+        setup: Setup file (YAML); options override it.
         frame: Frame of the targets: measuring (default), that of the measurements, or
             base, the base link.
         point: Point to bring there: tool (default), the measured point, or tip, the tip
@@ -68,21 +66,119 @@ class Commands(Untouched):
             programs (default 0.25, or the file's own times), in CSV a column 'time'.
     """
 
-    calibration: Annotated[Path, Told("calibration.json")]
-    targets: Annotated[Path, Told("TARGETS")]
+    calibration: Annotated[Path, Told("calibration.json", "")]
+    targets: Annotated[Path, Told("TARGETS", "")]
     output: Annotated[Path, Told("CSV", "Output")]
-    setup: options.SetupFile = None
-    chain: options.ChainName = None
-    frame: Annotated[str | None, Told("NAME", "Targets")] = None
-    point: Annotated[str | None, Told("NAME", "Targets")] = None
+    setup: Annotated[Path | None, Told("FILE", "Robot")] = None
+    frame: Annotated[str | None, Told("NAME", "Targets", FRAME)] = None
+    point: Annotated[str | None, Told("NAME", "Targets", POINT)] = None
     payload: Annotated[str | None, Told("NAME", "Targets")] = None
     station: Annotated[str | None, Told("NAME", "Targets")] = None
     tool: Annotated[str | None, Told("NAME", "Targets")] = None
     position: Annotated[bool, Told("", "Targets")] = False
     avoid_collisions: Annotated[bool, Told("", "Constraints")] = False
-    degrees: options.Degrees = False
-    format: Annotated[str, Told("NAME", "Output")] = "csv"
+    format: Annotated[str, Told("NAME", "Output", FORMAT)] = "csv"
     speed: Annotated[float | None, Told("PART", "Output", PART)] = None
+
+    def checked(self) -> Setup:
+        """The setup, of options that go together and files that may be written."""
+        if self.format != "csv" and self.degrees:
+            raise OptionError("--degrees is for --format csv")
+        stated, avoided = files.open_setup(self.setup), self.avoid_collisions
+        files.require_folders(self.package_dir or [])
+        if not avoided:
+            self.refuse_unused("--avoid-collisions belongs to", "package_dir")
+        files.require_joints_only(self.setup, stated, *["obstacles"] * avoided)
+        files.require_file(self.calibration)
+        inputs = (self.calibration, self.targets, self.setup, self.srdf)
+        files.check_outputs([self.output], inputs, self.force)
+        return stated
+
+    def read(
+        self, model: CalibratedChain, stated: Setup
+    ) -> tuple[Targets, Floats | None]:
+        """The targets, and when they are reached if the file says so, (N,) [s]."""
+        import numpy as np
+
+        from calib_pin.io.targets import read_target_file, read_times
+
+        file = self.targets
+        targets = read_target_file(
+            file,
+            model.chain,
+            columns=stated.columns or model.setup.columns,
+            joints=stated.joints or model.setup.joints,
+            base=None if self.frame == "base" else model.error.base.translation,
+            notice=None if self.quiet else printing.notice,
+        )
+        motion, csv, times = targets.T is None, self.format == "csv", None
+        if motion and (self.frame or self.point) is not None:
+            reason = "the file holds joint positions only, and --frame and --point are "
+            raise OptionError(f"{reason}for targets", file=file)
+        if motion or not csv:
+            times = read_times(targets)
+        if times is not None and self.speed is not None:
+            if csv:
+                raise OptionError("--speed: the motion has times of its own", file=file)
+            times = None
+        # A file that cannot be written must not turn up after the work.
+        still = np.zeros((1, len(model.chain.joints)))
+        q = still if targets.q is None else targets.q[:1]
+        first = None if times is None else times[:1]
+        self.encoded(model.chain, targets, q, np.array([0]), first)
+        return targets, times
+
+    def found(
+        self,
+        model: CalibratedChain,
+        targets: Targets,
+        ways: Ways | None,
+        progress: Progress | None,
+    ) -> Compensation:
+        """The commands for targets, or for a motion of the nominal robot."""
+        from calib_pin.control.compensation import compensate, follow
+
+        free = None if ways is None else ways.collisions.free
+        if targets.T is None:
+            assert targets.q is not None
+            oriented = not self.position and len(targets.columns.tells) >= 6
+            return follow(
+                model, targets.q, orientation=oriented, free=free, progress=progress
+            )
+        return compensate(
+            model,
+            targets.T,
+            targets.q,
+            frame=cast("Frame", self.frame or FRAMES[0]),
+            point=cast("Point", self.point or POINTS[0]),
+            orientation=targets.oriented and not self.position,
+            free=free,
+            progress=progress,
+        )
+
+    def encoded(
+        self,
+        chain: Chain,
+        targets: Targets,
+        q: Floats,
+        row: Indices,
+        times: Floats | None,
+        comments: Sequence[str] = (),
+    ) -> bytes:
+        """The file of commands (M, n), of rows of the targets (M,), by times (M,)."""
+        from calib_pin.io.exchange.motions import PROGRAMS, moving_times, speed_limits
+        from calib_pin.io.targets import encode_commands
+
+        part = SPEED if self.speed is None else self.speed
+        if self.format != "csv":
+            program = PROGRAMS[self.format]
+            return program(chain, targets.columns, q, part, comments, times)
+        if self.speed is not None:
+            times = moving_times(q, speed_limits(chain, part))
+        elif targets.T is None:
+            times = None  # The motion keeps its own.
+        encode = partial(encode_commands, degrees=self.degrees, times=times)
+        return encode(targets, q, row, comments=comments)
 
 
 @options.spread
@@ -99,89 +195,73 @@ def compensate(asked: Commands, context: typer.Context) -> int:
     """
     import numpy as np
 
+    import calib_pin.report.compensation_text as texts
     from calib_pin.cli.documents import compensation_document
     from calib_pin.control.calibrated import block_of, model_errors, with_payload
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.exchange.motions import paced
     from calib_pin.io.results import read_result, written_before
     from calib_pin.planning.travel import Passage
-    from calib_pin.report.blocks import Line
-    from calib_pin.report.compensation_text import (
-        accuracy_lines,
-        compensation_report,
-        hasty_lines,
-        line_list,
-        ways_report,
-    )
-    from calib_pin.report.trust import judged
+    from calib_pin.report import blocks, trust
 
-    stated, file = _checked(asked), asked.calibration
+    stated, file, output = asked.checked(), asked.calibration, asked.output
     result = read_result(file)
     doubt = ""
     if result.verdict not in TRUSTED:
         doubt = f"{file} must not be trusted: {result.reason}"
     key = block_of(result.model, asked.chain, asked.station, asked.tool)
     model = with_payload(result.model.of(key), asked.payload, file)
-    robot = model.chain.robot.file
+    chain, robot = model.chain, model.chain.robot.file
     own: list[str | Path] = [robot, file.parent / robot, *written_before(file)]
-    check_outputs([asked.output], own, asked.force)
-    targets, timed = _read(asked, model, stated)
+    files.check_outputs([output], own, asked.force)
+    targets, timed = asked.read(model, stated)
     motion, lines = targets.T is None, targets.table.lines
-    remarks = [*_remarks(asked, result, key, targets, model)]
-    for remark in () if asked.quiet else remarks:
-        notice(remark)
-    ways = None
+    for remark in _remarks(asked, result, key, targets, chain):
+        asked.tell(remark)
+    ways, passed = None, None
     if asked.avoid_collisions:
         obstacles = stated.obstacles or model.setup.obstacles
-        said_in = stated.file or str(file)
-        collisions = asked.collisions(model.chain, obstacles, said_in)
-        ways = ways_of("--avoid-collisions", model.chain, collisions)
-    with progress_bar(quiet=asked.quiet) as bar:
-        found = _found(asked, model, targets, ways, stage(bar, "compensate"))
+        collisions = asked.collisions(chain, obstacles, stated.file or str(file))
+        ways = options.ways_of("--avoid-collisions", chain, collisions)
+    with printing.progress_bar(quiet=asked.quiet) as bar:
+        found = asked.found(model, targets, ways, printing.stage(bar, "compensate"))
         (rows,) = np.nonzero(found.good)
         passage = Passage.straight(found.q[rows])
         if ways is not None:
             find = ways.checked if motion else ways.through
             rng = np.random.default_rng(0)
-            passage = find(found.q[rows], rng, stage(bar, "ways"))
+            passage = find(found.q[rows], rng, printing.stage(bar, "ways"))
     shut, row = lines[rows[list(passage.blocked)]].tolist(), passage.of(rows)
     times, hasty = None, list[int]()
     if timed is not None and len(rows):
-        times, fast = paced(model.chain, passage.q, row, timed)
+        times, fast = paced(chain, passage.q, row, timed)
         hasty = lines[fast].tolist()
     torn = motion and found.complete and bool(found.jumps.any())
     good = not (doubt or shut or hasty or torn) and found.complete
     contents = {}
     if good or not (motion or doubt or shut or hasty or not len(rows)):
-        comment = f"commands of: {told_command(context)}"
-        contents[asked.output] = _encoded(
-            asked, model.chain, targets, passage.q, row, times, [comment]
-        )
+        comments = [f"commands of: {printing.told_command(context)}"]
+        data = asked.encoded(chain, targets, passage.q, row, times, comments)
+        contents[output] = data
     accuracy, numbers = model_errors(result), lines.tolist()
-    said: list[Block] = [judged(doubt), Line("")] if doubt else []
-    said += compensation_report(
-        found, model.chain, motion=motion, file=str(asked.targets), lines=numbers
-    )
+    said: list[Block] = [trust.judged(doubt), blocks.Line("")] if doubt else []
+    about = {"motion": motion, "file": str(asked.targets), "lines": numbers}
+    said += texts.compensation_report(found, chain, **about)
     if ways is not None:
-        said += ways_report(found, passage, numbers, shut)
-    said += [*hasty_lines(hasty), *accuracy_lines(accuracy)]
+        passed = passage.vias, shut
+        said += texts.ways_report(found, passage, numbers, shut)
+    said += [*texts.hasty_lines(hasty), *texts.accuracy_lines(accuracy)]
+    written = output if contents else None
     asked.give(
         contents,
         lambda: compensation_document(
-            found,
-            model.chain,
-            targets,
-            doubt,
-            asked.output if contents else None,
-            accuracy,
-            None if ways is None else (passage.vias, shut),
-            hasty,
+            found, chain, targets, doubt, written, accuracy, passed, hasty
         ),
         said,
-        [f"wrote {asked.output}" if contents else "wrote nothing"],
+        [f"wrote {written or 'nothing'}"],
     )
     if asked.quiet and not asked.json and doubt:
-        notice(f"untrusted: {doubt}")
+        printing.notice(f"untrusted: {doubt}")
     elif asked.quiet and not asked.json and not good:
         for cause, missed in (
             ("out of reach", lines[~found.reached]),
@@ -191,65 +271,8 @@ def compensate(asked: Commands, context: typer.Context) -> int:
             ("discontinuity in joint space", lines[found.jumps & torn]),
         ):
             if len(missed):
-                notice(f"{cause}: {asked.targets}, {line_list(missed)}")
+                printing.notice(f"{cause}: {asked.targets}, {texts.line_list(missed)}")
     return 0 if good else 2
-
-
-def _checked(asked: Commands) -> Setup:
-    """The setup, of options that go together and files that may be written."""
-    from calib_pin.io.exchange.motions import PROGRAMS
-
-    require_known("format", asked.format, ("csv", *PROGRAMS))
-    if asked.format != "csv" and asked.degrees:
-        raise OptionError("--degrees is for --format csv")
-    require_known("frame", asked.frame or "base", ("measuring", "base"))
-    require_known("point", asked.point or "tip", ("tool", "tip"))
-    stated = open_setup(asked.setup)
-    require_folders(asked.package_dir or [])
-    if not asked.avoid_collisions:
-        asked.refuse_unused("--avoid-collisions belongs to", asked.package_dir)
-    require_joints_only(asked.setup, stated, *["obstacles"] * asked.avoid_collisions)
-    require_file(asked.calibration)
-    inputs = (asked.calibration, asked.targets, asked.setup, asked.srdf)
-    check_outputs([asked.output], inputs, asked.force)
-    return stated
-
-
-def _read(
-    asked: Commands, model: CalibratedChain, stated: Setup
-) -> tuple[Targets, Floats | None]:
-    """The targets, and when they are reached if the file says so, shape (N,) [s]."""
-    import numpy as np
-
-    from calib_pin.io.targets import read_target_file, read_times
-
-    file = asked.targets
-    targets = read_target_file(
-        file,
-        model.chain,
-        columns=stated.columns or model.setup.columns,
-        joints=stated.joints or model.setup.joints,
-        base=None if asked.frame == "base" else model.error.base.translation,
-        notice=None if asked.quiet else notice,
-    )
-    motion, csv, times = targets.T is None, asked.format == "csv", None
-    if motion and (asked.frame or asked.point) is not None:
-        raise OptionError(
-            "the file holds joint positions only, and --frame and --point are for "
-            "targets",
-            file=file,
-        )
-    if motion or not csv:
-        times = read_times(targets)
-    if times is not None and asked.speed is not None:
-        if csv:
-            raise OptionError("--speed: the motion has times of its own", file=file)
-        times = None
-    # A file that cannot be written must not turn up after the work.
-    q = np.zeros((1, len(model.chain.joints))) if targets.q is None else targets.q[:1]
-    first = None if times is None else times[:1]
-    _encoded(asked, model.chain, targets, q, np.array([0]), first)
-    return targets, times
 
 
 def _remarks(
@@ -257,11 +280,10 @@ def _remarks(
     result: CalibrationResult,
     key: BlockKey,
     targets: Targets,
-    model: CalibratedChain,
+    chain: Chain,
 ) -> Iterator[str]:
     """Remarks on targets, before commands for them are looked for."""
-    from calib_pin.control.calibrated import ends_known
-    from calib_pin.control.joints import Joints
+    from calib_pin.control import calibrated, joints
     from calib_pin.measurement_models import declared
     from calib_pin.report.compensation_text import line_list
 
@@ -273,71 +295,14 @@ def _remarks(
             "that of the tip link"
         )
     if targets.q is not None:
-        long = targets.table.lines[Joints.of(model.chain).long_ways(targets.q)]
+        long = targets.table.lines[joints.Joints.of(chain).long_ways(targets.q)]
         if len(long):
             yield (
                 "a joint turns almost once around, where its limits allow a short way, "
                 f"to {line_list(long)}"
             )
-    ends = (asked.frame or "measuring", asked.point or "tool")
-    if targets.T is None:
-        ends = ("base", "tip")
-    known = ends_known(result, key, *ends)
-    if known:
+    ends = (asked.frame or FRAMES[0], asked.point or POINTS[0])
+    if known := calibrated.ends_known(
+        result, key, *(("base", "tip") if targets.T is None else ends)
+    ):
         yield known
-
-
-def _found(
-    asked: Commands,
-    model: CalibratedChain,
-    targets: Targets,
-    ways: Ways | None,
-    progress: Progress | None,
-) -> Compensation:
-    """The commands for targets, or for a motion of the nominal robot."""
-    from calib_pin.control.compensation import compensate as run
-    from calib_pin.control.compensation import follow
-
-    free = None if ways is None else ways.collisions.free
-    if targets.T is None:
-        assert targets.q is not None
-        oriented = not asked.position and len(targets.columns.tells) >= 6
-        return follow(
-            model, targets.q, orientation=oriented, free=free, progress=progress
-        )
-    return run(
-        model,
-        targets.T,
-        targets.q,
-        frame=cast("Frame", asked.frame or "measuring"),
-        point=cast("Point", asked.point or "tool"),
-        orientation=targets.oriented and not asked.position,
-        free=free,
-        progress=progress,
-    )
-
-
-def _encoded(
-    asked: Commands,
-    chain: Chain,
-    targets: Targets,
-    q: Floats,
-    row: Indices,
-    times: Floats | None,
-    comments: Sequence[str] = (),
-) -> bytes:
-    """The file of commands, (M, n), of rows of the targets, (M,), by times, (M,)."""
-    from calib_pin.io.exchange.motions import PROGRAMS, moving_times, speed_limits
-    from calib_pin.io.targets import encode_commands
-
-    part = SPEED if asked.speed is None else asked.speed
-    if asked.format != "csv":
-        program = PROGRAMS[asked.format]
-        return program(chain, targets.columns, q, part, comments, times)
-    if asked.speed is not None:
-        times = moving_times(q, speed_limits(chain, part))
-    elif targets.T is None:
-        times = None  # The motion keeps its own.
-    return encode_commands(
-        targets, q, row, degrees=asked.degrees, times=times, comments=comments
-    )

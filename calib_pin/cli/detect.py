@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import calib_pin.cli.options as options
-from calib_pin.cli.files import check_outputs, open_setup, require_distinct
-from calib_pin.cli.printing import progress_bar, stage, told_command
-from calib_pin.cli.request import Told
-from calib_pin.errors import InputError, OptionError, enumerated, require_known
+from calib_pin.cli import files, options, printing
+from calib_pin.cli.options import Told, known
+from calib_pin.errors import InputError, OptionError, enumerated
 
 if TYPE_CHECKING:
     from calib_pin.io.boards import Detector, Found, Start
@@ -26,7 +24,7 @@ BLURRED = 3.0
 """Standard deviation of an image's corners, in that of all images, above which it is
 named as blurred."""
 
-MOUNTS = ("hand", "world")
+MOUNT = known("mount", "", "hand", "world")
 
 SHEET = 200
 """Pixels of a square or tag on a sheet."""
@@ -59,13 +57,13 @@ class Detection(options.QuietAnswer):
         draw: Write the board to print (charuco and tags) at its size; no images then.
     """
 
-    images: Annotated[list[Path] | None, Told("IMAGES...")] = None
+    images: Annotated[list[Path] | None, Told("IMAGES...", "")] = None
     output: Annotated[Path | None, Told("CSV", "Output")] = None
     board: Annotated[str | None, Told("SPEC", "Images")] = None
     setup: Annotated[Path | None, Told("FILE", "Images")] = None
     joints: Annotated[Path | None, Told("CSV", "Images")] = None
     times: Annotated[Path | None, Told("CSV", "Images")] = None
-    mount: Annotated[str, Told("WHERE", "Images")] = "hand"
+    mount: Annotated[str, Told("WHERE", "Images", MOUNT)] = "hand"
     setup_output: Annotated[Path | None, Told("FILE", "Output")] = None
     draw: Annotated[Path | None, Told("PNG", "Output")] = None
 
@@ -81,16 +79,14 @@ def detect(asked: Detection, context: typer.Context) -> int:
     """
     import numpy as np
 
-    import calib_pin.io.boards as boards
-    from calib_pin.io.measurements import encode_table
+    from calib_pin.io import boards, measurements
     from calib_pin.io.setup import setup_document, yaml_text
     from calib_pin.setup import Setup
 
-    require_known("mount", asked.mount, MOUNTS)
     if asked.board is not None and asked.setup is not None:
         raise OptionError("give --board or --setup, not both")
     board = asked.board and boards.board_of(asked.board)
-    board = board or open_setup(asked.setup).board
+    board = board or files.open_setup(asked.setup).board
     if board is None:
         raise OptionError("give --board, or a setup file with 'board' (--setup)")
     detector = boards.Detector(board)
@@ -99,14 +95,14 @@ def detect(asked: Detection, context: typer.Context) -> int:
     images, output, extra = asked.images or [], asked.output, asked.setup_output
     if not images or output is None:
         raise OptionError("give the images, and -o, the measurement file to write")
-    require_distinct(images)
+    files.require_distinct(images)
     inputs = (*images, asked.setup, asked.joints, asked.times)
-    check_outputs((output, extra), inputs, asked.force)
+    files.check_outputs((output, extra), inputs, asked.force)
     if asked.times is not None and asked.joints is None:
         raise OptionError("--times needs --joints: a log of the joints, with times")
     images, rows = _configurations(asked, sorted(images, key=_numbers))
-    with progress_bar(quiet=asked.quiet) as bar:
-        size, every = boards.find_board(detector, images, stage(bar, "images"))
+    with printing.progress_bar(quiet=asked.quiet) as bar:
+        size, every = boards.find_board(detector, images, printing.stage(bar, "images"))
     if not boards.require_stated(board, every, images):
         asked.tell("no image shows enough of the board to check how it is stated")
     found = {path.name: one for path, one in zip(images, every, strict=True)}
@@ -119,8 +115,8 @@ def detect(asked: Detection, context: typer.Context) -> int:
     columns["target"] = [name for one in every for name in one.names]
     for k, name in enumerate("uv"):
         columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
-    comment = f"found by: {told_command(context)}"
-    contents = {output: encode_table(columns, [comment])}
+    comment = f"found by: {printing.told_command(context)}"
+    contents = {output: measurements.encode_table(columns, [comment])}
     setup = setup_document(Setup(model="camera", board=board, camera=start.camera))
     if extra is not None:
         remark = f"# {ASSUMED}\n" if start.assumed else ""
@@ -147,8 +143,7 @@ def detect(asked: Detection, context: typer.Context) -> int:
         f"{median:.3f} px (median)\nstart of the camera: "
         f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
     )
-    written = [f"wrote {path}" for path in contents]
-    asked.give(contents, lambda: document, told, written)
+    asked.give(contents, lambda: document, told, (f"wrote {path}" for path in contents))
     return 0
 
 
@@ -158,7 +153,7 @@ def _drawn(asked: Detection, file: Path, detector: Detector) -> int:
 
     if asked.images or asked.output or asked.joints or asked.setup_output:
         raise OptionError("--draw takes --board or --setup, and nothing else")
-    check_outputs([file], [asked.setup], asked.force)
+    files.check_outputs([file], [asked.setup], asked.force)
     picture = encode_png(detector.drawn(SHEET), SHEET / detector.board.square)
     width, height = 1e3 * detector.extent
     told = f"print it at 100 %: {width:g} x {height:g} mm\n"
@@ -194,6 +189,10 @@ def _configurations(
     Raises:
         InputError: If it has not one row for each image, or columns of ours.
     """
+    import numpy as np
+
+    import calib_pin.io.logs as logs
+    from calib_pin.cli.join import Logs
     from calib_pin.io.table import read_table
 
     if (file := asked.joints) is None:
@@ -202,15 +201,22 @@ def _configurations(
     if clash := [name for name in OURS if name in table]:
         raise table.error("is a column that detect writes itself", clash[0])
     if asked.times is not None:
-        table = _at_times(table, read_table(asked.times), images, asked.tell)
+        # Where the joints stood at the time of each image, by its name.
+        taken = logs.with_images(read_table(asked.times))
+        taken = taken.rows(np.array(_rows(taken, images)))
+        stand = Logs.settle, Logs.tolerance
+        found, data = logs.join_logs(table, taken, (), *stand, asked.tell, True)
+        if found.clock is None:
+            reason = "there is no column 'time' here, or in the log of the joints"
+            raise taken.error(reason)
+        table = read_table(data)
         stood = table.texts(["image"])["image"].distinct
         images = [path for path in images if path.name in stood]
     count = len(table.lines)
     if "image" not in table and count == len(images):
         ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
-        asked.tell(
-            f"images and rows of {file} are paired in order: {' to '.join(ends)}"
-        )
+        pairs = " to ".join(ends)
+        asked.tell(f"images and rows of {file} are paired in order: {pairs}")
     elif "image" not in table:
         reason = f"has {count} rows for {len(images)} images; a column 'image' or, for "
         reason += "a log, --times tells which belong together"
@@ -237,24 +243,3 @@ def _rows(table: Table, images: list[Path]) -> list[int]:
         if path.name not in rows:
             raise InputError(f"has no row for the image {path.name}", file=table.file)
     return [rows[path.name] for path in images]
-
-
-def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> Table:
-    """The joints of a log where they stood at the time of an image, by its name.
-
-    Raises:
-        InputError: If the tables are no logs, or have no time in common.
-    """
-    import numpy as np
-
-    import calib_pin.io.logs as logs
-    from calib_pin.cli.join import Logs
-    from calib_pin.io.table import read_table
-
-    taken = logs.with_images(taken)
-    taken = taken.rows(np.array(_rows(taken, images)))
-    stand = Logs.settle, Logs.tolerance
-    found, data = logs.join_logs(joints, taken, (), *stand, tell, True)
-    if found.clock is None:
-        raise taken.error("there is no column 'time' here, or in the log of the joints")
-    return read_table(data)

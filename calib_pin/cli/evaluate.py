@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import calib_pin.cli.options as options
-from calib_pin.cli.files import (
-    open_calibration,
-    open_measurements,
-    require_distinct,
-    require_file,
-)
-from calib_pin.cli.printing import notice, progress_bar, say_json, show, stage
-from calib_pin.cli.request import Told
-from calib_pin.errors import require_known
+from calib_pin.cli.options import Told
+from calib_pin.cli.printing import notice, progress_bar, stage
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(options.OfRobot):
+class Evaluate(
+    options.Shown, options.OfStations, options.OfChain, options.OfCalibration
+):
     """A question for the accuracy of a robot.
 
     Attributes:
@@ -28,12 +24,8 @@ class Evaluate(options.OfRobot):
             measurements.
     """
 
-    robot: options.RobotOrCalibration
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...")]
-    chain: options.ChainName = None
-    station_per_file: options.StationPerFile = False
+    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
     register: Annotated[bool, Told()] = False
-    json: options.Json = False
 
 
 @options.spread
@@ -44,53 +36,24 @@ def evaluate(asked: Evaluate) -> int:
     the output says so. A calibration is used as it is unless --register is given. Exit
     status 2: the measurements are too few, or the calibration must not be trusted.
     """
-    from functools import partial
-
     from calib_pin.cli.documents import evaluation_document
     from calib_pin.io.results import used_files
     from calib_pin.io.urdf import other_robots
-    from calib_pin.kinematics.chains import Chains
     from calib_pin.report.accuracy import evaluated
-    from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.validation.evaluation import evaluate as run
 
-    stated, robot, chain = asked.stated(), asked.robot, asked.chain
-    measurements = asked.measurements
-    subject: Chains | CalibratedModel
-    doubts: list[str] = []
-    require_file(robot, ", or a robot")
-    if robot.endswith(".json"):
-        subject, stated = open_calibration(robot, asked.setup, stated, doubts.append)
-        chains = subject.chains
-        sockets = [reference.name for reference in subject.references.values()]
-        if chain is not None:
-            require_known("chain", chain, subject.measured_chains)
-        for file in used_files(robot, measurements):
+    doubts, rows_in, sockets = list[str](), asked.measurements, list[str]()
+    calibrated, chains, stated = asked.subject(doubts.append, asked.chain)
+    if calibrated is not None:
+        sockets = [reference.name for reference in calibrated.references.values()]
+        for file in used_files(asked.robot, rows_in):
             notice(f"{file}: the calibration has used it already, to fit or to check")
-    else:
-        chains, sockets = asked.chains(stated, chain), []
-    require_distinct(measurements)
     with progress_bar() as bar:
-        measured, rows = open_measurements(
-            measurements,
-            chains,
-            stated,
-            chain=chain,
-            station_per_file=asked.station_per_file,
-            sockets=sockets,
-            bar=bar,
-        )
-        if not robot.endswith(".json"):
-            subject = measured
+        measured, rows = asked.read(rows_in, chains, stated, sockets=sockets, bar=bar)
         stage(bar, "evaluate")
-        others = partial(other_robots, chains, stated)
-        evaluation = run(
-            subject, rows, stated, registration=asked.register, others=others
-        )
+        subject, others = calibrated or measured, partial(other_robots, chains, stated)
+        found = run(subject, rows, stated, registration=asked.register, others=others)
     if doubts:
-        evaluation = replace(evaluation, verdict="untrusted", reason=doubts[0])
-    if asked.json:
-        say_json(evaluation_document(evaluation))
-    else:
-        show(evaluated(evaluation))
-    return 0 if evaluation.verdict == "good" else 2
+        found = replace(found, verdict="untrusted", reason=doubts[0])
+    asked.give({}, lambda: evaluation_document(found), evaluated(found))
+    return 0 if found.verdict == "good" else 2

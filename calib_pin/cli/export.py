@@ -6,14 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import calib_pin.cli.options as options
-from calib_pin.cli.files import check_outputs
-from calib_pin.cli.request import Told
+from calib_pin.cli import files, options, printing
+from calib_pin.cli.options import Told
 from calib_pin.errors import OptionError, require_known
+
+FORMAT = options.known("format", "io.exchange:FORMATS", "list")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(options.QuietAnswer):
+class Export(options.QuietAnswer, options.OfChain):
     """A file for other software, as it is asked for.
 
     Attributes:
@@ -25,11 +26,10 @@ class Export(options.QuietAnswer):
             ur-kinematics, xarm-kinematics and lerobot, possible for ros2-control.
     """
 
-    calibration: Annotated[Path, Told("DIR|CALIBRATION")]
-    format: Annotated[str, Told("NAME", "Output")]
+    calibration: Annotated[Path, Told("DIR|CALIBRATION", "")]
+    format: Annotated[str, Told("NAME", "Output", FORMAT)]
     output: Annotated[Path | None, Told("FILE", "Output")] = None
     template: Annotated[Path | None, Told("FILE", "Output")] = None
-    chain: options.ChainName = None
 
 
 @options.spread
@@ -38,30 +38,31 @@ def export(asked: Export) -> int:
 
     Exit status 1: the calibration must not be trusted, or has nothing of this kind.
     """
-    from calib_pin.io.exchange import FORMATS, Exported
-    from calib_pin.io.results import document_file, read_result
+    from calib_pin.io import exchange, results
+    from calib_pin.report.blocks import table
 
     form, output, template = asked.format, asked.output, asked.template
     if form == "list":
-        for known in FORMATS.values():
-            needs = f" (--template {known.template})" if known.template else ""
-            print(f"{known.name:16} {known.summary}{needs}")
+        rows = [
+            (f.name, f.summary + f" (--template {f.template})" * bool(f.template))
+            for f in exchange.FORMATS.values()
+        ]
+        printing.show([table("", ("|word", "|remark"), rows)])
         return 0
-    require_known("format", form, FORMATS)
-    wanted = FORMATS[form]
+    wanted = exchange.FORMATS[form]
     if output is None:
         raise OptionError(f"-o is missing: the {wanted.suffix} file to write")
     if template is None and wanted.template == "required":
         raise OptionError(f"{form} needs --template: your own file, which is corrected")
     if template is not None and not wanted.template:
         raise OptionError(f"{form} takes no --template")
-    file = document_file(asked.calibration)
-    check_outputs([output], [file, template], asked.force)
-    result = read_result(file)
-    check_outputs([output], [result.model.chains.robot.file], asked.force)
+    file = results.document_file(asked.calibration)
+    files.check_outputs([output], [file, template], asked.force)
+    result = results.read_result(file)
+    files.check_outputs([output], [result.model.chains.robot.file], asked.force)
     if asked.chain is not None:
         require_known("measured chain", asked.chain, result.model.measured_chains)
-    encoded = wanted.encode(Exported(result, file, asked.chain), template)
+    encoded = wanted.encode(exchange.Exported(result, file, asked.chain), template)
     remarks = [*encoded.remarks]
     document = {"format": form, "remarks": remarks, "written": [str(output)]}
     for remark in remarks if not asked.json else ():

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib_pin.cli.printing import Bar, notice, stage
 from calib_pin.errors import (
+    InputError,
     OptionError,
     RobotError,
     enumerated,
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from calib_pin.observations import BlockKey, Observations
     from calib_pin.setup import Setup
     from calib_pin.validation.calibrated_model import CalibratedModel
+    from calib_pin.validation.result import CalibrationResult
 
 
 FLAGS = ("base", "tip", "model", "parameters", "solver", "loss", "learned")
@@ -35,40 +38,17 @@ def open_setup(file: Path | None, **flags: Any) -> Setup:
 
     Raises:
         InputError: If the file cannot be used.
-        OptionError: If a flag names what does not exist.
+        OptionError: If a flag cannot.
     """
-    from dataclasses import replace
-
-    from calib_pin.estimation.robust import LOSSES
-    from calib_pin.estimation.solve import SOLVERS
     from calib_pin.io.measured_columns import asked_models
     from calib_pin.io.setup import read_setup
-    from calib_pin.parameterizations import PARAMETERIZATIONS
-    from calib_pin.residual_models import RESIDUAL_MODELS
     from calib_pin.setup import Setup
 
-    given = {key: value for key, value in flags.items() if value is not None}
-    for key in ("base", "tip"):
-        if not given.get(key, key).strip():
-            raise OptionError(f"--{key} is empty", allowed="the name of a link")
     setup = Setup() if file is None else read_setup(file)
-    if "parameters" in given:
-        names = tuple(name.strip() for name in given["parameters"].split(","))
-        for name in names:
-            require_known("parameterization", name, PARAMETERIZATIONS)
-        if len(set(names)) != len(names):
-            raise OptionError(
-                "a parameterization is named twice", value=given["parameters"]
-            )
-        given["parameters"] = names
+    given = {key: value for key, value in flags.items() if value is not None}
     asked_models(given.get("model"))
-    for key, kind, known in (
-        ("solver", "solver", SOLVERS),
-        ("loss", "loss", LOSSES),
-        ("learned", "residual model", RESIDUAL_MODELS),
-    ):
-        if key in given:
-            require_known(kind, given[key], known)
+    if "parameters" in given:
+        given["parameters"] = tuple(map(str.strip, given["parameters"].split(",")))
     if "solver" in given:
         given["solver"] = replace(setup.solver, name=given["solver"])
     return replace(setup, **given)
@@ -175,17 +155,17 @@ def open_calibration(
         InputError: If it cannot be used.
         OptionError: If something is stated that a calibration has of its own.
     """
-    from dataclasses import replace
-
     from calib_pin.io.results import model_name, read_calibration
 
     model = read_calibration(name, notice=doubted)
     chain, models = model.of().chain, model_name(model)
     known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
     require_joints_only(file, setup, *also, known=known)
-    joints = setup.joints or model.setup.joints
-    own = replace(model.setup, model=models, joints=joints, reading=setup.reading)
-    return model, replace(own, columns=setup.columns or model.setup.columns)
+    own = replace(model.setup, model=models, reading=setup.reading)
+    plain = vars(type(setup)())
+    given = {key: getattr(setup, key) for key in ("columns", "joints", *also)}
+    taken = {key: value for key, value in given.items() if value != plain[key]}
+    return model, replace(own, **taken)
 
 
 def require_joints_only(
@@ -202,20 +182,69 @@ def require_joints_only(
     Raises:
         OptionError: If it does.
     """
-    from dataclasses import fields
-
-    from calib_pin.setup import Setup
-
-    keys, plain = sorted(("columns", "joints", "reading", *also)), Setup()
-    own = [plain] if known is None else [plain, known]
+    keys, plain = sorted(("columns", "joints", "reading", *also)), type(setup)()
     other = dict.fromkeys(
         "frames" if key.endswith("_frame") else key
-        for key in (field.name for field in fields(Setup) if field.compare)
-        if key not in keys and all(getattr(setup, key) != getattr(s, key) for s in own)
+        for key in (field.name for field in fields(setup) if field.compare)
+        if key not in keys
+        and getattr(setup, key) not in [getattr(s, key) for s in (plain, known) if s]
     )
     if other:
         reason = f"a calibration has its own {enumerated(other)}"
         raise OptionError(reason, file=file, allowed=", ".join(keys))
+
+
+PLANNED = (
+    *("model", "parameters", "fixed", "base_frame", "tool_frame", "stations", "tools"),
+    *("targets", "planes", "sockets", "spheres", "anchors", "camera"),
+    *("distances", "angles", "payloads", "gravity"),
+)
+"""Statements that a plan takes from an older calibration where there is no other."""
+
+
+def open_older(
+    path: Path | None, setup: Setup, *, used: Sequence[Path] = (), planned: bool = False
+) -> tuple[CalibrationResult | None, Setup]:
+    """An older calibration, and a setup with what it leaves open as that has it.
+
+    Args:
+        path: Its folder or its `calibration.json`; None for none.
+        setup: The options of a command, on top of its setup file; without one the
+            parameters and the ends of the chain are taken.
+        used: Measurements that it must not have used.
+        planned: Whether the instrument and the frames that it has found are taken.
+
+    Raises:
+        InputError: If it cannot be read, or has used one of the measurements: they
+            would count twice.
+    """
+    if path is None:
+        return None, setup
+    from calib_pin.io.results import document_file, read_result, used_files
+    from calib_pin.planning.suggestions import calibrated_setup
+    from calib_pin.setup import WORLD
+
+    found = read_result(path)
+    for file in used_files(document_file(path), used):
+        raise InputError(
+            "the older calibration has used these measurements; they would count twice",
+            file=file,
+            value=str(path),
+            allowed="measurements that were taken since then",
+        )
+    model, before = found.model, dict[str, Any]()
+    if not setup.file:
+        before["parameters"] = model.setup.parameters
+        if model.chains.names == ("",):
+            chain = model.moving.error.chain
+            before |= {"base": chain.base, "tip": chain.tip}
+    if planned:
+        known = vars(calibrated_setup(model))
+        models = dict.fromkeys(k.model for k in model.terms if k.chain != WORLD)
+        before |= {n: known[n] for n in PLANNED} | {"model": "+".join(models)}
+    given, empty = vars(setup), vars(type(setup)())
+    taken = {n: value for n, value in before.items() if given[n] == empty[n]}
+    return found, replace(setup, **taken)
 
 
 def require_file(path: str | Path, other: str = "") -> None:
@@ -251,6 +280,7 @@ def open_measurements(
     from calib_pin.io.measurements import read_measurements
     from calib_pin.observations import Observations
 
+    require_distinct(files)
     known = (name for name, s in setup.sockets.items() if s.estimate is False)
     with stated_in(setup.file):
         rows = read_measurements(
@@ -281,10 +311,9 @@ def require_folders(folders: Sequence[Path]) -> None:
         OptionError: If one is missing, or is a file.
     """
     for folder in folders:
-        if not exists(folder):
-            raise OptionError("no such folder", file=folder)
         if not folder.is_dir():
-            raise OptionError("is a file, not a folder", file=folder)
+            reason = "is a file, not a folder" if exists(folder) else "no such folder"
+            raise OptionError(reason, file=folder)
 
 
 def require_distinct(files: Sequence[Path]) -> None:

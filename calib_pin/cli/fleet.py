@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
+import calib_pin.cli.files as files
 import calib_pin.cli.options as options
-from calib_pin.cli.files import check_outputs, exists
-from calib_pin.cli.printing import (
-    Bar,
-    notice,
-    progress_bar,
-)
-from calib_pin.cli.request import SEED, Told
-from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
+from calib_pin.cli.options import SEED, Told, asked_workers
+from calib_pin.cli.printing import Bar, notice, progress_bar
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
-    from calib_pin.cli.fleet_jobs import Orders
     from calib_pin.cli.jobs import Job
     from calib_pin.estimation.statistics.population_prior import (
         Population,
         RobotEvidence,
     )
+    from calib_pin.monte_carlo import Study, Trial
+    from calib_pin.report.blocks import Block
+    from calib_pin.setup import Setup
     from calib_pin.validation.fleet import FleetRow
     from calib_pin.workers import Workers
 
@@ -37,42 +32,56 @@ The last one is the prior that robots are for the next one of their type: `prior
 setup.
 """
 
+TRIALS, NUMBERS, CURVES = (f"monte-carlo.{kind}" for kind in ("csv", "json", "html"))
+"""Files of a study: its trials, and what they tell."""
+
 
 @dataclass(frozen=True, kw_only=True)
-class Fleet(options.QuietAnswer):
+class Fleet(options.QuietAnswer, options.Shared):
     """Many calibrations as they are asked for.
 
     Attributes:
+        table: Table of calibrations, CSV or YAML: robot, measurements, setup,
+            serial_number, date, ...
         monte_carlo: Simulate robots instead, as 'monte_carlo' in this setup file says:
             how accurate will they be, against number of configurations?
         seed: Random seed of the study.
+        output: Folder for all results.
         resume: Go on with what a stopped run has left, as far as it is whole.
         no_pages: No report.html in the folders; 'calib-pin report' writes it later.
     """
 
+    table: Annotated[Path | None, Told("JOBS", "")] = None
     monte_carlo: Annotated[Path | None, Told("SETUP", "Study")] = None
     seed: Annotated[int, Told("N", "Study", SEED)] = 0
+    output: Annotated[Path, Told("DIR", "Output")]
     resume: Annotated[bool, Told("", "Output")] = False
     no_pages: Annotated[bool, Told("", "Output")] = False
 
 
+@dataclass(frozen=True)
+class Made:
+    """A fleet that was calibrated or simulated.
+
+    Attributes:
+        contents: The files that are left to be written.
+        document: Makes what is printed as JSON, without the names of files.
+        blocks: The report.
+        told: A line on folders that have been written; empty for none.
+        placed: Files that have been written.
+        status: The exit status.
+    """
+
+    contents: Mapping[Path, bytes]
+    document: Callable[[], Mapping[str, Any]]
+    blocks: Iterable[Block]
+    told: str = ""
+    placed: Sequence[Path] = ()
+    status: int = 0
+
+
 @options.spread
-def fleet(
-    request: Fleet,
-    output: Annotated[
-        Path, options.output("-o --output DIR", "Folder for all results.")
-    ],
-    jobs: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="JOBS",
-            help="Table of calibrations, CSV or YAML: robot, measurements, setup, "
-            "serial_number, date, ...",
-        ),
-    ] = None,
-    workers: WorkerCount = None,
-    cluster: ClusterAddress = None,
-) -> int:
+def fleet(asked: Fleet) -> int:
     """Calibrate a fleet of robots, or simulate one.
 
     Every job gets a folder of results as 'calibrate' writes it. fleet.csv and
@@ -81,81 +90,81 @@ def fleet(
     fails is a row with its reason and stops nothing. Workers of a cluster need to see
     the same files. Exit status 2: some calibration failed or must not be trusted.
     """
-    study = request.monte_carlo
-    if (jobs is None) == (study is None):
+    if (asked.table is None) == (asked.monte_carlo is None):
         raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
     # A job may end the process that does it.
-    patience = None if jobs is None else 0.0
+    patience = None if asked.table is None else 0.0
     with (
-        asked_workers(workers, cluster, patience) as several,
-        progress_bar(quiet=request.quiet) as bar,
+        asked_workers(asked.workers, asked.cluster, patience) as several,
+        progress_bar(quiet=asked.quiet) as bar,
     ):
-        if jobs is None:
-            from calib_pin.cli.monte_carlo import simulated
-
-            seed, resume = request.seed, request.resume
-            file = cast(Path, study)
-            return simulated(file, output, request, several, bar, seed, resume)
-        from calib_pin.cli.fleet_jobs import Orders
-
-        orders = Orders(Path.cwd(), output, not request.no_pages, request.resume)
-        rows, populations = _calibrated(jobs, orders, request.force, several, bar)
-    from calib_pin.io.json_text import plain
-    from calib_pin.io.measurements import encode_table
-    from calib_pin.report.fleet_text import MANY, fleet_report
-    from calib_pin.report.html import blocks_page
-    from calib_pin.validation.fleet import fleet_columns
-
-    columns = fleet_columns(rows)
-    page = [*fleet_report(rows, populations, MANY)]
-    contents = {
-        output / TABLE: encode_table(columns, []),
-        output / PAGE: blocks_page("Calibrations of a fleet", page, [], TABLE),
-        **priors(output, populations),
-    }
-
-    def listed() -> dict[str, object]:
-        cells = zip(*(plain(list(c)) for c in columns.values()), strict=True)
-        jobs = [dict(zip(columns, row, strict=True)) for row in cells]
-        return {"jobs": jobs, "written": [*map(str, contents)]}
-
-    written = [f"wrote {sum(row.fitted > 0 for row in rows)} folders to {output}"]
-    written += [f"wrote {file}" for file in contents]
-    # Its own files were looked for before the work.
-    answer = replace(request, force=True)
-    answer.give(contents, listed, fleet_report(rows, populations), written)
-    return 0 if all(row.trusted for row in rows) else 2
+        tell = bar or (lambda stage, part: None)
+        if asked.table is not None:
+            made = _calibrated(asked, asked.table, several, tell)
+        elif asked.monte_carlo is not None:
+            made = _simulated(asked, asked.monte_carlo, several, tell)
+    names = [str(path) for path in (*made.placed, *made.contents)]
+    # What is there was looked for before the work.
+    replace(asked, force=True).give(
+        made.contents,
+        lambda: {**made.document(), "written": names},
+        made.blocks,
+        [*filter(None, [made.told]), *(f"wrote {name}" for name in names)],
+    )
+    return made.status
 
 
-def _calibrated(
-    table: Path, orders: Orders, force: bool, workers: Workers, bar: Bar | None
-) -> tuple[Sequence[FleetRow], Sequence[Population]]:
-    """Calibrate the robots of a table: rows by urgency, and the types of robots."""
-    from calib_pin.cli.fleet_jobs import calibrate_job, compare_job, lost_job
-    from calib_pin.cli.jobs import read_jobs
-    from calib_pin.validation.fleet import by_urgency
+# --- calibrations -------------------------------------------------------------------
 
-    tell = bar or (lambda stage, part: None)
-    asked = read_jobs(table, notice)
-    _check(table, asked, orders.output, force or orders.resume)
+
+def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
+    """Calibrate the robots of a table."""
+    import calib_pin.cli.jobs as jobs
+    from calib_pin.io import json_text, measurements
+    from calib_pin.report import fleet_text, html
+    from calib_pin.validation.fleet import by_urgency, fleet_columns
+
+    output = asked.output
+    orders = jobs.Orders(Path.cwd(), output, not asked.no_pages, asked.resume)
+    every = jobs.read_jobs(table, notice)
+    _check(table, every, output, asked.force or asked.resume)
     rows: dict[str, FleetRow] = {}
     evidences: dict[str, RobotEvidence | None] = {}
-    for wave in _waves(asked):
-        for row, evidence in workers.map(calibrate_job, orders, wave, lost_job):
+    for wave in _waves(every):
+        done = workers.map(jobs.calibrate_job, orders, wave, jobs.lost_job)
+        for row, evidence in done:
             rows[row.job], evidences[row.job] = row, evidence
-            tell(f"{len(rows)} of {len(asked)}", len(rows) / len(asked))
+            tell(f"{len(rows)} of {len(every)}", len(rows) / len(every))
     pairs = []
-    for job in asked:
-        if rows[job.name].fitted and (previous := job.stated.previous):
-            pairs.append((rows[job.name], previous, str(previous)))
-        elif rows[job.name].fitted and job.before and rows[job.before].fitted:
-            pairs.append((rows[job.name], orders.output / job.before, job.before))
-    for k, row in enumerate(workers.map(compare_job, orders, pairs), 1):
+    for job in (job for job in every if rows[job.name].fitted):
+        if job.previous:
+            pairs.append((rows[job.name], job.previous, str(job.previous)))
+        elif job.before and rows[job.before].fitted:
+            pairs.append((rows[job.name], output / job.before, job.before))
+    for k, row in enumerate(workers.map(jobs.compare_job, orders, pairs), 1):
         rows[row.job] = row
         tell("drift", k / len(pairs))
     tell("types", None)
-    populations = types_of(asked, rows, evidences)
-    return by_urgency([rows[job.name] for job in asked]), populations
+    populations = types_of(every, rows, evidences)
+    urgent = by_urgency([rows[job.name] for job in every])
+    columns = fleet_columns(urgent)
+    page = [*fleet_text.fleet_report(urgent, populations, fleet_text.MANY)]
+
+    def listed() -> dict[str, object]:
+        cells = zip(*(json_text.plain(list(c)) for c in columns.values()), strict=True)
+        return {"jobs": [dict(zip(columns, row, strict=True)) for row in cells]}
+
+    return Made(
+        {
+            output / TABLE: measurements.encode_table(columns, []),
+            output / PAGE: html.blocks_page("Calibrations of a fleet", page, [], TABLE),
+            **priors(output, populations),
+        },
+        listed,
+        fleet_text.fleet_report(urgent, populations),
+        f"wrote {sum(row.fitted > 0 for row in urgent)} folders to {output}",
+        status=0 if all(row.trusted for row in urgent) else 2,
+    )
 
 
 def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
@@ -163,7 +172,7 @@ def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
     left = list(jobs)
     while left:
         names = {job.name for job in left}
-        waiting = [job for job in left if job.stated.start and job.before in names]
+        waiting = [job for job in left if job.start and job.before in names]
         yield [job for job in left if job not in waiting]
         left = waiting
 
@@ -178,10 +187,10 @@ def _check(table: Path, jobs: Sequence[Job], output: Path, force: bool) -> None:
         if job.name.casefold() in FILES:
             reason = "a job cannot have this name"
             raise OptionError(reason, file=table, line=job.line, value=job.name)
-        if not force and exists(folder := output / job.name):
+        if not force and files.exists(folder := output / job.name):
             reason = "exists; --resume goes on, --force begins again"
             raise OptionError(reason, file=folder)
-    check_outputs([output / name for name in FILES], [table], force)
+    files.check_outputs([output / name for name in FILES], [table], force)
 
 
 def types_of(
@@ -199,11 +208,7 @@ def types_of(
     Returns:
         The types with robots enough, the largest first.
     """
-    from calib_pin.estimation.statistics.population_prior import (
-        LEAST,
-        joint_deviations,
-        population_of,
-    )
+    import calib_pin.estimation.statistics.population_prior as population_prior
     from calib_pin.validation.fleet import with_joint
 
     earlier = {job.before for job in jobs}
@@ -221,24 +226,96 @@ def types_of(
             alike.append({job.name: own})
     found = []
     for members in sorted(alike, key=len, reverse=True):
-        if len(members) >= LEAST:
-            found.append(population := population_of([*members.values()]))
-            for name, far in zip(members, joint_deviations(population), strict=True):
+        if len(members) >= population_prior.LEAST:
+            population = population_prior.population_of([*members.values()])
+            found.append(population)
+            joints = population_prior.joint_deviations(population)
+            for name, far in zip(members, joints, strict=True):
                 rows[name] = with_joint(rows[name], far)
     return found
 
 
 def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]:
     """The files of the priors; all but the first have the name of their robot."""
-    from calib_pin.io.json_text import encode
-    from calib_pin.io.results import urdf_name
-    from calib_pin.io.setup import prior_document
+    from calib_pin.io import json_text, results, setup
 
     found: dict[Path, bytes] = {}
     for number, population in enumerate(populations, 1):
-        robot = Path(urdf_name(population.evidences[0].robot.name)).stem
+        robot = Path(results.urdf_name(population.evidences[0].robot.name)).stem
         path = folder / PRIOR
         for end in (f"-{robot}", f"-{number}"):  # Two types may have one name.
             path = path.with_stem(path.stem + end) if path in found else path
-        found[path] = encode(prior_document(population.prior()))
+        found[path] = json_text.encode(setup.prior_document(population.prior()))
     return found
+
+
+# --- simulations --------------------------------------------------------------------
+
+
+def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
+    """Simulate the robots of a study; its trials are written as they come."""
+    from calib_pin.cli.documents import outlook_document
+    from calib_pin.io import json_text, setup
+    from calib_pin.io.trials import kept, read_trials
+    from calib_pin.monte_carlo import outlooks, try_robot
+    from calib_pin.report import fleet_text, html
+    from calib_pin.report.figures import drawn
+
+    stated, resume = setup.read_setup(file), asked.resume
+    study, name = _study(file, stated, asked.seed)
+    trials, *made = (asked.output / name for name in (TRIALS, NUMBERS, CURVES))
+    inputs = [file, stated.monte_carlo.plan]
+    files.check_outputs([trials, *made], inputs, asked.force or resume)
+    robots, limit = stated.monte_carlo.robots, stated.limit
+    known: list[tuple[Trial, ...]] = []
+    if resume and files.exists(trials):
+        known = read_trials(trials, name, len(study.counts))[:robots]
+    further = workers.map(try_robot, study, range(len(known), robots))
+
+    def done() -> Iterator[Trial]:
+        for k, own in enumerate(kept(trials, name, known, further), 1):
+            tell(f"{k} of {robots} robots", k / robots)
+            yield from own
+
+    found = outlooks(done(), limit)
+    blocks = [*fleet_text.outlook_report(study, found, limit)]
+    title = f"Expected accuracy of {study.chains.robot.name}"
+    document = outlook_document(study, found, limit)
+    figures = [*drawn("outlook", found, limit)]
+    data = json_text.encode(document), html.blocks_page(title, blocks, figures, NUMBERS)
+    contents = dict(zip(made, data, strict=True))
+    return Made(contents, lambda: document, blocks, placed=[trials])
+
+
+def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
+    """The study of a setup file, and a hash of everything its numbers depend on."""
+    from calib_pin.io.files import sha256
+    from calib_pin.io.json_text import encode
+    from calib_pin.io.measurements import read_configurations
+    from calib_pin.io.setup import setup_document
+    from calib_pin.monte_carlo import study_of
+
+    asked = stated.monte_carlo
+    for key, value in (("monte_carlo.robot", asked.robot), ("model", stated.model)):
+        if value is None:
+            raise OptionError(f"'{key}' is missing", file=file)
+    assert asked.robot is not None
+    there = file.parent / asked.robot.split(" ")[0]
+    robot = str(file.parent / asked.robot) if files.exists(there) else asked.robot
+    keys = files.stated_blocks(stated)
+    chains = files.open_chains(robot, stated, keys)
+    files.tell_limits(chains)
+    plan = None
+    if asked.plan is not None:
+        path = file.parent / asked.plan
+        plan = read_configurations(path, chains, stated.joints, stated.columns)
+    study = study_of(chains, keys, stated, plan, seed)
+    # Of the same robots, more of them may be asked for.
+    same = replace(stated, monte_carlo=replace(asked, robots=1, plan=None, robot=None))
+    about = {
+        "setup": setup_document(same),
+        "robot": sha256(chains.robot.source),
+        "plan": None if plan is None else plan.tolist(),
+        "seed": seed,
+    }
+    return study, sha256(encode(about))

@@ -5,29 +5,33 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import calib_pin.cli.options as options
+from calib_pin.cli import options, printing
 from calib_pin.cli.files import check_outputs, require_distinct, require_folders
-from calib_pin.cli.printing import notice, told_command
-from calib_pin.cli.request import Told
+from calib_pin.cli.options import Told
 from calib_pin.errors import OptionError, enumerated, stated_in
 from calib_pin.units import as_number
 
 if TYPE_CHECKING:
-    from calib_pin.io.first_look import Look
+    from calib_pin.io.first_look import Choose, Look
+    from calib_pin.kinematics.robot import Robot
 
 SIGMA = 1e-5
 """Standard deviation of a distance between sockets [m]: they are gauged."""
 
 
+Ask = Callable[[str], str]
+"""The answer of a user to a question."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class Draft(options.Answer, options.OfRobot):
+class Draft(options.Answer, options.OfStations):
     """A setup file that is to be drafted.
 
     Attributes:
@@ -38,12 +42,10 @@ class Draft(options.Answer, options.OfRobot):
         board: Board of a camera, as for 'detect'.
     """
 
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...")]
+    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
     output: Annotated[Path | None, Told("YAML", "Output")] = None
-    tip: Annotated[str | None, Told("LINK", "Robot")] = None
     distance: Annotated[str | None, Told("LENGTH", "Robot")] = None
     board: Annotated[str | None, Told("SPEC", "Robot")] = None
-    station_per_file: options.StationPerFile = False
 
 
 @options.spread
@@ -55,35 +57,13 @@ def init(asked: Draft, context: typer.Context) -> int:
     cannot be known, on a terminal; elsewhere an error names the option that says it.
     The setup file that `detect` wrote (--setup) has the board and the camera.
     """
-    from calib_pin.io.boards import board_of
-    from calib_pin.io.first_look import draft, first_look
+    from calib_pin.io.first_look import draft
     from calib_pin.io.setup import setup_document
-    from calib_pin.io.urdf import load_robot
-    from calib_pin.setup import Setup
 
-    files, folders = asked.measurements, asked.package_dir or []
-    require_folders(folders)
-    require_distinct(files)
-    inputs = [asked.robot, *files, asked.setup]
-    check_outputs([asked.output], inputs, asked.force)
-    robot, given = load_robot(asked.robot, folders), asked.stated()
-    seen = given.board if asked.board is None else board_of(asked.board)
-    start = Setup(asked.base, asked.tip, model=asked.model, board=seen)
-    start = replace(start, camera=given.camera)
-    with stated_in(str(files[0])):
-        look = first_look(robot, files, start, _choose, asked.station_per_file)
-    if look.setup.camera is None and (asked.board or asked.setup):
-        reason = "--board and --setup are for a camera, and there are no columns u, v"
-        raise OptionError(reason)
-    if look.data is not None and "fixed-point" in look.data.models:
-        look = _with_distances(look, asked.distance)
-    elif asked.distance is not None:
-        raise OptionError("--distance is that of sockets (fixed-point)")
-    text = draft(robot, look, told_command(context))
-    for remark in look.remarks:
-        notice(remark)
-    if not look.fits:
-        notice("no reading of the columns fits the robot; see the draft")
+    files = asked.measurements
+    check_outputs([asked.output], [asked.robot, *files, asked.setup], asked.force)
+    robot, look = looked_at(asked, _choose, _ask)
+    text = draft(robot, look, printing.told_command(context))
     found: dict[str, Any] = {"setup": setup_document(look.setup)}
     found["nominal"] = look.errors
     written, contents = list[str](), dict[Path, bytes]()
@@ -93,6 +73,45 @@ def init(asked: Draft, context: typer.Context) -> int:
         written = [f"wrote {asked.output}", f"next: calib-pin calibrate {words} -o out"]
     asked.give(contents, lambda: found, text, written)
     return 0
+
+
+def looked_at(asked: Draft, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
+    """A robot and the reading of measurement files that fits it best.
+
+    Args:
+        asked: What is known.
+        choose: Called where only a user can tell readings apart.
+        ask: Called for a length that only a user knows.
+
+    Raises:
+        CalibPinError: If one of the files cannot be used.
+    """
+    from calib_pin.io.boards import board_of
+    from calib_pin.io.first_look import first_look
+    from calib_pin.io.urdf import load_robot
+    from calib_pin.setup import Setup
+
+    files, folders = asked.measurements, asked.package_dir or []
+    require_folders(folders)
+    require_distinct(files)
+    robot, given = load_robot(asked.robot, folders), asked.stated()
+    seen = given.board if asked.board is None else board_of(asked.board)
+    start = Setup(asked.base, asked.tip, model=asked.model, board=seen)
+    start = replace(start, camera=given.camera)
+    with stated_in(str(files[0])):
+        look = first_look(robot, files, start, choose, asked.station_per_file)
+    if look.setup.camera is None and (asked.board or asked.setup):
+        reason = "--board and --setup are for a camera, and there are no columns u, v"
+        raise OptionError(reason)
+    if look.data is not None and "fixed-point" in look.data.models:
+        look = _with_distances(look, asked.distance, ask)
+    elif asked.distance is not None:
+        raise OptionError("--distance is that of sockets (fixed-point)")
+    for remark in look.remarks:
+        printing.notice(remark)
+    if not look.fits:
+        printing.notice("no reading of the columns fits the robot; see the draft")
+    return robot, look
 
 
 def _choose(question: str, choices: Sequence[str], option: str) -> str:
@@ -115,7 +134,21 @@ def _choose(question: str, choices: Sequence[str], option: str) -> str:
             return answer
 
 
-def _with_distances(look: Look, stated: str | None) -> Look:
+def _ask(question: str) -> str:
+    """The answer of the user, on a terminal.
+
+    Raises:
+        OptionError: If there is nobody to be asked.
+    """
+    if not sys.stdin.isatty():
+        raise OptionError(
+            "sockets tell no size: state how far the two of a place are apart",
+            allowed="--distance '50 mm'",
+        )
+    return str(typer.prompt(question, err=True))
+
+
+def _with_distances(look: Look, stated: str | None, ask: Ask) -> Look:
     """The reading with the known distance of the sockets of each place."""
     from calib_pin.setup import DistanceSetup
 
@@ -127,13 +160,7 @@ def _with_distances(look: Look, stated: str | None) -> Look:
     if not pairs and stated is not None:
         raise OptionError("no place has two sockets, called PLACE/0 and PLACE/1")
     if pairs and stated is None:
-        if not sys.stdin.isatty():
-            raise OptionError(
-                "sockets tell no size: state how far the two of a place are apart",
-                allowed="--distance '50 mm'",
-            )
-        question = f"how far apart are {pairs[0][0]} and {pairs[0][1]} (such as 50 mm)"
-        stated = str(typer.prompt(question, err=True))
+        stated = ask(f"how far apart are {' and '.join(pairs[0])} (such as 50 mm)")
     known = tuple(DistanceSetup((a, b), _length(stated or ""), SIGMA) for a, b in pairs)
     return replace(look, setup=replace(look.setup, distances=known))
 

@@ -1,11 +1,13 @@
-"""Tables of jobs: what is to be calibrated in a fleet, as CSV or YAML.
+"""Jobs of a fleet: their table, as CSV or YAML, and how workers do them.
 
 A job is what `calibrate` can be asked for, with what a fleet needs beside it. Its cells
-are taken as the options of a command line are.
+are taken as the options of a command line are. Done, it is a folder of results and a
+row.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,14 +16,34 @@ from itertools import groupby, pairwise
 from operator import attrgetter
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type_hints
 
 from calib_pin.cli.calibrate import calibrate
-from calib_pin.cli.request import Request, Told
-from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.cli.options import Request, Told
+from calib_pin.cli.printing import complaint, taken_notices
+from calib_pin.cli.requests import calibrated, opened
+from calib_pin.cli.results import write_results
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import CalibPinError, InputError, OptionError, nearest, one_line
+from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.io.files import read_bytes, sha256
+from calib_pin.io.results import (
+    DOCUMENT,
+    REPORT,
+    document_file,
+    read_document,
+    read_result,
+)
 from calib_pin.io.table import read_table
-from calib_pin.setup import Date, Entry
+from calib_pin.setup import DATE, Date, Entry
 from calib_pin.setup.arguments import taken
+from calib_pin.validation.comparison import compare
+from calib_pin.validation.fleet import Drift, FleetRow, fleet_row, with_drift
+from calib_pin.validation.robot_state import robot_evidence
+
+if TYPE_CHECKING:
+    from calib_pin.estimation.statistics.population_prior import RobotEvidence
+    from calib_pin.validation.result import CalibrationResult
 
 JOBS = "jobs"
 """Key of the list of jobs in YAML; those beside it hold for all jobs."""
@@ -35,8 +57,6 @@ FLAGS = dict(true=True, yes=True, on=True, false=False, no=False, off=False)
 PREVIOUS = Path("previous")
 """The `start` that is the calibration before of the same robot."""
 
-Texts = Mapping[str, list[str]]
-
 SEPARATORS = '/\\:*?"<>|'
 """Letters that no folder of a job may have in its name, on any system."""
 
@@ -45,19 +65,16 @@ def _folder(text: str) -> str:
     name = text.strip()
     usable = name.isprintable() and not set(SEPARATORS) & set(name)
     if not name or not usable or name.startswith(".") or len(name) > 100:
-        raise OptionError(
-            "",
-            allowed="a name for a folder, of at most 100 letters, without "
-            f"{SEPARATORS} and no point in front",
-        )
+        allowed = "a name for a folder, of at most 100 letters, without "
+        raise OptionError("", allowed=f"{allowed}{SEPARATORS} and no point in front")
     return name
 
 
-ENTRY, DATE = (partial(taken, "", hint=kind) for kind in (Entry, Date))
+ENTRY, DAY = (partial(taken, "", hint=kind) for kind in (Entry, Date))
 
 
-@dataclass(frozen=True)
-class JobSetup(Request):
+@dataclass(frozen=True, kw_only=True)
+class Job(Request):
     """A calibration of a fleet. Its files are named from the folder of the table.
 
     A name of measurements may hold * for any letters; in a CSV table semicolons
@@ -65,39 +82,34 @@ class JobSetup(Request):
     number, in the table or in the folder of the results.
 
     Attributes:
-        name: Name of its folder; None for the serial number with the date.
+        name: Name of its folder, unlike those of all others; by default the serial
+            number with the date.
         serial_number: Serial number of the robot.
         date: Day of the measurements; of one serial number, the drift is told from
             the day before, or from the line before.
         previous: An earlier calibration of this robot, from which drift is told; None
             for the one before in the table.
-    """
-
-    name: Annotated[str | None, Told(parse=_folder)] = None
-    serial_number: Annotated[str, Told(parse=ENTRY)] = ""
-    date: Annotated[str | None, Told(parse=DATE)] = None
-    previous: Annotated[Path | None, Told()] = None
-
-
-KEYS = get_type_hints(JobSetup, include_extras=True)
-"""Columns and keys of a job."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """A calibration that is asked for.
-
-    Attributes:
-        name: Name of its folder, unlike those of all other jobs.
         line: Line of the table.
-        stated: Everything that is asked for, files from where the table lies.
         before: Name of the job before it with the same robot; empty for none.
     """
 
-    name: str
-    line: int
-    stated: JobSetup
+    name: Annotated[str, Told(parse=_folder)] = ""
+    serial_number: Annotated[str, Told(parse=ENTRY)] = ""
+    date: Annotated[str, Told(parse=DAY)] = ""
+    previous: Annotated[Path | None, Told()] = None
+    line: int = 0
     before: str = ""
+
+
+KEYS = {
+    name: hint
+    for name, hint in get_type_hints(Job, include_extras=True).items()
+    if hasattr(hint, "__metadata__")
+}
+"""Columns and keys of a job."""
+
+
+# --- the table ----------------------------------------------------------------------
 
 
 def read_jobs(
@@ -123,18 +135,24 @@ def read_jobs(
     """
     yaml = Path(path).suffix.lower() in (".yaml", ".yml")
     rows = _of_yaml(path) if yaml else _of_csv(path, notice)
-    found = [(lines[""], _job(path, lines, texts)) for lines, texts in rows]
+    every = [_job(path, lines, texts) for lines, texts in rows]
     jobs = dict[str, Job]()
-    for number, (line, stated) in enumerate(found, 1):
-        name = stated.name or _name(stated, number, [job for _, job in found])
+    for number, job in enumerate(every, 1):
+        name, line = job.name or _name(job, number, every), job.line
         if (twin := jobs.get(name.casefold())) is not None:
             reason = f"the job needs a 'name': it has the folder of line {twin.line}"
             raise InputError(reason, file=path, line=line, value=name)
-        if stated.start == PREVIOUS and not (stated.serial_number or stated.previous):
+        if job.start == PREVIOUS and not (job.serial_number or job.previous):
             reason = "'start: previous' needs a 'serial_number'"
             raise InputError(reason, file=path, line=line)
-        jobs[name.casefold()] = Job(name, line, stated)
-    return _in_order([*jobs.values()])
+        jobs[name.casefold()] = replace(job, name=name)
+    before, serial = dict[str, str](), attrgetter("serial_number")
+    for robot, alike in groupby(sorted(jobs.values(), key=serial), serial):
+        own = list(alike)
+        if all(job.date for job in own):
+            own.sort(key=attrgetter("date"))
+        before |= {later.name: job.name for job, later in pairwise(own) if robot}
+    return tuple(replace(j, before=before.get(j.name, "")) for j in jobs.values())
 
 
 Row = tuple[dict[str, int], dict[str, list[str]]]
@@ -147,11 +165,9 @@ def _of_yaml(path: str | Path) -> Iterator[Row]:
     tree = read_tree(path)
     listed = tree.data.get(JOBS) if isinstance(tree.data, dict) else None
     if not isinstance(listed, list) or not listed:
-        raise tree.error(
-            f"the file must be a mapping with a list '{JOBS}'",
-            (),
-            allowed=f"{JOBS}: [{{robot: arm.urdf, measurements: [a.csv]}}, ...]",
-        )
+        allowed = f"{JOBS}: [{{robot: arm.urdf, measurements: [a.csv]}}, ...]"
+        reason = f"the file must be a mapping with a list '{JOBS}'"
+        raise tree.error(reason, (), allowed=allowed)
     for number, own in enumerate(listed):
         if not isinstance(own, dict):
             raise tree.error("a job is a mapping of keys to values", (JOBS, number))
@@ -160,13 +176,13 @@ def _of_yaml(path: str | Path) -> Iterator[Row]:
         for key, value in {**tree.data, **own}.items():
             place = (JOBS, number, key) if key in own else (key,)
             lines[key], several = tree.line(place), isinstance(value, list)
-            places = [(*place, k) for k in range(len(value))] if several else [place]
             if key == JOBS or value is None:
                 continue
             cells = value if several else [value]
             if any(isinstance(cell, dict | list) for cell in cells):
                 reason = f"'{key}' cannot have this value"
                 raise tree.error(reason, place, allowed="a single value, or a list")
+            places = [(*place, k) for k in range(len(cells))] if several else [place]
             texts[key] = [str(tree.written(at)) for at in places]
         yield lines, texts
 
@@ -185,33 +201,34 @@ def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Row]:
         yield {"": line}, {k: [cells[row]] for k, cells in texts.items() if cells[row]}
 
 
-def _job(path: str | Path, lines: Mapping[str, int], given: Texts) -> JobSetup:
+def _job(
+    path: str | Path, lines: Mapping[str, int], given: Mapping[str, list[str]]
+) -> Job:
     """A job by its cells.
 
     Raises:
         InputError: If a cell cannot be used.
     """
-
-    def error(key: str, reason: str, **told: Any) -> InputError:
-        return InputError(reason, file=path, line=lines.get(key, lines[""]), **told)
-
-    found, folder = dict[str, Any](), Path(path).parent
+    line, folder = lines[""], Path(path).parent
+    found: dict[str, Any] = {"line": line}
     for key, texts in given.items():
+        where: dict[str, Any] = {"file": path, "line": lines.get(key, line)}
         if key not in KEYS:
             reason = f"unknown key '{key}'{nearest(key, KEYS)}"
-            raise error(key, reason, allowed=", ".join(KEYS))
+            raise InputError(reason, **where, allowed=", ".join(KEYS))
         try:
             found[key] = _value(key, texts, folder)
         except OptionError as wrong:
             reason, value = f"'{key}' cannot have this value", "; ".join(texts)
-            raise error(key, reason, value=value, allowed=wrong.allowed) from None
+            where |= {"value": value, "allowed": wrong.allowed}
+            raise InputError(reason, **where) from None
     for key in ("robot", "measurements"):
         if key not in found:
-            raise error(key, f"'{key}' is missing")
+            raise InputError(f"'{key}' is missing", file=path, line=line)
     # A robot may be a bundled one, and a xacro file has its arguments behind it.
     if (folder / found["robot"].split(" ")[0]).exists():
         found["robot"] = str(folder / found["robot"])
-    return JobSetup(**found)
+    return Job(**found)
 
 
 def _value(key: str, texts: Sequence[str], folder: Path) -> Any:
@@ -230,11 +247,10 @@ def _value(key: str, texts: Sequence[str], folder: Path) -> Any:
     if len(texts) != 1 or (kind is bool and texts[0].lower() not in FLAGS):
         allowed = "true, false" if kind is bool else "one value"
         raise OptionError("", allowed=allowed)
+    (text,) = texts
     if kind is Path:
-        return (
-            PREVIOUS if (key, texts) == ("start", ["previous"]) else folder / texts[0]
-        )
-    return FLAGS[texts[0].lower()] if kind is bool else (told.parse or kind)(texts[0])
+        return PREVIOUS if (key, text) == ("start", "previous") else folder / text
+    return FLAGS[text.lower()] if kind is bool else (told.parse or kind)(text)
 
 
 def folder_name(serial: str) -> str:
@@ -243,22 +259,177 @@ def folder_name(serial: str) -> str:
     return "".join(kept).lstrip(".")
 
 
-def _name(stated: JobSetup, number: int, every: Sequence[JobSetup]) -> str:
+def _name(job: Job, number: int, every: Sequence[Job]) -> str:
     """The name of a job that states none."""
-    serial = stated.serial_number
-    if not serial:
+    if not (serial := job.serial_number):
         return f"job-{number:0{len(str(len(every)))}d}"
     alone = sum(other.serial_number == serial for other in every) == 1
-    dated = not alone or stated.start == PREVIOUS
-    return folder_name(f"{serial}-{stated.date}" if dated and stated.date else serial)
+    dated = (not alone or job.start == PREVIOUS) and job.date
+    return folder_name(f"{serial}-{job.date}" if dated else serial)
 
 
-def _in_order(jobs: Sequence[Job]) -> tuple[Job, ...]:
-    """The jobs, each with the name of the one before it of the same robot."""
-    found, serial = dict[str, str](), attrgetter("stated.serial_number")
-    for name, alike in groupby(sorted(jobs, key=serial), serial):
-        own = list(alike)
-        if all(job.stated.date for job in own):
-            own.sort(key=attrgetter("stated.date"))
-        found |= {later.name: job.name for job, later in pairwise(own) if name}
-    return tuple(replace(job, before=found.get(job.name, "")) for job in jobs)
+# --- the work -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Orders:
+    """The orders that all jobs of a fleet share.
+
+    Attributes:
+        home: Folder from which files are named, that of the command.
+        output: Folder of the fleet.
+        pages: Whether each calibration gets its `report.html`.
+        resume: Whether a finished calibration of the same files stays.
+    """
+
+    home: Path
+    output: Path
+    pages: bool = True
+    resume: bool = False
+
+    def enter(self) -> None:
+        """Make the process name files as the command does.
+
+        Raises:
+            OptionError: If the folder of the command is not there, as on a cluster
+                without a common file system.
+        """
+        try:
+            os.chdir(self.home)
+        except OSError as error:
+            reason = "workers do not see this folder; all of a cluster need the same "
+            raise OptionError(f"{reason}files", file=self.home) from error
+
+
+class Outcome(NamedTuple):
+    """A row, and the evidence of a trusted calibration for the prior of its type."""
+
+    row: FleetRow
+    evidence: RobotEvidence | None = None
+
+
+@serial_blas
+def calibrate_job(orders: Orders, job: Job) -> Outcome:
+    """Calibrate, write the folder of the results, and tell its row."""
+    try:
+        orders.enter()
+        request, folder = request_of(orders, job), orders.output / job.name
+        result = finished(orders, job, request) if orders.resume else None
+        if result is None:
+            given = opened(request, folder, force=True)
+            found = calibrated(given, request.words(folder), page=orders.pages)
+            assert given.files is not None
+            with write_results(found.result, given.files, found.contents, force=True):
+                pass
+            # As the folder has it, so that who goes on later has the same bytes.
+            result = read_result(folder)
+        row = fleet_row(job.name, result, job.serial_number, job.date)
+        return Outcome(row, _evidence(result))
+    except Exception as error:  # One broken job stops nothing.
+        return failed(job, one_line(complaint(error)))
+    finally:
+        taken_notices()
+
+
+def failed(job: Job, reason: str) -> Outcome:
+    """The outcome of a job that ended in an error."""
+    return Outcome(FleetRow(job.name, job.serial_number, job.date, reason=reason))
+
+
+def lost_job(job: Job) -> Outcome:
+    """The outcome of a job over which workers died again and again."""
+    return failed(job, "the process that calibrates it dies each time")
+
+
+def _evidence(result: CalibrationResult) -> RobotEvidence | None:
+    """The evidence of a calibration for its type; None where there is none."""
+    try:
+        return robot_evidence(result) if result.verdict in TRUSTED else None
+    except InputError:  # Something was learned, say.
+        return None
+
+
+@serial_blas
+def compare_job(orders: Orders, pair: tuple[FleetRow, Path, str]) -> FleetRow:
+    """The row of a calibration with its drift.
+
+    Args:
+        orders: The orders.
+        pair: Its row, the folder or file of the earlier calibration, and its name.
+    """
+    row, file, name = pair
+    try:
+        orders.enter()
+        own = read_result(orders.output / row.job)
+        return with_drift(row, compare(read_result(file), own), name)
+    except CalibPinError as error:
+        said = f"no drift from {name}: {error}"
+        reason = one_line(f"{row.reason}; {said}" if row.reason else said)
+        return replace(row, drift=Drift(name), reason=reason)
+
+
+def request_of(orders: Orders, job: Job) -> Request:
+    """The calibration that a job asks for.
+
+    Raises:
+        InputError: If no measurement file has a name of those with a *, or there is no
+            calibration to go on from.
+    """
+    files: list[Path] = []
+    for file in job.measurements:
+        alike = sorted(file.parent.glob(file.name)) if "*" in file.name else [file]
+        if not alike:
+            raise InputError("no file has such a name", file=file)
+        files += alike
+    start = job.start
+    if start == PREVIOUS:
+        start = job.previous or _before(orders, job)
+    return replace(job, measurements=files, start=start)
+
+
+def _before(orders: Orders, job: Job) -> Path:
+    """The calibration before of the same serial number.
+
+    Raises:
+        InputError: If there is none.
+    """
+    if job.before:
+        return orders.output / job.before
+    serial, found = folder_name(job.serial_number), list[str]()
+    for name in (path.parent.name for path in orders.output.glob(f"*/{DOCUMENT}")):
+        day = DATE.fullmatch(name.removeprefix(f"{serial}-"))
+        later = day and job.date and day[0] >= job.date
+        if name == serial or (day and not later):
+            found.append(name)
+    if not found:
+        raise InputError(
+            "'start: previous', and there is no earlier calibration of serial number "
+            f"'{job.serial_number}' in the table or in {orders.output}"
+        )
+    return orders.output / max(found)
+
+
+def finished(orders: Orders, job: Job, request: Request) -> CalibrationResult | None:
+    """The result that is there already; None where it is another one's, or not whole.
+
+    It is the same if the command and the content of all files are.
+    """
+    folder, robot = orders.output / job.name, Path(request.robot)
+    try:
+        document, _ = read_document(folder / DOCUMENT)
+        used = [*document["measurements"]["files"], document["setup_file"]]
+        same = [sha256(read_bytes(f["file"])) == f["sha256"] for f in used if f]
+        words = tuple(document["provenance"]["command"])
+        same += [words == request.words(folder)]
+        same += [REPORT in document["files"] or not orders.pages]
+        if request.start is not None:
+            begun = document["recalibration"]["steps"][-1]["created"]
+            started, _ = read_document(document_file(request.start))
+            same += [begun == started["provenance"]["created"]]
+        result = read_result(folder) if all(same) else None
+        if result is None or not robot.is_file():
+            return result
+        nominal = result.model.chains.robot.source
+        return result if read_bytes(robot) == nominal else None
+    except (CalibPinError, KeyError, TypeError):
+        return None

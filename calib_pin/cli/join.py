@@ -7,10 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import calib_pin.cli.options as options
+from calib_pin.cli import options, printing
 from calib_pin.cli.files import check_outputs, open_setup, require_file
-from calib_pin.cli.printing import progress_bar, stage
-from calib_pin.cli.request import Told, number
+from calib_pin.cli.options import Told, number
 
 if TYPE_CHECKING:
     from calib_pin.io.table import Table
@@ -39,8 +38,8 @@ class Logs(options.QuietAnswer):
         keep: Keep every reading, instead of one mean for each standstill.
     """
 
-    log: Annotated[Path, Told("JOINTS")]
-    measurements: Annotated[Path, Told("MEASUREMENTS")]
+    log: Annotated[Path, Told("JOINTS", "")]
+    measurements: Annotated[Path, Told("MEASUREMENTS", "")]
     output: Annotated[Path, Told("CSV", "Output")]
     setup: Annotated[Path | None, Told("FILE", "Logs")] = None
     settle: Annotated[float, Told("S", "Logs", SETTLE)] = 0.5
@@ -63,8 +62,7 @@ def join(asked: Logs) -> int:
     CalibrationData (robot_calibration) is given twice.
     """
     import calib_pin.io.exchange.rosbag as rosbag
-    import calib_pin.io.logs as logs
-    from calib_pin.io.table import read_table
+    from calib_pin.io import logs, table
 
     columns = open_setup(asked.setup).columns
     files = joints, measurements = asked.log, asked.measurements
@@ -75,9 +73,9 @@ def join(asked: Logs) -> int:
     def read(path: Path, part: str, kinds: Collection[str], topic: str | None) -> Table:
         if rosbag.is_bag(path):
             return rosbag.read_bag(path, kinds, topic)
-        return read_table(path, stage(bar, part), columns=columns)
+        return table.read_table(path, printing.stage(bar, part), columns=columns)
 
-    with progress_bar(quiet=asked.quiet) as bar:
+    with printing.progress_bar(quiet=asked.quiet) as bar:
         tables = None
         if joints == measurements and rosbag.is_bag(joints):
             tables = rosbag.read_calibration_data(joints, asked.topic, asked.tell)

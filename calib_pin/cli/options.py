@@ -1,63 +1,154 @@
-"""Arguments and options that several commands share."""
+"""The options of commands, each declared once, with the work that belongs to them.
+
+What a command can be asked for is a dataclass. Its fields are arguments and options,
+whose help are the attributes in its docstring; options that several commands share are
+those of its bases, which know what is done with them.
+"""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, fields, replace
 from functools import partial, wraps
+from importlib import import_module
 from inspect import Parameter, Signature, cleandoc, signature
+from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
 import typer
 
-from calib_pin.cli.completion import completed, robots
-from calib_pin.cli.files import FLAGS, open_chains, open_setup
+import calib_pin.cli.files as files
 from calib_pin.cli.printing import notice, say, say_written, show
-from calib_pin.cli.request import Request, Told
-from calib_pin.cli.request import number as number
-from calib_pin.errors import OptionError
+from calib_pin.errors import OptionError, require_known
 from calib_pin.units import as_number
 
 if TYPE_CHECKING:
+    from calib_pin.kinematics.chain import Chain
     from calib_pin.kinematics.chains import Chains
-    from calib_pin.observations import BlockKey
+    from calib_pin.kinematics.collision import Collisions
+    from calib_pin.observations import BlockKey, Observations
+    from calib_pin.planning.travel import Ways
     from calib_pin.report.blocks import Block
-    from calib_pin.setup import ReportSetup, Setup
+    from calib_pin.setup import Obstacle, ReportSetup, Setup
+    from calib_pin.validation.calibrated_model import CalibratedModel
+    from calib_pin.workers import Workers
 
-ARGUMENTS = {
-    *("robot", "measurements", "calibration", "targets", "first", "second"),
-    *("images", "log", "name"),
-}
-"""Fields of requests that are arguments; all others are options."""
+_Number = TypeVar("_Number", int, float)
 
-ANSWER = ("force", "quiet", "json")
-"""Options of nearly all commands, the last ones of their help."""
+PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
+"""Options of nearly all commands, by their places before or behind others."""
+
+_names: dict[Any, Callable[[], Iterable[str]]] = {}
+"""The names of robots, and those that parsers know."""
 
 
-def option(
-    heading: str,
-    usage: str,
-    meaning: str,
-    parser: Callable[[str], Any] | None = None,
-    callback: Callable[..., Any] | None = None,
-) -> Any:
-    """An option under a heading of `--help`.
+# --- how a field is stated ----------------------------------------------------------
 
-    Its usage are its names and the word for its value; without that it is a switch.
+
+class Told(NamedTuple):
+    """How a user states a field.
+
+    Attributes:
+        word: Stands for its value in a help text; empty for a switch.
+        heading: Heading of the option there; empty for an argument.
+        parse: Makes the value of a text, where that is more than its type.
     """
-    words = usage.split()
-    names = [word for word in words if word.startswith("-")]
-    return typer.Option(
-        *names,
-        metavar=" ".join(words[len(names) :]) or None,
-        help=meaning,
-        parser=parser,
-        callback=callback,
-        autocompletion=completed(names[-1]),
-        rich_help_panel=heading,
-    )
+
+    word: str = ""
+    heading: str = "Fit"
+    parse: Callable[[str], Any] | None = None
+
+
+def number(
+    kind: type[_Number],
+    option: str,
+    allowed: str,
+    least: float = -math.inf,
+    most: float = math.inf,
+) -> Callable[[str], _Number]:
+    """A parser of a number whose errors name the option, the value and the range."""
+
+    def parse(text: str | _Number) -> _Number:
+        try:
+            value = None if as_number(str(text)) is None else kind(text)
+        except ValueError:
+            value = None
+        # Not-a-number lies in no interval.
+        inside = value is not None and least <= value <= most
+        if value is None or not inside or value in (-math.inf, math.inf):
+            raise OptionError(f"{option} cannot be {text!r}", allowed=allowed)
+        return value
+
+    return parse
+
+
+def known(
+    kind: str, where: str, *more: str, between: str | None = None
+) -> Callable[[str], str]:
+    """A parser of a name that has to be known, which a shell completes.
+
+    Args:
+        kind: The kind of name.
+        where: The module of the package and the names in it, loaded when asked for;
+            empty for none.
+        more: Names beside them.
+        between: Stands between several names; None for one.
+    """
+
+    def parse(text: str) -> str:
+        found = [name.strip() for name in text.split(between)] if between else [text]
+        for name in found:
+            require_known(kind, name, _names[parse]())
+        if len(set(found)) != len(found):
+            raise OptionError(f"a {kind} is named twice", value=text)
+        return text
+
+    _names[parse] = partial(_loaded, where, more)
+    return parse
+
+
+def _loaded(where: str, more: Iterable[str] = ()) -> list[str]:
+    module, _, name = where.partition(":")
+    of = attrgetter(name)(import_module(f"calib_pin.{module}")) if where else ()
+    return [*more, *of]
+
+
+def _model(text: str) -> str:
+    """A measurement model; `list` prints all with their help, and ends."""
+    from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+    from calib_pin.report.blocks import table
+
+    if text != "list":
+        return text
+    rows = [(name, declared(name).help) for name in MEASUREMENT_MODELS]
+    show([table("", ("|word", "|remark"), rows)])
+    raise typer.Exit
+
+
+def _robots() -> Iterable[str]:
+    from calib_pin.io.urdf import known_robots
+
+    return known_robots()
+
+
+# A shell adds files itself.
+_names["robot"] = _robots
+_names[_model] = partial(_loaded, "measurement_models:MEASUREMENT_MODELS")
+
+
+def completed(of: Any) -> Callable[[typer.Context, str], list[str]] | None:
+    """The completion of a robot, or of what a parser knows; None for any value."""
+    if of not in _names:
+        return None
+
+    def names(_: typer.Context, incomplete: str) -> list[str]:
+        return [name for name in _names[of]() if name.startswith(incomplete)]
+
+    return names
 
 
 def meanings(cls: type) -> dict[str, str]:
@@ -76,23 +167,19 @@ def meanings(cls: type) -> dict[str, str]:
     return found
 
 
-def asked(name: str) -> Any:
-    """The argument or the option for a field of the request of a calibration."""
-    (told,) = get_type_hints(Request, include_extras=True)[name].__metadata__
-    return declared(name, told, meanings(Request)[name])
-
-
-def declared(name: str, told: Told, meaning: str) -> Any:
-    """The argument or the option for a field of a request."""
-    if name in ARGUMENTS:
-        completion = robots if name == "robot" else None
-        return typer.Argument(
-            metavar=told.word, help=meaning, autocompletion=completion
-        )
-    short = "-o " if name == "output" else ""
-    usage = f"{short}--{name.replace('_', '-')} {told.word}"
-    then = listed if name == "model" else None
-    return option(told.heading, usage, meaning, told.parse, then)
+def _declared(name: str, told: Told, meaning: str) -> Any:
+    """The argument or the option for a field."""
+    shared: dict[str, Any] = {"metavar": told.word or None, "help": meaning}
+    if not told.heading:
+        return typer.Argument(**shared, autocompletion=completed(name))
+    return typer.Option(
+        *["-o"] * (name == "output"),
+        f"--{name.replace('_', '-')}",
+        **shared,
+        parser=told.parse,
+        autocompletion=completed(told.parse),
+        rich_help_panel=told.heading,
+    )
 
 
 def spread(function: Callable[..., int]) -> Callable[..., int]:
@@ -101,145 +188,281 @@ def spread(function: Callable[..., int]) -> Callable[..., int]:
     kind, only = first.annotation, Parameter.KEYWORD_ONLY
     hints, texts = get_type_hints(kind, include_extras=True), meanings(kind)
     for name, hint in hints.items():
-        told = hint.__metadata__[0]
-        if isinstance(told, Told):
-            made = declared(name, told, texts.get(name, ""))
-            hints[name] = Annotated[get_args(hint)[0], made]
-    names = [*(name for name in hints if name not in ANSWER), *ANSWER]
+        made = _declared(name, hint.__metadata__[0], texts[name])
+        hints[name] = Annotated[hint.__origin__, made]
     given = signature(kind).parameters
-    fields = [given[name] for name in names if name in hints]
-    options = [p.replace(annotation=hints[p.name], kind=only) for p in fields]
+    asked = [given[name] for name in sorted(hints, key=lambda n: PLACES.get(n, 0))]
+    options = [p.replace(annotation=hints[p.name], kind=only) for p in asked]
     options += [p.replace(kind=only) for p in own]
 
     @wraps(function)
     def run(**given: Any) -> int:
-        return function(kind(**{name: given.pop(name) for name in hints}), **given)
+        own = {name: given.pop(name) for name in hints.keys() & given.keys()}
+        return function(kind(**own), **given)
 
     run.__signature__ = Signature(options)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in options}
     return run
 
 
-robot, output = (partial(option, heading) for heading in ("Robot", "Output"))
+def same(asked: object, function: Callable[..., Any]) -> dict[str, Any]:
+    """The fields of what is asked for that a function calls as they are."""
+    names = signature(function).parameters.keys() & vars(asked).keys()
+    return {name: getattr(asked, name) for name in names}
 
 
-def listed(model: str | None) -> str | None:
-    """The name of a measurement model; `list` prints all with their help, and ends."""
-    if model != "list":
-        return model
-    from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+# --- options that several commands share --------------------------------------------
 
-    for name in MEASUREMENT_MODELS:
-        print(f"{name:18} {declared(name).help}")
-    raise typer.Exit
-
-
-RobotName = Annotated[str, asked("robot")]
-PackageDirs = Annotated[list[Path] | None, asked("package_dir")]
-SetupFile = Annotated[Path | None, asked("setup")]
-Model = Annotated[str | None, asked("model")]
-Base = Annotated[str | None, asked("base")]
-Tip = Annotated[str | None, asked("tip")]
-StationPerFile = Annotated[bool, asked("station_per_file")]
-Parameters = Annotated[str | None, asked("parameters")]
-RobotOrCalibration = Annotated[
-    str,
-    typer.Argument(
-        metavar="ROBOT|calibration.json",
-        autocompletion=robots,
-        help="URDF or xacro file (with its arguments, name:=value), bundled robot, "
-        "example:NAME, or a calibration.",
-    ),
-]
-ChainName = Annotated[
-    str | None,
-    robot(
-        "--chain NAME",
-        "Chain, by its name in the setup file or that of its tip link; needed where "
-        "there are several and the measurements do not say.",
-    ),
-]
-
-
-Force = Annotated[bool, output("--force", "Replace existing output.")]
-Quiet = Annotated[bool, output("--quiet", "Print nothing but errors.")]
-Degrees = Annotated[
-    bool, output("--degrees", "Write joint angles in degrees, with their unit.")
-]
-Json = Annotated[bool, output("--json", "Print JSON.")]
-Details = Annotated[
-    bool,
-    output("--details", "Print statistics, all parameters and formulae as well."),
-]
+PART = number(float, "--holdout", "a number between 0 and 1", 0, 1)
+NOISE = number(float, "--process-noise", "1e-9 to 0.01 [m, rad]", 1e-9, 1e-2)
+SEED = number(int, "--seed", "0, 1, 2, ...", 0)
+CLEARANCE = number(float, "--clearance", "0 to 1 m", 0.0, 1.0)
+WORKERS = number(int, "--workers", "a number of processes, 1 to 1000", 1, 1000)
+SOLVER = known("solver", "estimation.solve:SOLVERS")
+LOSS = known("loss", "estimation.robust:LOSSES")
+LEARNED = known("residual model", "residual_models:RESIDUAL_MODELS")
+USE = known("use", "validation.model_selection:USES")
+PICTURES = known("figure format", "", "png", "pdf", "svg")
+PARAMETERS = known(
+    "parameterization", "parameterizations:PARAMETERIZATIONS", between=","
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class OfRobot:
-    """The robot that a command is for, as it is asked for."""
+    """The robot that a command is for, as it is asked for.
 
-    robot: RobotName
-    package_dir: PackageDirs = None
-    setup: SetupFile = None
-    model: Model = None
-    base: Base = None
-    tip: Tip = None
+    Attributes:
+        robot: URDF or xacro file (with its arguments, name:=value), name of a bundled
+            robot, or example:NAME if example-robot-data is installed.
+        package_dir: Folder of the ROS packages that the robot names; may be repeated.
+        setup: Setup file (YAML); options override it.
+        model: Measurement model, or several joined by +; by default inferred from the
+            columns. 'list' prints all.
+        base: First link of the chain; by default the root.
+        tip: Last link of the chain; by default the only leaf.
+    """
+
+    robot: Annotated[str, Told("ROBOT", "")]
+    package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
+    setup: Annotated[Path | None, Told("FILE", "Robot")] = None
+    model: Annotated[str | None, Told("NAME", "Robot", _model)] = None
+    base: Annotated[str | None, Told("LINK", "Robot")] = None
+    tip: Annotated[str | None, Told("LINK", "Robot")] = None
 
     def stated(self) -> Setup:
         """The setup file with the options on top; errors as of `open_setup`."""
-        own = {name: value for name, value in vars(self).items() if name in FLAGS}
-        return open_setup(self.setup, **own)
+        own = {name: value for name, value in vars(self).items() if name in files.FLAGS}
+        return files.open_setup(self.setup, **own)
 
     def chains(
         self, setup: Setup, measured: Sequence[BlockKey] | str | None = None
     ) -> Chains:
         """The chains of the robot; all else as for `open_chains`."""
-        return open_chains(self.robot, setup, measured, self.package_dir)
+        return files.open_chains(self.robot, setup, measured, self.package_dir)
+
+    def read(
+        self, rows: Sequence[Path], chains: Chains, setup: Setup, **more: Any
+    ) -> tuple[Chains, Observations]:
+        """Measurements by the options of the command, see `open_measurements`."""
+        given = {**same(self, files.open_measurements), "setup": setup, **more}
+        return files.open_measurements(rows, chains, **given)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
-    """How a command answers."""
+class OfStations(OfRobot):
+    """A robot with its measurements, as they are asked for.
 
-    force: Force = False
-    json: Json = False
+    Attributes:
+        station_per_file: Every file is from another station of the instrument.
+    """
 
-    quiet = False
+    station_per_file: Annotated[bool, Told("", "Robot")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfChain:
+    """The chain that a command is for.
+
+    Attributes:
+        chain: Chain, by its name in the setup file or that of its tip link; needed
+            where there are several and the measurements do not say.
+    """
+
+    chain: Annotated[str | None, Told("NAME", "Robot")] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfParameters(OfRobot):
+    """The errors that a robot may have.
+
+    Attributes:
+        parameters: placement (default), link-transform, dh, dh-full, joint-offset{};
+            beyond geometry transmission, compliance, hysteresis, motor-ripple,
+            cross-compliance, thermal, warm-up{}; of the instrument instrument-drift;
+            several may be combined.
+    """
+
+    parameters: Annotated[str | None, Told("P,...", "Robot", PARAMETERS)] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfCalibration(OfRobot):
+    """A robot or a calibration that a command is for.
+
+    Attributes:
+        robot: URDF or xacro file (with its arguments, name:=value), bundled robot,
+            example:NAME, or a calibration.
+    """
+
+    robot: Annotated[str, Told("ROBOT|calibration.json", "")]
+
+    def subject(
+        self, doubted: Callable[[str], None], chain: str | None = None, *also: str
+    ) -> tuple[CalibratedModel | None, Chains, Setup]:
+        """The calibration, its chains or those of the robot, and the setup to read by.
+
+        The rest as for `open_calibration`.
+        """
+        stated = self.stated()
+        files.require_file(self.robot, ", or a robot")
+        if not self.robot.endswith(".json"):
+            return None, self.chains(stated, chain), stated
+        found, stated = files.open_calibration(
+            self.robot, self.setup, stated, doubted, *also
+        )
+        if chain is not None:
+            require_known("chain", chain, found.measured_chains)
+        return found, found.chains, stated
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request(OfStations, OfParameters):
+    """A calibration as it is asked for.
+
+    A field is an argument or option of `calibrate`, whose help is the text here, and a
+    key of a job of `fleet`.
+
+    Attributes:
+        measurements: CSV or Parquet files with one row per measurement.
+        solver: gauss-newton (default), two-step (alternating: frames and instrument,
+            then the robot), de (differential evolution), or hybrid: de, then
+            gauss-newton, for errors of centimeters and degrees.
+        loss: auto (default) sets outliers aside where there are any; gnc always
+            searches for them; huber gives them less weight; squared weights all
+            measurements equally.
+        learned: Learn the errors that no parameter describes: network or
+            gaussian-process; with --model-ladder the only one that is tried.
+        model_ladder: Select the model: try joint offsets, geometry, transmission,
+            compliance and learned corrections on held-out measurements, and take the
+            simplest of the best.
+        use: Select the model that holds near the measured configurations, away from
+            them, or both (default); implies --model-ladder.
+        validation: Check the fit on the measurements of this file.
+        holdout: Hold out this part of the measurements, such as 0.2, for the check.
+        start: Go on from an older calibration of the robot, a folder or its
+            calibration.json: few measurements are enough, and sudden changes of the
+            robot are told.
+        process_noise: With --start: how far each error of the geometry may have
+            drifted since then, standard deviation in m and rad; by default as the
+            measurements show.
+        seed: Random seed.
+    """
+
+    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
+    solver: Annotated[str | None, Told("NAME", parse=SOLVER)] = None
+    loss: Annotated[str | None, Told("NAME", parse=LOSS)] = None
+    learned: Annotated[str | None, Told("NAME", parse=LEARNED)] = None
+    model_ladder: Annotated[bool, Told()] = False
+    use: Annotated[str | None, Told("WHERE", parse=USE)] = None
+    validation: Annotated[Path | None, Told("FILE")] = None
+    holdout: Annotated[float | None, Told("PART", parse=PART)] = None
+    start: Annotated[Path | None, Told("CALIBRATION")] = None
+    process_noise: Annotated[float | None, Told("S", parse=NOISE)] = None
+    seed: Annotated[int, Told("N", parse=SEED)] = 0
+
+    def words(self, output: Path) -> tuple[str, ...]:
+        """The command line of `calibrate` that asks for the same."""
+        words = ["calibrate", self.robot, *map(str, self.measurements)]
+        for asked in fields(Request):
+            value = getattr(self, asked.name)
+            option = f"--{asked.name.replace('_', '-')}"
+            if asked.name in ("robot", "measurements") or value == asked.default:
+                continue
+            if value is True:
+                words.append(option)
+                continue
+            for one in value if isinstance(value, list) else [value]:
+                words += [option, str(one)]
+        return ("calib-pin", *words, "-o", str(output))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """How a command answers that writes no file.
+
+    Attributes:
+        json: Print JSON.
+    """
+
+    json: Annotated[bool, Told("", "Output")] = False
+
+    force = quiet = False
 
     def give(
         self,
         contents: Mapping[Path, bytes],
-        document: Callable[[], Mapping[str, Any]],
+        document: Callable[[], Mapping[str, Any] | bytes],
         blocks: Iterable[Block] | str = (),
         written: Iterable[str] = (),
+        writing: AbstractContextManager[None] | None = None,
     ) -> None:
         """Write files, and print what is found; neither if one of both fails.
 
         Args:
             contents: The files.
-            document: Makes what is printed as JSON.
+            document: Makes what is printed as JSON, or that as it is in a file.
             blocks: The report that is printed else, or its text as it is.
             written: Lines on the files that are in place.
+            writing: Puts the files in place where it ends well; default `write_files`.
         """
         from calib_pin.io.files import write_files
         from calib_pin.io.json_text import encode
 
         told = not (self.json or self.quiet)
-        with write_files(contents, force=self.force):
+        with writing or write_files(contents, force=self.force):
             if self.json:
-                say(encode(document()).decode())
+                made = document()
+                say((made if isinstance(made, bytes) else encode(made)).decode())
             elif told and isinstance(blocks, str):
                 say(blocks)
             elif told and (shown := [*blocks]):
                 show(shown)
+        lines = [*written]
         if told:
-            say_written(written)
+            say_written(lines)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer(Shown):
+    """How a command answers.
+
+    Attributes:
+        force: Replace existing output.
+    """
+
+    force: Annotated[bool, Told("", "Output")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuietAnswer(Answer):
-    """The same, of a command that may say nothing."""
+    """The same, of a command that may say nothing.
 
-    quiet: Quiet = False
+    Attributes:
+        quiet: Print nothing but errors.
+    """
+
+    quiet: Annotated[bool, Told("", "Output")] = False
 
     def tell(self, remark: str) -> None:
         """A remark on standard error, of a command that may speak."""
@@ -247,54 +470,161 @@ class QuietAnswer(Answer):
             notice(remark)
 
 
-def parse_limits(
-    words: Sequence[str], chains: Chains
-) -> dict[str, tuple[float, float]]:
-    """Limits by joint name or glob [rad, m].
+@dataclass(frozen=True, kw_only=True)
+class Detailed:
+    """How much a command tells.
+
+    Attributes:
+        details: Print statistics, all parameters and formulae as well.
+    """
+
+    details: Annotated[bool, Told("", "Output")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class InDegrees:
+    """The unit of what a command writes.
+
+    Attributes:
+        degrees: Write joint angles in degrees, with their unit.
+    """
+
+    degrees: Annotated[bool, Told("", "Output")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pictured:
+    """The figures that a command draws.
+
+    Attributes:
+        figures: Folder for the figures.
+        figure_format: png (default), pdf or svg.
+    """
+
+    figures: Annotated[Path | None, Told("DIR", "Output")] = None
+    figure_format: Annotated[str, Told("FORMAT", "Output", PICTURES)] = "png"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shared:
+    """Who does the work of a command.
+
+    Attributes:
+        workers: Processes on this machine that share the work; by default one for
+            every core. The results are the same for any number.
+        cluster: Workers of a dask scheduler instead: its address, its scheduler.json,
+            or local. Only in a trusted network.
+    """
+
+    workers: Annotated[int | None, Told("N", "Workers", WORKERS)] = None
+    cluster: Annotated[str | None, Told("ADDRESS", "Workers")] = None
+
+
+@contextmanager
+def asked_workers(
+    count: int | None, cluster: str | None, patience: float | None = None
+) -> Iterator[Workers]:
+    """The workers that `--workers` and `--cluster` ask for.
 
     Args:
-        words: `JOINT=LOWER:UPPER`, with a unit in brackets if it is not rad or m.
-        chains: The chains; whether a name is one of their joints is checked later.
+        count: Number of processes; None for one for every core.
+        cluster: Address of a scheduler; None for processes of this machine.
+        patience: Time that items are done in this process before others are started
+            [s]; None for the default, zero where an item may end its process.
 
     Raises:
-        OptionError: If a word is not of this form, the limits cross, or the unit is
-            none of a joint that is meant.
+        OptionError: If both are asked for, or the cluster cannot be used.
     """
-    from calib_pin.io.columns import ANGLE, LENGTH, split_header
-    from calib_pin.parameters import matching
+    if cluster is not None:
+        if count is not None:
+            raise OptionError("--workers and --cluster exclude each other")
+        from calib_pin.workers.cluster import Cluster
 
-    units = {**ANGLE.units, **LENGTH.units}
-    limits = {}
-    for word in words:
-        # The name of a joint may hold a sign of equality, an interval cannot.
-        joint, _, rest = word.rpartition("=")
-        joint, (interval, unit) = joint.strip(), split_header(rest)
-        ends = [as_number(end.strip()) for end in interval.split(":")]
-        wrong, allowed = f"--limits cannot be {word!r}", ""
-        factor = 1.0 if unit is None else units.get(unit, 0.0)
-        if not joint or len(ends) != 2 or None in ends or not factor:
-            allowed = "JOINT=LOWER:UPPER, such as 'elbow=-90:90 [deg]'; units "
-            raise OptionError(wrong, allowed=allowed + ", ".join(units))
-        lower, upper = (factor * float(end or 0.0) for end in ends)
-        # Degrees would leave a joint as free as it was, without a word.
-        if not -ANGLE.largest <= lower <= upper <= ANGLE.largest:
-            most = f"{ANGLE.largest:.4g} rad or m"
-            allowed = (
-                f"LOWER up to UPPER, at most {most}; other units in brackets: [deg]"
-            )
-            raise OptionError(wrong, allowed=allowed)
-        for k in matching(joint, chains.joints):
-            kind = ANGLE if chains.revolute[k] else LENGTH
-            if unit not in (None, *kind.units):
-                wrong += f": joint '{chains.joints[k]}' is of another kind"
-                raise OptionError(wrong, allowed=", ".join(kind.units))
-        limits[joint] = (lower, upper)
-    return limits
+        with Cluster(cluster) as workers:
+            yield workers
+        return
+    from calib_pin.workers.local import PATIENCE, LocalProcesses
+
+    with LocalProcesses(count, PATIENCE if patience is None else patience) as local:
+        yield local
+
+
+@dataclass(frozen=True, kw_only=True)
+class Untouched(QuietAnswer):
+    """The collisions that a command looks after, as they are asked for.
+
+    Attributes:
+        srdf: SRDF file of the pairs of links that need no collision check.
+        clearance: Least distance from obstacles and between links [m]; default 0.01.
+        package_dir: Folder of the ROS packages that the robot names; may be repeated.
+    """
+
+    srdf: Annotated[Path | None, Told("FILE", "Constraints")] = None
+    clearance: Annotated[float | None, Told("S", "Constraints", CLEARANCE)] = None
+    package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
+
+    def refuse_unused(self, reason: str, *options: str) -> None:
+        """Refuse options of checks that are not made.
+
+        Raises:
+            OptionError: If there is one, with the reason.
+        """
+        own = ("srdf", *options, "clearance")
+        if any(getattr(self, name) not in (None, []) for name in own):
+            *most, last = (f"--{name.replace('_', '-')}" for name in own)
+            raise OptionError(f"{reason} {', '.join(most)} and {last}")
+
+    def collisions(
+        self, chain: Chain | Chains, obstacles: Sequence[Obstacle], file: str
+    ) -> Collisions | None:
+        """The collisions of a robot; none if its URDF describes no solids."""
+        from calib_pin.io.collision import CLEARANCE, load_collisions
+
+        return load_collisions(
+            chain,
+            obstacles,
+            srdf=self.srdf,
+            package_dirs=self.package_dir or [],
+            clearance=CLEARANCE if self.clearance is None else self.clearance,
+            notice=None if self.quiet else notice,
+            file=file,
+        )
+
+
+def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:
+    """The ways of a chain on which nothing is touched.
+
+    Raises:
+        OptionError: If its URDF describes no solids, or a joint follows one elsewhere.
+    """
+    from calib_pin.kinematics.chains import Chains
+    from calib_pin.planning.travel import Ways
+
+    chains = Chains.of(chain)
+    if len(chains.joints) > len(chain.joints):
+        reason = f"{option} needs the joints that others mimic in the chain"
+        raise OptionError(reason, value=chains.joints[-1])
+    solid = require_solids(option, chains, collisions)
+    return Ways(chains, solid, chain.lower, chain.upper)
+
+
+def require_solids(
+    option: str, chains: Chains, collisions: Collisions | None
+) -> Collisions:
+    """The collisions of a robot.
+
+    Raises:
+        OptionError: If its URDF describes no solids, which an option needs.
+    """
+    if collisions is None:
+        reason = f"{option} needs the solids of the robot, and the URDF has none"
+        file, allowed = chains.robot.file, "<collision> in its links"
+        raise OptionError(reason, file=file, allowed=allowed)
+    return collisions
 
 
 def dated(entries: ReportSetup) -> ReportSetup:
     """The entries of a report with their date, by default today."""
-    from dataclasses import replace
     from datetime import date
 
     return replace(entries, date=entries.date or date.today().isoformat())

@@ -1,42 +1,129 @@
-"""`calib-pin plan`: which configurations to measure."""
+"""`calib-pin plan`: which configurations to measure, or to visit in a test."""
 
 from __future__ import annotations
 
+import shlex
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import calib_pin.cli.options as options
-from calib_pin.cli.acceptance_plan import plan_acceptance
-from calib_pin.cli.collisions import require_solids
-from calib_pin.cli.files import (
-    check_outputs,
-    open_measurements,
-    require_distinct,
-    stated_blocks,
-    tell_limits,
-)
-from calib_pin.cli.older import as_before, open_older
-from calib_pin.cli.plan_request import PlanRequest
-from calib_pin.cli.printing import notice, progress_bar, stage, told_command
-from calib_pin.cli.results import (
-    draw,
-    figure_contents,
-    figure_files,
-    told_figures,
-)
-from calib_pin.cli.workforce import asked_workers
+from calib_pin.cli import files, options, printing, results
+from calib_pin.cli.options import SEED, Told, known, number
+from calib_pin.errors import CalibPinError, OptionError
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
+    from calib_pin.kinematics.collision import Collisions
     from calib_pin.observations import BlockKey, Observations
     from calib_pin.setup import Setup
     from calib_pin.validation.result import CalibrationResult
+
+COUNT = number(int, "--count", "1 to 1000", 1, 1000)
+CYCLES = number(int, "--cycles", "3 to 1000", 3, 1000)
+CANDIDATES = number(int, "--candidates", "1 to 100000", 1, 1e5)
+DISTANCE = number(float, "--distance", "0 to 10", 0.0, 10.0)
+CRITERION = known("criterion", "planning.plan:CRITERION_NAMES")
+METHOD = known("method", "planning.search:METHODS")
+
+USUAL = 30
+"""Cycles of an acceptance test."""
+
+
+def added(text: str) -> int:
+    """The value of `--add`; zero where that leaves the number to `--count`."""
+    return number(int, "--add", "1 to 1000", 1, 1000)(text) if text else 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanRequest(
+    options.Untouched,
+    options.InDegrees,
+    options.Pictured,
+    options.Shared,
+    options.OfChain,
+    options.OfParameters,
+):
+    """A plan as it is asked for.
+
+    Attributes:
+        count: Number of configurations.
+        add: Number of configurations to add to the measurements of --to.
+        to: Measurements that exist already; may be repeated.
+        criterion: prediction (default; the predicted tool-point uncertainty),
+            condition, or O1 to O5.
+        method: auto (default; exchange, then gradient), exchange, greedy, pso, ga or
+            gradient.
+        candidates: Quasi-random configurations to choose from.
+        seed: Random seed.
+        start: Plan for a calibration that goes on from this older one.
+        tests: Configurations where the robot is to be accurate; by default everywhere.
+        accept: Plan an acceptance test instead: five poses of a cube, and its schedule.
+        cycles: Visits of each pose of an acceptance test; default 30.
+        distance: Least distance between configurations, as the largest movement of a
+            joint [rad, m].
+        limits: Narrower joint limits, such as 'joint_*=-2:2' or
+            'elbow=-120:120 [deg]'; may be repeated.
+        ignore_collisions: Check no collisions.
+        output: File of configurations to write.
+        motion: File of the whole motion to write: the configurations, with via
+            configurations where the straight way collides.
+    """
+
+    count: Annotated[int | None, Told("N", "Plan", COUNT)] = None
+    add: Annotated[int | None, Told("[N]", "Plan", added)] = None
+    to: Annotated[list[Path] | None, Told("CSV", "Plan")] = None
+    criterion: Annotated[str, Told("NAME", "Plan", CRITERION)] = "prediction"
+    method: Annotated[str, Told("NAME", "Plan", METHOD)] = "auto"
+    candidates: Annotated[int, Told("N", "Plan", CANDIDATES)] = 1000
+    seed: Annotated[int, Told("N", "Plan", SEED)] = 0
+    start: Annotated[Path | None, Told("CALIBRATION", "Plan")] = None
+    tests: Annotated[Path | None, Told("CSV", "Plan")] = None
+    accept: Annotated[bool, Told("", "Plan")] = False
+    cycles: Annotated[int | None, Told("N", "Plan", CYCLES)] = None
+    distance: Annotated[float, Told("D", "Constraints", DISTANCE)] = 0.0
+    limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
+    ignore_collisions: Annotated[bool, Told("", "Constraints")] = False
+    output: Annotated[Path, Told("CSV", "Output")]
+    motion: Annotated[Path | None, Told("CSV", "Output")] = None
+
+    def check(self) -> None:
+        """Refuse options that exclude one another."""
+        alone = (n for n in ALONE if getattr(self, n) != getattr(PlanRequest, n))
+        reason = ""
+        if self.accept and (name := next(alone, None)):
+            option = name.replace("_", "-")
+            reason = f"--accept plans an acceptance test, without --{option}"
+        elif self.accept:
+            pass
+        elif self.cycles is not None:
+            reason = "--cycles belongs to --accept"
+        elif self.add is not None and not self.to:
+            reason = "--add needs the measurements to add to: --to CSV"
+        elif self.to and self.add is None:
+            reason = "--to names measurements; say how many to add with --add N"
+        elif self.add and self.count not in (None, self.add):
+            reason = f"--add {self.add} and --count {self.count} contradict each other"
+        elif not (self.add or self.count):
+            reason = "say how many configurations to plan with --count N"
+        if self.ignore_collisions and self.motion is not None:
+            reason = reason or "--ignore-collisions contradicts --motion"
+        if reason:
+            raise OptionError(reason)
+        if self.ignore_collisions:
+            self.refuse_unused("--ignore-collisions contradicts")
+
+
+ALONE = (
+    *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
+    *("seed", "distance", "motion", "parameters", "figures", "figure_format", "json"),
+)
+"""Options of plans that an acceptance test has no use for."""
 
 
 @options.spread
@@ -51,94 +138,85 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
     import numpy as np
 
     from calib_pin.cli.documents import plan_document
-    from calib_pin.io.measurements import encode_configurations, read_configurations
-    from calib_pin.io.targets import ROW
-    from calib_pin.planning.plan import plan as run
-    from calib_pin.planning.plan import sides_of
-    from calib_pin.planning.travel import VIA, Ways
-    from calib_pin.planning.workspace import joint_limits
+    from calib_pin.io import measurements, targets
+    from calib_pin.planning import plan as planning
+    from calib_pin.planning import travel, workspace
     from calib_pin.report.compensation_text import line_list
     from calib_pin.report.plan_text import plan_report
     from calib_pin.solvers import Status
 
-    older = open_older(asked.start)
-    stated = as_before(asked.stated(), older, planned=True)
+    older, stated = files.open_older(asked.start, asked.stated(), planned=True)
     asked.check()
-    require_distinct(asked.to or [])
-    pictures = figure_files(asked.figures, asked.figure_format, "plan")
+    pictures = results.figure_files(asked.figures, asked.figure_format, "plan")
     inputs = [asked.robot, asked.setup, asked.srdf, asked.tests, asked.start]
-    inputs += asked.to or []
-    check_outputs([asked.output, asked.motion, *pictures], inputs, asked.force)
+    outputs = [asked.output, asked.motion, *pictures]
+    files.check_outputs(outputs, [*inputs, *(asked.to or [])], asked.force)
     if asked.accept:
         stated = replace(stated, model="position")
     chains, keys, rows, stated = _opened(asked, stated, older)
-    collisions = None
+    collisions, command, poses = None, printing.told_command(context), None
     if not asked.ignore_collisions:
         collisions = asked.collisions(chains, stated.obstacles, stated.file)
     if asked.accept:
-        return plan_acceptance(asked, chains, stated, collisions, told_command(context))
+        return _acceptance(asked, chains, stated, collisions, command)
     if asked.motion is not None:
-        require_solids("--motion", chains, collisions)
-    poses = None
+        options.require_solids("--motion", chains, collisions)
     if asked.tests is not None:
-        poses = read_configurations(asked.tests, chains, stated.joints, stated.columns)
+        about = stated.joints, stated.columns
+        poses = measurements.read_configurations(asked.tests, chains, *about)
     with (
-        asked_workers(asked.workers, asked.cluster) as several,
-        progress_bar(quiet=asked.quiet) as bar,
+        options.asked_workers(asked.workers, asked.cluster) as several,
+        printing.progress_bar(quiet=asked.quiet) as bar,
         _interruptible(bar) as progress,
     ):
-        found = run(
-            chains,
-            keys,
-            asked.wanted(),
-            stated,
-            criterion=asked.criterion,
-            method=asked.method,
-            measured=rows,
-            collisions=collisions,
-            candidates=asked.candidates,
-            distance=asked.distance,
-            tests=poses,
-            seed=asked.seed,
-            progress=progress,
-            workers=several,
-        )
-        figures = figure_contents(
-            draw("plan", bar, found) if pictures else [], pictures
-        )
-    command = told_command(context)
+        given = options.same(asked, planning.plan) | {
+            "chain": chains,
+            "model": keys,
+            "count": asked.add or asked.count,
+            "setup": stated,
+            "measured": rows,
+            "collisions": collisions,
+            "tests": poses,
+            "workers": several,
+        }
+        found = planning.plan(**given, progress=progress)
+        drawn = results.draw("plan", found, bar) if pictures else []
+        figures = results.figure_contents(drawn, pictures)
     encode = partial(
-        encode_configurations, chains, joints=stated.joints, degrees=asked.degrees
+        measurements.encode_configurations,
+        chains,
+        joints=stated.joints,
+        degrees=asked.degrees,
     )
-    table = encode(
-        found.q,
-        found.target,
-        places=found.places,
-        sides=sides_of(found),
-        comments=[f"planned by: {command}"],
-    )
+    more: dict[str, Any] = {"places": found.places, "sides": planning.sides_of(found)}
+    comments = [f"planned by: {command}"]
+    table = encode(found.q, found.target, **more, comments=comments)
     contents, shut = {asked.output: table, **figures}, list[int]()
     written = [f"wrote {len(found.q)} configurations to {asked.output}"]
     if asked.motion is not None and collisions is not None:
-        with progress_bar(quiet=asked.quiet) as bar:
-            ways = Ways(chains, collisions, *joint_limits(found.problem))
+        with printing.progress_bar(quiet=asked.quiet) as bar:
+            free = travel.Ways(
+                chains, collisions, *workspace.joint_limits(found.problem)
+            )
             rng = np.random.default_rng(asked.seed)
-            passage = ways.through(found.q, rng, stage(bar, "ways"))
+            passage = free.through(found.q, rng, printing.stage(bar, "ways"))
         # A configuration is named by its line in the other file.
         first = table.count(b"\n") - len(found.q) + 1
         shut = [first + k for k in passage.blocked]
-        lines = ["" if k == VIA else str(first + k) for k in passage.row]
+        lines = ["" if k == travel.VIA else str(first + k) for k in passage.row]
         if not shut:
-            contents[asked.motion] = encode(
-                passage.q, places={ROW: lines}, comments=[f"motion of: {command}"]
-            )
+            comments = [f"motion of: {command}"]
+            motion = encode(passage.q, places={targets.ROW: lines}, comments=comments)
+            contents[asked.motion] = motion
             written.append(f"wrote {passage.vias} more on the way to {asked.motion}")
-    written += told_figures(figures, pictures)
+    written += results.told_figures(figures, pictures)
     asked.give(contents, lambda: plan_document(found), plan_report(found), written)
     if shut:
-        notice(f"no motion: no free way was found to {asked.output}, {line_list(shut)}")
+        printing.notice(
+            f"no motion: no free way was found to {asked.output}, {line_list(shut)}"
+        )
     if found.status is Status.STOPPED:
-        notice("interrupted: this is the best plan found so far")
+        printing.notice("interrupted: this is the best plan found so far")
     return 2 if shut else 0
 
 
@@ -152,33 +230,27 @@ def _opened(
     from calib_pin.observations import fitted_and_held_out
     from calib_pin.validation.robot_state import expected_setup
 
-    rows = None
+    rows: Observations | None = None
+    keys: Sequence[BlockKey]
     if asked.to:
-        with progress_bar(quiet=asked.quiet) as bar:
-            chains, rows = open_measurements(
-                asked.to,
-                asked.chains(stated, asked.chain),
-                stated,
-                chain=asked.chain,
-                quiet=asked.quiet,
-                bar=bar,
-            )
+        chains = asked.chains(stated, asked.chain)
+        with printing.progress_bar(quiet=asked.quiet) as bar:
+            chains, rows = asked.read(asked.to, chains, stated, bar=bar)
         rows = fitted_and_held_out(rows)[0]
         keys = rows.keys
     else:
-        keys = stated_blocks(stated, *filter(None, [asked.chain]))
+        keys = files.stated_blocks(stated, *filter(None, [asked.chain]))
         chains = asked.chains(stated, keys)
     if older is not None:
         stated = expected_setup(chains, stated, older)
     if not asked.quiet:
-        tell_limits(chains)
-    narrower = options.parse_limits(asked.limits or [], chains)
+        files.tell_limits(chains)
+    narrower = parse_limits(asked.limits or [], chains)
     # Nothing of the file may turn out to be impossible after a long search.
     names = (*stated.planes, *stated.targets, *stated.anchors)
     still = np.zeros((len(names), len(chains.joints)))
     encode_configurations(chains, still, names, joints=stated.joints)
-    limits = {**stated.limits, **narrower}
-    return chains, keys, rows, replace(stated, limits=limits)
+    return chains, keys, rows, replace(stated, limits={**stated.limits, **narrower})
 
 
 @contextmanager
@@ -204,3 +276,118 @@ def _interruptible(
         yield progress
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def parse_limits(
+    words: Sequence[str], chains: Chains
+) -> dict[str, tuple[float, float]]:
+    """Limits by joint name or glob [rad, m].
+
+    Args:
+        words: `JOINT=LOWER:UPPER`, with a unit in brackets if it is not rad or m.
+        chains: The chains; whether a name is one of their joints is checked later.
+
+    Raises:
+        OptionError: If a word is not of this form, the limits cross, or the unit is
+            none of a joint that is meant.
+    """
+    from calib_pin.io.columns import ANGLE, LENGTH, split_header
+    from calib_pin.parameters import matching
+    from calib_pin.units import as_number
+
+    units = {**ANGLE.units, **LENGTH.units}
+    limits = {}
+    for word in words:
+        # The name of a joint may hold a sign of equality, an interval cannot.
+        joint, _, rest = word.rpartition("=")
+        joint, (interval, unit) = joint.strip(), split_header(rest)
+        ends = [as_number(end.strip()) for end in interval.split(":")]
+        wrong = f"--limits cannot be {word!r}"
+        factor = 1.0 if unit is None else units.get(unit, 0.0)
+        if not joint or len(ends) != 2 or None in ends or not factor:
+            allowed = "JOINT=LOWER:UPPER, such as 'elbow=-90:90 [deg]'; units "
+            raise OptionError(wrong, allowed=allowed + ", ".join(units))
+        lower, upper = (factor * float(end or 0.0) for end in ends)
+        # Degrees would leave a joint as free as it was, without a word.
+        if not -ANGLE.largest <= lower <= upper <= ANGLE.largest:
+            most = f"at most {ANGLE.largest:.4g} rad or m"
+            allowed = f"LOWER up to UPPER, {most}; other units in brackets: [deg]"
+            raise OptionError(wrong, allowed=allowed)
+        for k in matching(joint, chains.joints):
+            kind = ANGLE if chains.revolute[k] else LENGTH
+            if unit not in (None, *kind.units):
+                wrong += f": joint '{chains.joints[k]}' is of another kind"
+                raise OptionError(wrong, allowed=", ".join(kind.units))
+        limits[joint] = (lower, upper)
+    return limits
+
+
+def _acceptance(
+    asked: PlanRequest,
+    chains: Chains,
+    setup: Setup,
+    collisions: Collisions | None,
+    command: str,
+) -> int:
+    """Find the poses of an acceptance test, write its visits, print its schedule.
+
+    Args:
+        asked: What is asked for.
+        chains: The robot, of a single chain.
+        setup: The setup, with limits, region and tool.
+        collisions: Collisions to avoid.
+        command: The command line that asks for it.
+
+    Raises:
+        OptionError: If there are several chains, or no cube is found.
+    """
+    from calib_pin.control.acceptance_poses import acceptance_poses
+    from calib_pin.estimation.formulation import nominal_problem
+    from calib_pin.io.exchange.motions import speed_limits
+    from calib_pin.io.measured_columns import shown_columns
+    from calib_pin.io.measurements import encode_table
+    from calib_pin.kinematics.joint_columns import JointColumns
+    from calib_pin.planning.workspace import joint_limits
+    from calib_pin.report.acceptance_text import acceptance_schedule
+
+    if len(chains.names) > 1:
+        reason = "an acceptance test is of one chain; say which one with --chain"
+        raise OptionError(reason, allowed=", ".join(chains.names))
+    chain = chains[chains.names[0]]
+    problem, count = nominal_problem(chain, "position", setup), len(chain.joints)
+    lower, upper = joint_limits(problem)
+    ways = None
+    if collisions is not None:
+        ways = options.ways_of("--accept", chain, collisions)
+    (term,) = problem.terms.values()
+    found = acceptance_poses(
+        chain,
+        term.error.tool.homogeneous,
+        limits=(lower[:count], upper[:count]),
+        region=setup.region,
+        free=None if ways is None else ways.collisions.free,
+        moves=None if ways is None else ways.is_free,
+    )
+    try:
+        speeds = speed_limits(chain, 1.0)
+    except CalibPinError:
+        speeds = None
+    words = ["calib-pin", "accept", asked.robot, str(asked.output)]
+    for name in ("setup", "base", "tip"):
+        if (value := getattr(asked, name)) is not None:
+            words += [f"--{name}", str(value)]
+    cycles, robot = asked.cycles or USUAL, chains.robot.name
+    schedule = acceptance_schedule(found, robot, cycles, speeds, shlex.join(words))
+    q, poses, each = found.cycles(cycles)
+    shown = shown_columns(q, JointColumns.of(chain, setup.joints), asked.degrees)
+    columns: dict[str, Sequence[object]] = {n: c.tolist() for n, c in shown.items()}
+    columns |= {"cycle": each, "pose": [f"P{pose}" for pose in poses]}
+    columns |= {f"{axis} [mm]": [""] * len(q) for axis in "xyz"}  # To be filled in.
+    text = encode_table(columns, [f"planned by: {command}", "", *schedule.splitlines()])
+    asked.give(
+        {asked.output: text},
+        dict,
+        schedule,
+        [f"wrote {len(found.q) * cycles} visits to {asked.output}"],
+    )
+    return 0

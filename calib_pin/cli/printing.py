@@ -5,18 +5,22 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from time import monotonic
+from typing import TYPE_CHECKING
 
 import typer
 
-from calib_pin.errors import one_line
+from calib_pin.errors import CalibPinError, one_line
 from calib_pin.progress import Progress, named
 
 if TYPE_CHECKING:
     from calib_pin.report.blocks import Block
+
+PATIENCE = 10.0
+"""Time after which work tells its stage where no bar can be shown, and time between two
+such lines [s]."""
 
 _notices: list[str] = []
 
@@ -66,18 +70,6 @@ def say_written(lines: Iterable[str]) -> None:
         notice(f"standard output: {error.strerror}")
 
 
-def say_json(document: Mapping[str, Any], written: Iterable[Path] = ()) -> None:
-    """Print one JSON object, with the files that were written, if there are any.
-
-    Raises:
-        OSError: As `say` does.
-    """
-    from calib_pin.io.json_text import encode
-
-    files = [str(path) for path in written]
-    say(encode({**document, **({"written": files} if files else {})}).decode())
-
-
 def notice(message: str) -> None:
     """A remark on standard error that does not stop the run, told at its end.
 
@@ -86,11 +78,27 @@ def notice(message: str) -> None:
     _notices.append(message)
 
 
-def tell_notices(*, forget: bool = False) -> None:
-    """Print the remarks so far, or forget them."""
-    for message in () if forget else _notices:
+def tell_notices() -> None:
+    """Print the remarks so far."""
+    for message in taken_notices():
         print(f"calib-pin: {one_line(f'note: {message}')}", file=sys.stderr)
+
+
+def taken_notices() -> list[str]:
+    """The remarks so far, which are told then."""
+    found = [*_notices]
     _notices.clear()
+    return found
+
+
+def complaint(error: Exception) -> str:
+    """An error as a user is told of it."""
+    if isinstance(error, CalibPinError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or 'output'}: {error.strerror or error}"
+    reason = f"{type(error).__name__}: {error}"
+    return f"internal error, please report it with --debug: {reason}"
 
 
 def stage(bar: Bar | None, name: str) -> Progress | None:
@@ -103,9 +111,15 @@ def stage(bar: Bar | None, name: str) -> Progress | None:
 
 @contextmanager
 def progress_bar(*, quiet: bool = False) -> Iterator[Bar | None]:
-    """A bar with the time that is left on standard error; None where nobody looks."""
-    if quiet or not sys.stderr.isatty():
+    """A bar with the time that is left on standard error; None where nobody looks.
+
+    Where it is no terminal, long work tells each of its stages in a line.
+    """
+    if quiet:
         yield None
+        return
+    if not sys.stderr.isatty():
+        yield _lines()
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -131,3 +145,16 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Bar | None]:
             progress.update(task, description=stage, completed=done, total=total)
 
         yield update
+
+
+def _lines() -> Bar:
+    """Tells a stage once, in a line on standard error, of work that takes long."""
+    before, told = monotonic(), ""
+
+    def update(stage: str, _: float | None) -> None:
+        nonlocal before, told
+        if stage != told and monotonic() - before > PATIENCE:
+            before, told = monotonic(), stage
+            print(f"calib-pin: {stage} ...", file=sys.stderr, flush=True)
+
+    return update

@@ -6,37 +6,26 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import calib_pin.cli.options as options
-from calib_pin.cli.files import check_outputs, require_folders
-from calib_pin.cli.options import dated
-from calib_pin.cli.printing import notice, progress_bar
-from calib_pin.cli.request import Told
-from calib_pin.cli.results import (
-    FigureFormat,
-    Figures,
-    draw_calibration,
-    figure_contents,
-    figure_files,
-    told_figures,
-)
+from calib_pin.cli import files, options, printing, results
+from calib_pin.cli.options import Told
+from calib_pin.cli.results import draw_calibration
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(options.QuietAnswer):
+class Report(options.QuietAnswer, options.Pictured):
     """A report as it is asked for.
 
     Attributes:
         calibration: Folder of the results, or its .json file.
         output: The page; default report.html of the folder, which is replaced.
         pdf: Write a PDF for a customer as well.
+        package_dir: Folder of the ROS packages that the robot names; may be repeated.
     """
 
-    calibration: Annotated[Path, Told("DIR|CALIBRATION")]
+    calibration: Annotated[Path, Told("DIR|CALIBRATION", "")]
     output: Annotated[Path | None, Told("PAGE", "Output")] = None
     pdf: Annotated[Path | None, Told("FILE", "Output")] = None
-    figures: Figures = None
-    figure_format: FigureFormat = "png"
-    package_dir: options.PackageDirs = None
+    package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
 
 
 @options.spread
@@ -52,11 +41,7 @@ def report(asked: Report) -> int:
     """
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.measurement_errors import MEASUREMENTS
-    from calib_pin.io.results import (
-        REPORT,
-        document_file,
-        read_written,
-    )
+    from calib_pin.io.results import REPORT, document_file, read_written
     from calib_pin.io.robot_shapes import robot_shapes
     from calib_pin.report.cover import calibration_cover
     from calib_pin.report.html import html_report, provenance_blocks
@@ -66,42 +51,37 @@ def report(asked: Report) -> int:
     pdf, folders = asked.pdf, asked.package_dir or []
     if pdf is not None:
         require_pdf()
-    require_folders(folders)
+    files.require_folders(folders)
     file = document_file(asked.calibration)
     result, document, suggestions = read_written(file)
+    robot, there = result.model.chains.robot, document.get("files", {})
     page = asked.output or file.parent / REPORT
-    own = asked.output is None and REPORT in document.get("files", {})
-    pictures = figure_files(asked.figures, asked.figure_format, "calibration")
-    inputs: list[str | Path | None] = [file, file.parent / MEASUREMENTS]
-    inputs.append(result.model.chains.robot.file)
-    check_outputs([page, pdf, *pictures], inputs, asked.force or own)
-    check_outputs([pdf], inputs, asked.force)
-    if MEASUREMENTS not in document.get("files", {}):
-        notice(f"{file} has no {MEASUREMENTS}: nothing is known of single measurements")
-    with progress_bar(quiet=asked.quiet) as bar:
-        robot = result.model.chains.robot
-        shapes = robot_shapes(robot, folders).parts
-        drawn = draw_calibration(result, bar, shapes)
-        contents = figure_contents(drawn, pictures)
+    own = asked.output is None and REPORT in there
+    pictures = results.figure_files(asked.figures, asked.figure_format, "calibration")
+    inputs: list[str | Path] = [file, file.parent / MEASUREMENTS, robot.file]
+    files.check_outputs([page, pdf, *pictures], inputs, asked.force or own)
+    files.check_outputs([pdf], inputs, asked.force)
+    if MEASUREMENTS not in there:
+        printing.notice(
+            f"{file} has no {MEASUREMENTS}: nothing is known of single measurements"
+        )
+    with printing.progress_bar(quiet=asked.quiet) as bar:
+        drawn = draw_calibration(result, bar, robot_shapes(robot, folders).parts)
         text = html_report(result, document, figures=drawn, suggestions=suggestions)
+        contents = {page: text}
         if pdf is not None:
-            stated = dated(result.model.setup.report)
+            stated = options.dated(result.model.setup.report)
             cover = calibration_cover(result, stated, drawn)
-            contents[pdf] = pdf_report(
-                cover,
-                [
-                    *blocks(result, suggestions, details=True, formulae=False),
-                    *provenance_blocks(document),
-                ],
-            )
-    made = [page] if pdf is None else [page, pdf]
-    told = told_figures([path for path in pictures if path in contents], pictures)
+            annex = blocks(result, suggestions, details=True, formulae=False)
+            contents[pdf] = pdf_report(cover, [*annex, *provenance_blocks(document)])
+        made = [f"wrote {file}" for file in contents]
+        figures = results.figure_contents(drawn, pictures)
     replace(asked, force=asked.force or own).give(
-        {page: text, **contents},
+        {**contents, **figures},
         lambda: document,
         blocks(result, suggestions),
-        [*(f"wrote {file}" for file in made), *told],
+        [*made, *results.told_figures(figures, pictures)],
     )
     if (asked.quiet or asked.json) and result.verdict not in TRUSTED:
-        notice(f"{result.verdict}: {result.reason}")
+        printing.notice(f"{result.verdict}: {result.reason}")
     return 0 if result.verdict in TRUSTED else 2

@@ -7,30 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
-from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib_pin.cli.files import (
-    FLAGS,
-    check_outputs,
-    open_chains,
-    open_measurements,
-    open_setup,
-    require_distinct,
-)
-from calib_pin.cli.older import as_before, open_older
-from calib_pin.cli.printing import Bar, notice
-from calib_pin.cli.request import Request
-from calib_pin.cli.results import (
-    ResultFiles,
-    check_results,
-    draw_calibration,
-    figure_contents,
-    result_contents,
-    result_files,
-)
-from calib_pin.errors import require_known
+import calib_pin.cli.files as files_of
+from calib_pin.cli import options, printing, results
+from calib_pin.cli.results import draw_calibration
 from calib_pin.workers import SERIAL, Workers
 
 if TYPE_CHECKING:
@@ -55,13 +37,17 @@ class Opened:
         older: The older calibration to go on from; None without one.
     """
 
-    request: Request
+    request: options.Request
     setup: Setup
     chains: Chains
     measurements: Observations
     validation: Observations | None
-    files: ResultFiles | None
+    files: results.ResultFiles | None
     older: CalibrationResult | None = None
+
+    def again(self, *_: object, **options: object) -> tuple[Chains, Observations]:
+        """The chains and measurements, for who reads them as `open_measurements`."""
+        return self.chains, self.measurements
 
 
 @dataclass(frozen=True)
@@ -82,13 +68,13 @@ class Calibrated:
 
 
 def opened(
-    request: Request,
+    request: options.Request,
     output: Path | None,
     pictures: Sequence[Path] = (),
     *,
     force: bool = False,
     quiet: bool = True,
-    bar: Bar | None = None,
+    bar: printing.Bar | None = None,
 ) -> Opened:
     """Read the input of a calibration, and check where its results would go.
 
@@ -99,41 +85,36 @@ def opened(
     from calib_pin.io.measured_columns import place_of
     from calib_pin.io.results import document_file
 
-    if request.use is not None:
-        from calib_pin.validation.model_selection import USES
-
-        require_known("use", request.use, USES)
-    asked = vars(request)
-    stated = open_setup(request.setup, **{name: asked[name] for name in FLAGS})
+    rows_in = request.measurements
     further = [] if request.validation is None else [request.validation]
-    older = open_older(request.start, [*request.measurements, *further])
-    stated = as_before(stated, older)
+    older, stated = files_of.open_older(
+        request.start, request.stated(), used=[*rows_in, *further]
+    )
     if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):
         name = stated.solver.name
-        notice(f"{name} ignores the options of differential evolution in 'solver'")
-    chains = open_chains(request.robot, stated, package_dirs=request.package_dir)
-    files = None if output is None else result_files(output, chains.robot.name)
+        printing.notice(
+            f"{name} ignores the options of differential evolution in 'solver'"
+        )
+    chains = request.chains(stated)
+    files = None if output is None else results.result_files(output, chains.robot.name)
     # None of them may be written.
     started = [] if request.start is None else [document_file(request.start)]
-    inputs = [request.robot, request.setup, *started, *request.measurements, *further]
+    inputs = [request.robot, request.setup, *started, *rows_in, *further]
     if files is None:
-        check_outputs(pictures, inputs, force)
+        files_of.check_outputs(pictures, inputs, force)
     else:
-        check_results(files, pictures, chains.robot, inputs, force)
-    require_distinct([*request.measurements, *further])
-    read = partial(open_measurements, station_per_file=request.station_per_file)
-    chains, rows = read(request.measurements, chains, stated, quiet=quiet, bar=bar)
+        results.check_results(files, pictures, chains.robot, inputs, force)
+    files_of.require_distinct([*rows_in, *further])
+    chains, rows = request.read(rows_in, chains, stated, quiet=quiet, bar=bar)
     unseen = None
     if further:
         same = replace(stated, model="+".join(rows.models))
         sockets = map(place_of, rows.target.distinct)
-        _, unseen = read(further, chains, same, quiet=True, sockets=sockets)
+        _, unseen = request.read(further, chains, same, quiet=True, sockets=sockets)
     if rows.validate.any() and (further or request.holdout is not None):
         option = "--validation" if further else "--holdout"
-        notice(
-            f"the measurements that 'set' marks for validation are not used with "
-            f"{option}"
-        )
+        reason = "the measurements that 'set' marks for validation are not used with"
+        printing.notice(f"{reason} {option}")
     return Opened(request, stated, chains, rows, unseen, files, older)
 
 
@@ -143,7 +124,7 @@ def calibrated(
     pictures: Sequence[Path] = (),
     *,
     page: bool = True,
-    bar: Bar | None = None,
+    bar: printing.Bar | None = None,
     workers: Workers = SERIAL,
 ) -> Calibrated:
     """Calibrate, and compose the files of the result.
@@ -164,23 +145,17 @@ def calibrated(
     request, files, setup = opened.request, opened.files, opened.setup
     shown = (files is not None and page) or bool(pictures)
     start = time.perf_counter()
-    # What `calibrate` calls as the request does is passed on as it is.
-    same = signature(calibrate).parameters.keys() & vars(request).keys()
-    given = {name: getattr(request, name) for name in same} | {
+    given = options.same(request, calibrate) | {
         "setup": setup,
         "validation": opened.validation,
         "measurements": opened.measurements,
         "start": opened.older,
+        "ladder": request.model_ladder or request.use is not None,
         "use": request.use or USES[0],
+        "workers": workers,
     }
-    result = calibrate(
-        opened.chains,
-        **given,
-        ladder=request.model_ladder or request.use is not None,
-        progress=bar,
-        others=partial(other_robots, opened.chains, setup),
-        workers=workers,
-    )
+    others = partial(other_robots, opened.chains, setup)
+    result = calibrate(opened.chains, **given, progress=bar, others=others)
     seconds = time.perf_counter() - start
     better = suggestions(
         opened.chains,
@@ -195,13 +170,13 @@ def calibrated(
 
         shapes = robot_shapes(opened.chains.robot, request.package_dir or ()).parts
         drawn = draw_calibration(result, bar, shapes)
-    contents = drawings = figure_contents(drawn, pictures)
+    contents = drawings = results.figure_contents(drawn, pictures)
     if files is not None:
         from calib_pin.validation.result import Provenance
 
         created = datetime.now(UTC).isoformat(timespec="seconds")
         made = Provenance.at(created, tuple(words), seconds)
-        contents = result_contents(
+        contents = results.result_contents(
             result, files, made, drawn if page else None, drawings, better
         )
     return Calibrated(result, better, contents, drawings)

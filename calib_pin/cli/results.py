@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from calib_pin.cli.files import check_outputs, exists
-from calib_pin.cli.options import output
 from calib_pin.cli.printing import Bar, notice
-from calib_pin.errors import OptionError, require_known
+from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.robot import Robot
@@ -59,14 +60,12 @@ def check_results(
     Raises:
         OptionError: See `cli.files.check_outputs`.
     """
-    from calib_pin.io.results import written_before
-    from calib_pin.io.urdf import is_source
+    from calib_pin.io import results, urdf
 
     # The nominal robot of a folder may be calibrated again: it stays as it is.
-    kept = files.nominal if is_source(files.nominal, robot) else None
-    new = [path for path in (*files, *pictures) if path != kept]
-    old = [p for p in written_before(files.json) if p not in new and p != kept]
-    check_outputs([*new, *old], inputs, force)
+    kept = files.nominal if urdf.is_source(files.nominal, robot) else None
+    all_files = dict.fromkeys((*files, *pictures, *results.written_before(files.json)))
+    check_outputs([path for path in all_files if path != kept], inputs, force)
 
 
 def result_contents(
@@ -82,25 +81,24 @@ def result_contents(
     The corrected URDF is there if it can be trusted, and is the nominal one where
     there is no gain; the page is there if figures for it are given, however few.
     """
+    from calib_pin.io import json_text, measurement_errors, results, urdf
     from calib_pin.io.files import listed, sha256
-    from calib_pin.io.json_text import encode, merged
-    from calib_pin.io.measurement_errors import encode_errors
-    from calib_pin.io.results import calibration_document, encode_urdf
-    from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
-    document = calibration_document(result, made, suggestions)
+    document = results.calibration_document(result, made, suggestions)
     # The same input and seed lead to the same id.
     unlike = {"solver": ["seconds"], "provenance": ["command", "created"]}
     left = {key: dict.fromkeys(names) for key, names in unlike.items()}
-    document["run"] = sha256(encode(merged(document, left)))[:16]
+    document["run"] = sha256(json_text.encode(json_text.merged(document, left)))[:16]
     robot = result.model.chains.robot
     contents = {files.nominal: robot.source}
     if result.verdict == "no-gain":
         contents[files.urdf] = robot.source
     elif result.geometry is not None:
-        contents[files.urdf] = encode_urdf(result.geometry, files.urdf)
-    contents[files.measurements] = encode_errors(result, document["run"])
+        contents[files.urdf] = results.encode_urdf(result.geometry, files.urdf)
+    contents[files.measurements] = measurement_errors.encode_errors(
+        result, document["run"]
+    )
     if figures is not None:
         contents[files.report] = html_report(
             result, document, figures=figures, suggestions=suggestions
@@ -111,9 +109,9 @@ def result_contents(
         for path, data in contents.items()
         if (name := listed(path, files.json.parent))
     }
-    if is_source(files.nominal, robot):
+    if urdf.is_source(files.nominal, robot):
         del contents[files.nominal]  # It is an input, and stays as it is.
-    return {**contents, files.json: encode(document)}
+    return {**contents, files.json: json_text.encode(document)}
 
 
 @contextmanager
@@ -139,9 +137,7 @@ def write_results(
         yield
     for path in old:
         notice(f"removed {path} of an earlier run")
-    for path in (files.urdf, files.report):
-        if path not in contents and exists(path):
-            notice(f"{path} is not from this run, which has no such file")
+    _tell_others((files.urdf, files.report), contents, "file")
     if (geometry := result.geometry) is None:
         return
     for chain in map(geometry.of, geometry.measured_chains):
@@ -152,19 +148,14 @@ def write_results(
             )
 
 
-FORMATS = ("png", "pdf", "svg")
-"""Formats of pictures by the ending of their names."""
+def _tell_others(files: Sequence[Path], written: Collection[Path], kind: str) -> None:
+    """Remark on files of an earlier run that stay where this one has none."""
+    for path in files:
+        if path not in written and exists(path):
+            notice(f"{path} is not from this run, which has no such {kind}")
 
 
-def _format(word: str) -> str:
-    require_known("figure format", word, FORMATS)
-    return word
-
-
-Figures = Annotated[Path | None, output("--figures DIR", "Folder for the figures.")]
-FigureFormat = Annotated[
-    str, output("--figure-format FORMAT", "png (default), pdf or svg.", _format)
-]
+# --- figures ------------------------------------------------------------------------
 
 
 def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
@@ -173,8 +164,6 @@ def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
     Raises:
         OptionError: If there can be no such folder.
     """
-    import os
-
     if folder is None:
         return []
     # Known before the work, not after it.
@@ -189,32 +178,28 @@ def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
     return [folder / f"{name}.{kind}" for name in NAMES[of]]
 
 
-def draw_calibration(
-    result: CalibrationResult, bar: Bar | None, shapes: Sequence[Shape]
-) -> list[Drawn]:
-    """The figures of a calibration, of a robot with some shapes."""
-    return draw("calibration", bar, result, shapes)
-
-
 def draw(
-    of: str, bar: Bar | None, subject: object, shapes: Sequence[Shape] = ()
+    of: str, subject: object, bar: Bar | None, shapes: Sequence[Shape] = ()
 ) -> list[Drawn]:
     """The figures of a calibration, a plan or a comparison.
 
     Args:
         of: Which of these.
-        bar: Told the progress.
         subject: It.
+        bar: Told the progress.
         shapes: Shapes of the links of a calibrated robot.
     """
     from calib_pin.report.figures import NAMES, drawn
 
     result: list[Drawn] = []
-    for figure in drawn(of, subject, shapes):
+    for figure in drawn(of, subject, shapes=shapes):
         result.append(figure)
         if bar is not None:
             bar("figures", len(result) / len(NAMES[of]))
     return result
+
+
+draw_calibration = partial(draw, "calibration")
 
 
 def figure_contents(drawn: Sequence[Drawn], files: Sequence[Path]) -> dict[Path, bytes]:
@@ -229,8 +214,6 @@ def figure_contents(drawn: Sequence[Drawn], files: Sequence[Path]) -> dict[Path,
 
 def told_figures(pictures: Collection[Path], files: Sequence[Path]) -> list[str]:
     """Figures that were written, in words, and a note on those of an earlier run."""
-    for path in files:
-        if path not in pictures and exists(path):
-            notice(f"{path} is not from this run, which has no such figure")
+    _tell_others(files, pictures, "figure")
     count = f"{len(pictures)} figure{'s' if len(pictures) != 1 else ''}"
     return [f"wrote {count} to {files[0].parent}"] if files else []

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import calib_pin.cli.options as options
-from calib_pin.cli.request import Told
+from calib_pin.cli.options import Told
 from calib_pin.errors import OptionError, require_known
 
 
@@ -20,7 +20,7 @@ class Robots(options.Answer):
         output: Folder for its URDF and example files.
     """
 
-    name: Annotated[str | None, Told("[NAME]")] = None
+    name: Annotated[str | None, Told("[NAME]", "")] = None
     output: Annotated[Path | None, Told("DIR", "Output")] = None
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+import calib_pin.cli.files as files
 import calib_pin.cli.options as options
-from calib_pin.cli.files import check_outputs, stated_blocks, tell_limits
+from calib_pin.cli.options import SEED, Told, number
 from calib_pin.cli.printing import notice, progress_bar, stage, told_command
-from calib_pin.cli.request import SEED, Told, number
 from calib_pin.errors import OptionError, stated_in
 
 COUNT = number(int, "--count", "1 to 1000000", 1, 1e6)
@@ -24,7 +24,7 @@ PLACES = ("chain", "station", "tool")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Simulation(options.Answer, options.OfRobot):
+class Simulation(options.Answer, options.OfParameters):
     """Measurements as they are asked for.
 
     Attributes:
@@ -44,8 +44,6 @@ class Simulation(options.Answer, options.OfRobot):
     """
 
     output: Annotated[Path, Told("CSV", "Output")]
-    parameters: options.Parameters = None
-    model: Annotated[str | None, Told("NAME", "Simulation")] = None
     count: Annotated[int | None, Told("N", "Simulation", COUNT)] = None
     configurations: Annotated[Path | None, Told("CSV", "Simulation")] = None
     errors: Annotated[Path | None, Told("YAML", "Simulation")] = None
@@ -70,77 +68,66 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
     import numpy as np
 
     from calib_pin.estimation.formulation import nominal_problem
-    from calib_pin.io.measurements import (
-        encode_table,
-        measurement_columns,
-        read_configurations,
-        read_held,
-    )
-    from calib_pin.io.results import encode_urdf
-    from calib_pin.io.setup import read_true_errors
+    from calib_pin.io import measurements, results, setup
     from calib_pin.io.table import read_table
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
     from calib_pin.validation.calibrated_model import CalibratedModel
 
-    stated, file = asked.stated(), asked.configurations
-    keys = stated_blocks(stated)
+    stated, file, truth = asked.stated(), asked.configurations, asked.truth
+    keys = files.stated_blocks(stated)
     if (asked.count is None) == (file is None):
         raise OptionError("give either --count or --configurations")
-    outputs, truth = (asked.output, asked.truth), asked.truth
-    check_outputs(outputs, (asked.robot, asked.setup, file, asked.errors), asked.force)
+    inputs = (asked.robot, asked.setup, file, asked.errors)
+    files.check_outputs((asked.output, truth), inputs, asked.force)
     if file is not None:
         table = read_table(file, columns=stated.columns)
         named = table.texts(("target", *PLACES))
         arms = named["chain"].distinct if "chain" in table else ()
-        keys = stated_blocks(stated, *arms)
+        keys = files.stated_blocks(stated, *arms)
     chains = asked.chains(stated, keys)
     problem = nominal_problem(chains, keys, stated)
     rng = np.random.default_rng(asked.seed)
     if asked.errors is None:
         theta = draw_errors(problem.parameters, rng)
     else:
-        given = read_true_errors(asked.errors, problem.parameters.names)
+        given = setup.read_true_errors(asked.errors, problem.parameters.names)
         theta = problem.parameters.vector(given)
+    names = ("noise", "repeats", "average")
+    about: dict[str, Any] = {name: getattr(asked, name) for name in names}
     measure = partial(
         run,
-        problem,
-        theta,
-        rng,
+        *(problem, theta, rng),
         # An image shows all corners of a board.
         per_configuration=asked.all_targets or stated.board is not None,
-        noise=asked.noise,
-        repeats=asked.repeats,
-        average=asked.average,
+        **about,
     )
     with progress_bar() as bar:
         stage(bar, "measure")
         if file is None:
-            tell_limits(chains)
+            files.tell_limits(chains)
             rows = measure(count=asked.count)
         else:
-            q = read_configurations(file, chains, stated.joints, stated.columns)
-            held = read_held(table, chains.joints, q)
+            read = measurements.read_configurations
+            q = read(file, chains, stated.joints, stated.columns)
+            held = measurements.read_held(table, chains.joints, q)
             target = named.pop("target", ())
             with stated_in(str(file)):
                 rows = measure(q=q, target=target, places=named, conditions=held)
         comment = f"simulated by: {told_command(context)}"
-        columns = measurement_columns(rows)
-        data = encode_table(columns, [comment], stage(bar, "write"))
+        columns = measurements.measurement_columns(rows)
+        data = measurements.encode_table(columns, [comment], stage(bar, "write"))
     contents = {asked.output: data}
     told = [f"wrote {len(rows)} measurements to {asked.output}"]
     if truth is not None:
         true = CalibratedModel.create(problem, theta)
-        contents[truth] = encode_urdf(true.without_corrections, truth)
+        contents[truth] = results.encode_urdf(true.without_corrections, truth)
         if any(true.of(name).tool_carries_tip for name in true.measured_chains):
             notice(f"{truth} lacks the error behind the last joint: no link holds it")
         if not true.geometric:
             notice(f"{truth} holds the geometry only; a URDF cannot hold other errors")
         told.append(f"wrote the true robot to {truth}")
-    document = {
-        "measurements": len(rows),
-        "models": list(rows.models),
-        "written": [*map(str, contents)],
-    }
+    document = {"measurements": len(rows), "models": list(rows.models)}
+    document["written"] = [*map(str, contents)]
     asked.give(contents, lambda: document, written=told)
     return 0

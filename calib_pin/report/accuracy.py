@@ -10,7 +10,7 @@ import pinocchio as pin
 from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.joint_columns import drives_of
 from calib_pin.parameterizations import outside_urdf
-from calib_pin.report.blocks import Block, Cell, Facts, Line, table
+from calib_pin.report.blocks import Block, Cell, Facts, Line, note, table
 from calib_pin.report.tables import (
     SIZES,
     accuracy_table,
@@ -58,10 +58,9 @@ def subject(result: CalibrationResult) -> Line:
     ]
     places = f" ({', '.join(told)})" if told else ""
     measured = counted(len(result.fitted), "measurement")
-    return Line(
+    return note(
         f"{chain_words(result.model)}; {model_words(result.model)}{places}, {measured} "
-        f"fitted{search}",
-        "note",
+        f"fitted{search}"
     )
 
 
@@ -145,7 +144,7 @@ def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Blo
             "The same folds selected the model; separate measurements (--validation) "
             "are a stricter check."
         )
-    yield Line(" ".join([*said, *_registered(result)]), "note")
+    yield note(" ".join([*said, *_registered(result)]))
     if result.distances:
         yield distance_table(result.distances)
 
@@ -182,7 +181,7 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
 def moves(result: CalibrationResult) -> Iterator[Block]:
     """The largest correction: the corrected robot must look like the nominal one."""
     if result.verdict == "no-gain":
-        yield Line("Nothing is corrected: the URDF is the nominal one.", "note")
+        yield note("Nothing is corrected: the URDF is the nominal one.")
         return
     geometry = result.geometry or (result.model if result.urdf is None else None)
     corrections = {} if geometry is None else geometry.urdf_corrections()
@@ -196,16 +195,15 @@ def moves(result: CalibrationResult) -> Iterator[Block]:
         f"{amount(max(sizes.values()), unit)} ({max(sizes, key=sizes.__getitem__)})"
         for sizes, unit in ((shifts, "m"), (turns, "rad"))
     ]
-    yield Line(f"Largest correction of a joint origin: {', '.join(parts)}.", "note")
+    yield note(f"Largest correction of a joint origin: {', '.join(parts)}.")
 
 
 def beyond(result: CalibrationResult) -> Iterator[Block]:
     """The corrections a URDF cannot hold, and its accuracy without them."""
     if result.rejected:
-        yield Line(
+        yield note(
             f"The {TITLES[result.rejected]} brings no gain on held-out measurements "
-            "and is not used.",
-            "note",
+            "and is not used."
         )
     if result.urdf is None or result.verdict == "no-gain":
         return
@@ -223,10 +221,9 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
         found = error.validation_after or error.after
         means.append(f"{error.name} {amount(found.mean, error.unit)}")
     which = "fitted" if result.validation.method == "none" else "validation"
-    yield Line(
+    yield note(
         f"{said}It holds the best geometry without: mean error on {which} "
-        f"measurements {', '.join(means)}. `calib-pin compensate` uses everything.",
-        "note",
+        f"measurements {', '.join(means)}. `calib-pin compensate` uses everything."
     )
 
 
@@ -255,7 +252,7 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
             f" {evaluation.outside} measurements lie outside the region in which the "
             "correction was learned; it knows less there."
         )
-    yield Line(how, "note")
+    yield note(how)
 
 
 STEPS = 12

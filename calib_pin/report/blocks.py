@@ -30,6 +30,11 @@ class Line:
     figure: str = ""
 
 
+def note(text: str) -> Line:
+    """A remark on what stands above."""
+    return Line(text, "note")
+
+
 @dataclass(frozen=True)
 class Code:
     """Lines to be copied into a file.

@@ -1,20 +1,32 @@
 """A calibration by its stations, tools, chains and blocks of measurements.
 
-All of it is shown only where there are several of them.
+Where base, tools, stations and cameras are, the numbers that others need; what each of
+several is worth is shown only where there are several of them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain as joined
 from itertools import combinations
 from typing import Any
 
+import numpy as np
+
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.report.blocks import Block, Line, Names, table
-from calib_pin.report.tables import UNIT, counted, measures
-from calib_pin.validation.result import Breakdown
+from calib_pin.io.setup import yaml_text
+from calib_pin.measurement_models.pinhole import INTRINSICS
+from calib_pin.report.blocks import Block, Cell, Code, Names, Table, note, table
+from calib_pin.report.tables import UNIT, counted, decimals, measures, significant
+from calib_pin.setup import CameraSetup
+from calib_pin.units import DISPLAY
+from calib_pin.validation.result import (
+    REMEDY,
+    Breakdown,
+    CalibrationResult,
+    FrameSummary,
+)
 
 QUANTITY = "quantity|word"
 
@@ -78,7 +90,7 @@ def told(found: Breakdown, *, details: bool = True) -> Iterator[Block]:
             of_chain = f" of chain {chain.name}" if chain.name else ""
             joints = f"joint{'s' if len(chain.still) > 1 else ''} "
             joints += f"{', '.join(chain.still)}{of_chain}"
-            yield Line(f"No measurement moves {joints}: held at nominal.", "note")
+            yield note(f"No measurement moves {joints}: held at nominal.")
     if details and len(found.blocks) > 1:
         yield from _blocks(found)
     coupled = [coupled.sentence for coupled in found.coupled_frames]
@@ -86,7 +98,7 @@ def told(found: Breakdown, *, details: bool = True) -> Iterator[Block]:
         yield Names("Frames that cannot be told apart", coupled)
     elif coupled:
         said = counted(len(coupled), "combination")
-        yield Line(f"Frames that cannot be told apart: {said}, see --details.", "note")
+        yield note(f"Frames that cannot be told apart: {said}, see --details.")
 
 
 def _blocks(found: Breakdown) -> Iterator[Block]:
@@ -103,15 +115,136 @@ def _blocks(found: Breakdown) -> Iterator[Block]:
             first = ranks = "", ""
     titles = ("", "measurements", QUANTITY, "rms", UNIT, "rank", "added")
     yield table("Blocks of measurements", titles, rows)
-    yield Line(
+    yield note(
         "Rank: errors of the robot that the measurements of a block identify by "
-        "themselves. Added: those that the others do not identify without them.",
-        "note",
+        "themselves. Added: those that the others do not identify without them."
     )
     for name, block in zip(names, found.blocks, strict=True):
         if block.ties:
             groups = " | ".join(", ".join(group) for group in block.ties)
-            yield Line(
-                f"Without the measurements of {name} the frames fall apart: {groups}.",
-                "note",
+            yield note(
+                f"Without the measurements of {name} the frames fall apart: {groups}."
             )
+
+
+# --- where frames and cameras are ---------------------------------------------------
+
+DIGITS = 9
+"""Decimals of lines to be copied [m, rad]: beyond any measurement."""
+
+
+def frame_blocks(result: CalibrationResult, *, lines: bool = True) -> Iterator[Block]:
+    """Frames and cameras of which something was estimated.
+
+    Args:
+        result: The calibration.
+        lines: Also the same as lines of a setup file, to be copied.
+    """
+    stations = [frame for frame in result.stations if frame.estimated]
+    tools = [frame for frame in result.tools if frame.estimated]
+    seen = {name: of for name, of in result.model.cameras.items() if of.estimate}
+    if not (stations or tools or seen):
+        return
+    if stations or tools:
+        yield _frames(stations, tools)
+        of_stations = f"of {_link(stations)} in the measurement frame of a station"
+        of_tools = f"of a tool on {_link(tools)}"
+        of = [of_stations] * bool(stations) + [of_tools] * bool(tools)
+        yield note(
+            f"Pose {', and '.join(of)}, with standard deviations; rotations are roll, "
+            "pitch and yaw, their deviations those about x, y and z."
+        )
+    open_ones = {name.partition(".intrinsics.")[0] for name in result.unknown}
+    if any({*"xyz"} & {*f.unknown} for f in stations + tools) or open_ones & {*seen}:
+        yield note(f"-: unknown, the measurements leave it open; {REMEDY}.")
+    variances = np.nan_to_num(np.diag(result.covariance))
+    sigmas = dict(zip(result.covariance.rows, np.sqrt(variances), strict=True))
+    sigmas |= dict.fromkeys(result.unknown, math.nan)
+    for name, camera in seen.items():
+        yield _camera(name, camera, sigmas)
+    known = {name: of for name, of in seen.items() if name not in open_ones}
+    if lines and (found := _lines(stations, tools, known)):
+        written = yaml_text(found)
+        yield Code("The same as lines of a setup file (m, rad, px)", written)
+
+
+def _camera(name: str, camera: CameraSetup, sigmas: Mapping[str, float]) -> Table:
+    """The intrinsics of a camera."""
+    values = (*camera.focal, *camera.center, *camera.distortion)
+    rows = []
+    for (key, unit, _), value in zip(INTRINSICS, values, strict=True):
+        sigma = sigmas[f"{name}.intrinsics.{key}"]
+        rows.append((key, _within(value, sigma, 1.0), unit))
+    return table(f"Intrinsics of {name}", ("", "value", UNIT), rows)
+
+
+def _lines(
+    stations: Sequence[FrameSummary],
+    tools: Sequence[FrameSummary],
+    cameras: Mapping[str, CameraSetup],
+) -> dict[str, Any]:
+    """Frames and a single camera as a setup file states them."""
+    lines: dict[str, Any] = {}
+    sections = [("stations", f) for f in stations] + [("tools", f) for f in tools]
+    for section, frame in sections:
+        # What is unknown is not there.
+        if {*"xyz"} & {*frame.unknown}:
+            continue
+        pose = {"xyz": _rounded(frame.xyz)}
+        if not frame.unknown:
+            pose["rpy"] = _rounded(frame.rpy)
+        if frame.name in ("base", "tool"):
+            section = "frames"
+        name = frame.name.removesuffix(".station").removesuffix(".tool")
+        lines.setdefault(section, {})[name] = pose
+    if len(cameras) == 1:
+        (camera,) = cameras.values()
+        lines["camera"] = {
+            "mount": camera.mount,
+            "focal": _rounded(camera.focal),
+            "center": _rounded(camera.center),
+            "distortion": _rounded(camera.distortion),
+            **({} if camera.size is None else {"size": [*camera.size]}),
+        }
+    return lines
+
+
+def _rounded(numbers: tuple[float, ...]) -> list[float]:
+    return [round(number, DIGITS) + 0.0 for number in numbers]
+
+
+def _link(frames: Sequence[FrameSummary]) -> str:
+    """The link of all frames, where there is only one."""
+    links = {frame.link for frame in frames}
+    return links.pop() if len(links) == 1 else "a link"
+
+
+def _frames(stations: Sequence[FrameSummary], tools: Sequence[FrameSummary]) -> Table:
+    rows = []
+    for frame, others in [(f, fs) for fs in (stations, tools) for f in fs]:
+        label = frame.name
+        sigma = frame.sigma or (0.0,) * 6
+        halves = [
+            ("position", "m", frame.xyz, sigma[:3]),
+            ("rotation", "rad", frame.rpy, sigma[3:]),
+        ]
+        for name, unit, values, deviations in halves:
+            pairs = zip(values, deviations, strict=True)
+            cells = [_within(*pair, DISPLAY[unit][1]) for pair in pairs]
+            rows.append((label, name, *cells, DISPLAY[unit][0]))
+            label = "" if _link(others) == frame.link else f"  {frame.link}"
+    return table("Frames of stations and tools", ("", "|word", *"xyz", UNIT), rows)
+
+
+def _within(value: float, sigma: float, factor: float) -> Cell:
+    """A value with its standard deviation, such as `12.345 +- 0.012`.
+
+    A dash for what the measurements leave open.
+    """
+    if math.isnan(sigma):
+        return Cell("-")
+    if not sigma > 0.0:
+        return Cell(f"{factor * value:z.3f}", value)
+    places = max(decimals(factor * sigma), 0)
+    text = f"{factor * value:z.{places}f} +- {significant(factor * sigma)}"
+    return Cell(text, value)

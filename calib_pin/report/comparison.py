@@ -5,58 +5,36 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import calib_pin.report.tables as tables
+import calib_pin.validation.comparison as compared
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.report.accuracy import chain_words, model_words
-from calib_pin.report.blocks import Block, Cell, Facts, Line, table
-from calib_pin.report.tables import (
-    SIZES,
-    UNIT,
-    amount,
-    estimate,
-    listed,
-    quantity,
-    sizes,
-    unit_of,
-)
+from calib_pin.report.blocks import Block, Cell, Facts, Line, note, table
 from calib_pin.report.trust import below, findings, judged
-from calib_pin.validation.comparison import (
-    BOUND,
-    Comparison,
-    Difference,
-    Displacement,
-    chained,
-    faults,
-    robot_groups,
-    robot_parameters,
-    shared_files,
-    stated_noise,
-)
 from calib_pin.validation.result import CalibrationResult
 
 
-def comparison_report(found: Comparison) -> Iterator[Block]:
+def comparison_report(found: compared.Comparison) -> Iterator[Block]:
     """Whether the robot changed, where, by which parameters, and the doubts."""
-    pair = (("A", found.first), ("B", found.second))
-    for label, record in pair:
+    pair = {"A": found.first, "B": found.second}
+    for label, record in pair.items():
         if record.verdict not in TRUSTED:
             reason = below(record.reason, record.findings)
             said = f"{label} ({record.provenance.file}): {reason}"
             yield judged(said, record.verdict)
     yield _verdict(found)
-    yield from findings(faults(found), "")
-    for label, record in pair:
+    yield from findings(compared.faults(found), "")
+    for label, record in pair.items():
         yield from findings(record.findings, record.reason, label)
-    yield from (Line(doubt, "note") for doubt in _doubts(found))
-    yield Facts(
-        chain_words(found.first.model),
-        [(label, _origin(record)) for label, record in pair],
-    )
+    yield from map(note, _doubts(found))
+    origins = [(label, _origin(record)) for label, record in pair.items()]
+    yield Facts(chain_words(found.first.model), origins)
     yield from tip_differences(found)
     yield from parameter_changes(found)
     yield from accuracies(found)
 
 
-def _verdict(found: Comparison) -> Line:
+def _verdict(found: compared.Comparison) -> Line:
     drift = found.drift
     apart = _size(found, drift.position.rms, drift.orientation.rms)
     if found.identical:
@@ -76,73 +54,69 @@ def _verdict(found: Comparison) -> Line:
         leading = found.differences[0]
         terms = leading.terms
         name = f"a combination with {terms[0][0]}" if terms else leading.name
+        far = tables.amount(leading.change, leading.unit)
         return Line(
-            f"The robot changed, but not visibly at the tool point: {name} by "
-            f"{amount(leading.change, leading.unit)}, {leading.significance:.0f} "
-            f"standard deviations; the tool points differ by {within}",
+            f"The robot changed, but not visibly at the tool point: {name} by {far}, "
+            f"{leading.significance:.0f} standard deviations; the tool points differ "
+            f"by {within}",
             "bad",
         )
     said = "No drift beyond the noise of both: the tool points differ by"
     return Line(f"{said} {within}", "good")
 
 
-def _where(found: Comparison) -> str:
+def _where(found: compared.Comparison) -> str:
     """Of several chains the one that drifted most."""
     return f" at the tip of {found.chain}" if len(found.drifts) > 1 else ""
 
 
-def _cause(found: Comparison) -> str:
+def _cause(found: compared.Comparison) -> str:
     """The cause of a drift, as far as it is known."""
     trusted = {found.first.verdict, found.second.verdict} <= set(TRUSTED)
     if found.same_rows or not found.same_parameters or not trusted:
         return "The two disagree on the tool point, which differs by"
-    if not found.described:
-        return (
-            "The robot changed, or was measured at other configurations: tool-point "
-            "drift"
-        )
-    return "The robot changed: tool-point drift"
+    other = "" if found.described else ", or was measured at other configurations"
+    return f"The robot changed{other}: tool-point drift"
 
 
-def _size(found: Comparison, position: float, orientation: float) -> str:
+def _size(found: compared.Comparison, position: float, orientation: float) -> str:
     """A drift in words; an orientation only where it is known."""
     pairs = [(position, "m"), (orientation, "rad")][: 2 if found.drift.oriented else 1]
-    return " and ".join(amount(*pair) for pair in pairs)
+    return " and ".join(tables.amount(*pair) for pair in pairs)
 
 
-def _doubts(found: Comparison) -> Iterator[str]:
+def _doubts(found: compared.Comparison) -> Iterator[str]:
     """Other possible causes of the difference."""
+    first, second = both = found.first, found.second
+    noisy = found.drifted and found.same_parameters and not found.described
+    known = None not in map(compared.stated_noise, both)
     if not found.same_nominal:
         yield (
             "The nominal robots differ: only the tool points are compared, not the "
             "parameters, which refer to different robots."
         )
-    if found.same_rows:
+    if found.same_rows and found.identical:
+        yield "Both fit the same measurements in the same way."
+    elif found.same_rows:
         yield (
-            "Both fit the same measurements in the same way."
-            if found.identical
-            else "Both fit the same measurements: not the robot but the fit changed, "
-            "and their noise is not independent."
+            "Both fit the same measurements: not the robot but the fit changed, and "
+            "their noise is not independent."
         )
+    if found.same_rows:
         return
     if found.same_nominal and not found.same_parameters:
         yield (
             "The errors are described by different parameters, which can cause a "
             "difference without any change of the robot."
         )
-    if chained(found.first, found.second):
+    if compared.chained(first, second):
         yield (
             "B began with A: it tells what the new measurements have changed, and the "
             "noise of both is not independent."
         )
-    if shared_files(found.first, found.second):
+    if compared.shared_files(first, second):
         yield "They share a measurement file: their noise is not independent."
-    elif (
-        found.drifted
-        and found.same_parameters
-        and None not in (stated_noise(found.first), stated_noise(found.second))
-        and not found.described
-    ):
+    elif noisy and known:
         yield (
             "Both fits contain errors that no parameter describes, which differ from "
             "configuration to configuration: measurements at the same configurations "
@@ -168,28 +142,27 @@ FAR = 0.01
 """Distance between the tools from which it matters which of them is compared [m]."""
 
 
-def tip_differences(found: Comparison) -> Iterator[Block]:
+def tip_differences(found: compared.Comparison) -> Iterator[Block]:
     """The distance of the tool points, its maximum, and what is no drift."""
     rows = []
     for chain, drift in found.drifts.items():
-        explained = drift.explained or (math.nan, math.nan)
-        stages = [
-            ("position", "m", drift.position, explained[0]),
-            ("orientation", "rad", drift.orientation, explained[1]),
-        ]
+        noise = drift.explained or (math.nan, math.nan)
         of = f"{chain or 'robot'}, " if len(found.drifts) > 1 else ""
-        for name, unit, accuracy, noise in stages[: 2 if found.drift.oriented else 1]:
-            *cells, shown = sizes(accuracy, unit)
-            rows.append((of + name, *cells, quantity(noise, unit), shown))
+        stages = [("position", "m", drift.position, noise[0])]
+        if found.drift.oriented:
+            stages.append(("orientation", "rad", drift.orientation, noise[1]))
+        for name, unit, accuracy, size in stages:
+            *cells, shown = tables.sizes(accuracy, unit)
+            rows.append((of + name, *cells, tables.quantity(size, unit), shown))
     title = "Tool-point difference over the workspace"
-    yield table(title, ("", *SIZES[:-1], "noise rms", UNIT), rows)
-    yield Line(" ".join(_how(found)), "note")
+    yield table(title, ("", *tables.SIZES[:-1], "noise rms", tables.UNIT), rows)
+    yield note(" ".join(_how(found)))
     if not found.identical:
         yield _farthest(found)
     yield from _frames(found)
 
 
-def _how(found: Comparison) -> Iterator[str]:
+def _how(found: compared.Comparison) -> Iterator[str]:
     """Sentences on what the differences refer to."""
     absorbed = found.drift.absorbed
     yield f"{len(found.drift.q)} random configurations within the joint limits."
@@ -215,22 +188,23 @@ def _how(found: Comparison) -> Iterator[str]:
         p.status
         for record in (found.first, found.second)
         for p in record.parameters
-        if p.name in robot_parameters(record)
+        if p.name in compared.robot_parameters(record)
     }
     if "weak" in statuses:
         yield "It excludes weakly observable directions, which were held at nominal."
 
 
-def _farthest(found: Comparison) -> Facts:
+def _farthest(found: compared.Comparison) -> Facts:
     drift, chain = found.drift, found.first.model.of(found.chain).chain
     position = drift.farthest
     x, y, z = (f"{1e3 * value:.1f}" for value in drift.points[position])
     angles = []
     for value, turns in zip(drift.q[position], chain.revolute, strict=True):
-        unit, factor = unit_of("rad" if turns else "m")
+        unit, factor = tables.unit_of("rad" if turns else "m")
         angles.append(f"{factor * value:.1f} {unit}")
+    largest = tables.amount(drift.drift[position], "m")
     return Facts(
-        f"Largest difference{_where(found)}: {amount(drift.drift[position], 'm')}",
+        f"Largest difference{_where(found)}: {largest}",
         [
             ("tool point", f"at {x}, {y}, {z} mm in {chain.base}"),
             ("joints", f"at {', '.join(angles)}"),
@@ -238,41 +212,42 @@ def _farthest(found: Comparison) -> Facts:
     )
 
 
-def _frames(found: Comparison) -> Iterator[Block]:
+def _frames(found: compared.Comparison) -> Iterator[Block]:
     """The displacements of base and tool, which are no drift of the robot."""
     entries = [(d.frame, _displaced(d)) for d in found.displacements]
-    if not entries:
+    if entries:
+        yield Facts("Displaced in B, which is no drift of the robot", entries)
+    parts = [
+        f"{tables.amount(d.motion, 'm')} by the "
+        f"{'tool' if d.of_tool else 'instrument'} ({d.frame})"
+        for d in found.displacements
+        if math.isfinite(d.motion)
+    ]
+    if not parts:
         return
-    yield Facts("Displaced in B, which is no drift of the robot", entries)
-    moving = [d for d in found.displacements if math.isfinite(d.motion)]
-    if moving:
-        parts = [
-            f"{amount(d.motion, 'm')} by the "
-            f"{'tool' if d.of_tool else 'instrument'} ({d.frame})"
-            for d in moving
-        ]
-        parts.append(f"{amount(found.drift.position.rms, 'm')} by the robot")
-        noise = ""
-        if found.drift.explained is not None:
-            noise = f", where noise explains {amount(found.drift.explained[0], 'm')}"
-        yield Line(f"Measured tool points moved {', '.join(parts)}{noise}.", "note")
+    parts.append(f"{tables.amount(found.drift.position.rms, 'm')} by the robot")
+    noise = ""
+    if found.drift.explained is not None:
+        size = tables.amount(found.drift.explained[0], "m")
+        noise = f", where noise explains {size}"
+    yield note(f"Measured tool points moved {', '.join(parts)}{noise}.")
 
 
-def _displaced(moved: Displacement) -> str:
+def _displaced(moved: compared.Displacement) -> str:
     """The displacement of a frame in words, with its uncertainty where it is known."""
-    sizes = [(moved.shift, "m", moved.sigma[0])]
+    both = [(moved.shift, "m", moved.sigma[0])]
     if moved.turn is not None:
-        sizes.append((moved.turn, "rad", moved.sigma[1]))
+        both.append((moved.turn, "rad", moved.sigma[1]))
     words = " and ".join(
-        amount(size, unit)
-        + (f" +- {amount(sigma, unit)}" if math.isfinite(sigma) else "")
-        for size, unit, sigma in sizes
+        tables.amount(size, unit)
+        + (f" +- {tables.amount(sigma, unit)}" if math.isfinite(sigma) else "")
+        for size, unit, sigma in both
     )
     words += f", relative to the {'tip link' if moved.of_tool else 'instrument'}"
     return words + ("; no more than noise" if moved.chance > INSIGNIFICANT else "")
 
 
-def parameter_changes(found: Comparison) -> Iterator[Block]:
+def parameter_changes(found: compared.Comparison) -> Iterator[Block]:
     """The differences beyond their uncertainty, and what only one calibration has."""
     if not found.same_nominal:
         return
@@ -280,33 +255,34 @@ def parameter_changes(found: Comparison) -> Iterator[Block]:
         rows = [
             (
                 moved.name,
-                *estimate(moved.change, moved.sigma, moved.unit)[:2],
+                *tables.estimate(moved.change, moved.sigma, moved.unit)[:2],
                 Cell(f"{moved.significance:.1f}", moved.significance),
-                unit_of(moved.unit)[0],
+                tables.unit_of(moved.unit)[0],
             )
             for moved in found.moved
         ]
-        many = f"{BOUND:.0f} standard deviations"
+        many = f"{compared.BOUND:.0f} standard deviations"
         yield table(
             f"Parameters and combinations that differ by more than {many}",
-            ("", "B - A", "std. dev.", "ratio", UNIT),
+            ("", "B - A", "std. dev.", "ratio", tables.UNIT),
             rows,
         )
-    yield Line(" ".join(_counted(found)), "note")
+    yield note(" ".join(_counted(found)))
     for label, names in zip("AB", found.alone, strict=True):
-        yield from listed(f"identifiable in {label} only", names)
+        yield from tables.listed(f"identifiable in {label} only", names)
 
 
-def _counted(found: Comparison) -> Iterator[str]:
+def _counted(found: compared.Comparison) -> Iterator[str]:
     """Sentences on how many agree, and what is not compared."""
     if found.differences:
         both, agree = (
             _numbers([d for d in found.differences if d.significance <= bound])
-            for bound in (math.inf, BOUND)
+            for bound in (math.inf, compared.BOUND)
         )
         yield (
-            f"Both identify {both} of the robot; {agree} agree within {BOUND:.0f} "
-            "standard deviations of the difference. By chance, one in 370 does not."
+            f"Both identify {both} of the robot; {agree} agree within "
+            f"{compared.BOUND:.0f} standard deviations of the difference. By chance, "
+            "one in 370 does not."
         )
     else:
         yield "No parameter and no combination of the robot is identified by both."
@@ -316,18 +292,18 @@ def _counted(found: Comparison) -> Iterator[str]:
         first, second = found.sums_alone
         yield f"{first} combinations are identified in A only, {second} in B only."
     if any(
-        len(record.groups) > len(robot_groups(record))
+        len(record.groups) > len(compared.robot_groups(record))
         for record in (found.first, found.second)
     ):
         yield "Combinations with terms of base, tool or instrument are left out."
 
 
-def _numbers(differences: Sequence[Difference]) -> str:
+def _numbers(differences: Sequence[compared.Difference]) -> str:
     sums = sum(bool(d.terms) for d in differences)
     return f"{len(differences) - sums} parameters and {sums} combinations"
 
 
-def accuracies(found: Comparison) -> Iterator[Block]:
+def accuracies(found: compared.Comparison) -> Iterator[Block]:
     """Accuracy of both beside each other, and how it was validated."""
     pair = (("A", found.first), ("B", found.second))
     errors = {
@@ -341,10 +317,10 @@ def accuracies(found: Comparison) -> Iterator[Block]:
                 for error in record.errors:
                     size_of = getattr(error, stage)
                     if (error.name, error.unit) == (name, unit) and size_of:
-                        rows.append((shown, which, label, *sizes(size_of, unit)))
+                        rows.append((shown, which, label, *tables.sizes(size_of, unit)))
                         shown = which = ""
-    yield table("Accuracy", ("", "measurements|word", "of|word", *SIZES), rows)
+    yield table("Accuracy", ("", "measurements|word", "of|word", *tables.SIZES), rows)
     said = ", ".join(f"{label} {record.validation.method}" for label, record in pair)
     if not found.same_rows:
         said += ". The measurements differ: the numbers are not strictly comparable"
-    yield Line(f"Validation: {said}.", "note")
+    yield note(f"Validation: {said}.")

@@ -12,7 +12,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.travel import Passage
-from calib_pin.report.blocks import Block, Line, Names, Table, Tone, table
+from calib_pin.report.blocks import Block, Line, Names, Table, Tone, note, table
 from calib_pin.report.tables import UNIT, amount, counted, measures
 
 SHOWN = 12
@@ -115,10 +115,9 @@ def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Line]:
     """The error of the model itself on validation measurements, by quantity."""
     for name, error in errors.items():
         mean, largest = (amount(error[key], error["unit"]) for key in ("mean", "max"))
-        yield Line(
+        yield note(
             f"Error of the model itself on validation measurements ({error['method']}, "
-            f"{name}): mean {mean}, max {largest}.",
-            "note",
+            f"{name}): mean {mean}, max {largest}."
         )
 
 

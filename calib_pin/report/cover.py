@@ -18,7 +18,7 @@ from calib_pin.report.acceptance_text import (
     limit_lines,
 )
 from calib_pin.report.accuracy import degrees
-from calib_pin.report.blocks import Line, Table, Tone, table
+from calib_pin.report.blocks import Line, Table, Tone, note, table
 from calib_pin.report.figures import Drawn
 from calib_pin.report.tables import UNIT, amount, quantity, unit_of
 from calib_pin.report.tiles import Tile, tiles
@@ -170,7 +170,7 @@ def calibration_cover(
     if result.verdict not in TRUSTED:
         said.insert(0, Line("This calibration must not be trusted.", "bad"))
     if limit != LimitSetup():
-        said.append(Line("Whether the limit is met an acceptance test tells.", "note"))
+        said.append(note("Whether the limit is met an acceptance test tells."))
     return Cover(
         title="Calibration report",
         status=status,

@@ -11,7 +11,7 @@ import numpy as np
 from calib_pin.estimation.statistics.population_prior import Population, common_errors
 from calib_pin.monte_carlo import Outlook, Study
 from calib_pin.monte_carlo.summary import LEVELS
-from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, table
+from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
 from calib_pin.report.tables import (
     ESTIMATE,
     UNIT,
@@ -61,10 +61,9 @@ def fleet_report(
     listed = [_listed(row) for row in shown]
     yield table("Robots, those that need attention first", titles, listed)
     if any(row.drift.beyond for row in shown):
-        yield Line(
+        yield note(
             "!: the tool points differ from the calibration before by more than noise "
-            "explains.",
-            "note",
+            "explains."
         )
     yield from _more(rows, most, "fleet.csv")
     apart = [row for row in rows if row.joint.significant]
@@ -84,7 +83,7 @@ def fleet_report(
 
 def _more(found: Sequence[object], most: int, file: str) -> Iterator[Line]:
     if len(found) > most:
-        yield Line(f"{len(found) - most} more are in {file}.", "note")
+        yield note(f"{len(found) - most} more are in {file}.")
 
 
 def _common(population: Population, most: int) -> Iterator[Block]:
@@ -193,11 +192,10 @@ def outlook_report(
             for one in found
         ],
     )
-    yield Line(
+    yield note(
         "Covered: robots within the bound that their own calibration states with 95 % "
         "confidence. Actual/expected: 1 where calibrations say how accurate they "
-        "are.",
-        "note",
+        "are."
     )
     if any(one.failed for one in found):
         rows = [(str(one.configurations), str(one.failed)) for one in found]

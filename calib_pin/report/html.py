@@ -26,7 +26,7 @@ from calib_pin.io.results import (
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
 from calib_pin.report.accuracy import subject
-from calib_pin.report.blocks import Block, Code, Facts, Line, Table, table
+from calib_pin.report.blocks import Block, Code, Facts, Line, Table, note, table
 from calib_pin.report.cover import Cover, program
 from calib_pin.report.figures import Drawn, drawn
 from calib_pin.report.tables import STATUS, parameter_overview
@@ -61,7 +61,7 @@ def html_report(
     for section in sections(result, suggestions):
         blocks = list(section.blocks)
         if section.key == "findings":
-            blocks = [*(found or [Line("There are no findings.", "note")]), *blocks]
+            blocks = [*(found or [note("There are no findings.")]), *blocks]
             if not result.statistics.outliers:
                 blocks.append(Line("No measurement is an outlier."))
         told.append((section, blocks))
@@ -176,7 +176,7 @@ def report(
     else:
         result, document, suggested = read_written(result)
     shapes = robot_shapes(result.model.chains.robot).parts
-    figures = list(drawn("calibration", result, shapes))
+    figures = list(drawn("calibration", result, shapes=shapes))
     page = html_report(result, document, figures=figures, suggestions=suggested)
     write_atomically(Path(file), page, force=force)
 

@@ -1,15 +1,24 @@
-"""Identifiability: ranks, combinations, unobservable parameters, suggestions."""
+"""Identifiability, and the errors of the robot as people name them.
+
+Ranks, combinations, unobservable parameters, suggestions; offsets of the joints.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
+from calib_pin.errors import enumerated
 from calib_pin.planning.suggestions import LARGEST, Suggestion
-from calib_pin.report.blocks import Block, Facts, Line, table
-from calib_pin.report.robot_errors import error_table, held
-from calib_pin.report.tables import ESTIMATE, STATUS, estimate, listed, number
-from calib_pin.validation.result import CoupledGroup, Identification
+from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
+from calib_pin.report.tables import ESTIMATE, STATUS, counted, estimate, listed, number
+from calib_pin.validation.joint_errors import FoundOffset, joint_offsets
+from calib_pin.validation.result import (
+    CalibrationResult,
+    CoupledGroup,
+    Identification,
+    RobotError,
+)
 
 REMARKS = {"weak": " (held wholly or partly at nominal)"}
 """Remarks on a status that explain it."""
@@ -86,10 +95,9 @@ def in_full(found: Identification, *, fitted: bool) -> Iterator[Block]:
             ],
         )
     if hidden := len(found.groups) - len(groups):
-        yield Line(
+        yield note(
             f"{hidden} more combinations start with the position of a socket, sphere "
-            "or fixed reference point; see calibration.json or `identify --json`.",
-            "note",
+            "or fixed reference point; see calibration.json or `identify --json`."
         )
 
 
@@ -116,12 +124,11 @@ def _remedied(
         yield table("Suggested measurements", titles, rows)
     if found.identifiability.parameters > LARGEST:
         many = f"more than {LARGEST} parameters"
-        yield Line(f"No measurements are suggested for {many}.", "note")
+        yield note(f"No measurements are suggested for {many}.")
     if any(remedy.complete for remedy in suggestions):
-        yield Line(
+        yield note(
             "The combinations that remain move the tool point only together: no "
-            "measurement of it can separate them, and no task requires it.",
-            "note",
+            "measurement of it can separate them, and no task requires it."
         )
 
 
@@ -156,3 +163,155 @@ def ranks(known: Identification, *, fitted: bool) -> Facts:
         indices = "  ".join(f"{k} {number(v)}" for k, v in found.observability.items())
         entries.append(("observability indices", indices))
     return Facts("Identifiability", entries)
+
+
+# --- errors of the robot -------------------------------------------------------------
+
+CLEAR = 2.0
+"""Standard deviations from which a correction is told as one."""
+
+MANY = 4
+"""Joints and links from which on their errors are only counted, without details."""
+
+USE = (
+    "A joint stands where it says plus the offset: add the offset to the position "
+    "that you read, subtract it from the position that you command."
+)
+"""How offsets are used."""
+
+CAUSES = {
+    "coupled": "it shows only together with other errors",
+    "weak": "these measurements hardly show it",
+    "unidentifiable": "nothing that was measured depends on it",
+}
+"""Why an offset is not known, by the status of its parameter."""
+
+
+def offsets(
+    result: CalibrationResult, suggestions: Sequence[Suggestion] = ()
+) -> Iterator[Block]:
+    """Offsets of the joints, in degrees and in steps of their encoders.
+
+    Args:
+        result: The calibration.
+        suggestions: Suggested measurements, which say how an unknown offset is found.
+    """
+    found = joint_offsets(result)
+    known = [offset for offset in found if offset.sigma is not None]
+    stepped = any(offset.steps is not None for offset in known)
+    if known and result.geometry is not None:
+        titles = ("offset", *ESTIMATE[1:], *["steps"][:stepped])
+        rows = [_offset(offset, stepped) for offset in known]
+        yield table("Joint offsets", ("", *titles, "the joint stands|remark"), rows)
+        yield note(USE)
+    for offset in found:
+        if offset.sigma is None:
+            yield Line(_unknown(offset, suggestions), "strong")
+        if offset.reverses:
+            yield Line(f"{offset.reverses}.", "strong")
+
+
+def _offset(offset: FoundOffset, stepped: bool) -> list[Cell | str]:
+    steps, way = "-", "further than it says"
+    if offset.steps is not None:
+        # Whole steps are what a motor can store.
+        steps = f"{round(offset.steps * offset.value):+d}"
+    if abs(offset.value) < CLEAR * (offset.sigma or 0.0):
+        way = "where it says"
+    elif offset.value < 0.0:
+        way = "less far than it says"
+    name = offset.joint
+    if offset.column != name:
+        name = f"{name} (column {offset.column})"
+    cells = estimate(offset.value, offset.sigma, offset.unit)
+    way += ", reversed" * bool(offset.reverses)
+    return [name, *cells, *[steps][:stepped], way]
+
+
+def _unknown(offset: FoundOffset, suggestions: Sequence[Suggestion]) -> str:
+    """A joint whose offset is not known, why, and what would tell it."""
+    why = CAUSES.get(offset.status, "nothing tells it")
+    if offset.within:
+        frames = enumerated([_frame(name) for name in offset.within])
+        why = f"it shows only together with {frames}, which is estimated as well"
+    name = f"{offset.joint}.joint-offset.q"
+    ways = [s.change for s in suggestions if name in s.parameters]
+    advice = f"; to know it, {ways[0]}" if ways else ""
+    return f"{offset.joint}: not known, because {why}{advice}."
+
+
+def _frame(name: str) -> str:
+    """A frame or an instrument in a sentence, by owner and kind."""
+    owner, _, kind = name.rpartition(".")
+    return f"the {owner} frame" if kind == "frame" else f"the {kind} '{owner}'"
+
+
+def error_table(found: Sequence[RobotError], title: str, shown: Sequence[str]) -> Table:
+    """Errors of the robot, grouped by their kind.
+
+    Args:
+        found: The errors.
+        title: Title of the table.
+        shown: Some of `ESTIMATE`, or `formula|name`.
+    """
+    rows, before = [], ""
+    for error in found:
+        cells = dict(
+            zip(ESTIMATE, estimate(error.value, error.sigma, error.unit), strict=True)
+        )
+        cells["formula|name"] = Cell(error.expression)
+        kind, before = "" if error.kind == before else error.kind, error.kind
+        rows.append((kind, _of(error), *(cells[key] for key in shown)))
+    return table(title, ("|word", "|name", *shown), rows)
+
+
+def _of(error: RobotError) -> str:
+    """The joint or link of an error, or those of which only the sum is known."""
+    if len(error.of) == 1:
+        return error.of[0]
+    return f"sum of {', '.join(error.of)}"
+
+
+def offsets_alone(result: CalibrationResult) -> bool:
+    """Whether the offsets of the joints are all that is told of the robot."""
+    kinds = {error.kind for error in result.robot_errors}
+    return kinds == {"joint offset"} and bool(joint_offsets(result))
+
+
+def corrections(result: CalibrationResult) -> Iterator[Block]:
+    """The errors that were found, those beyond their uncertainty, and the others."""
+    if result.verdict == "no-gain" or offsets_alone(result):
+        return
+    known = [e for e in result.robot_errors if e.sigma is not None]
+    clear = [e for e in known if abs(e.value) >= CLEAR * (e.sigma or 0.0)]
+    if clear:
+        yield error_table(clear, "Errors of the robot that were found", ESTIMATE)
+    if clear and (count := len(known) - len(clear)):
+        yield note(
+            f"{count} more {'is' if count == 1 else 'are'} smaller than {CLEAR:.0f} "
+            "standard deviations."
+        )
+
+
+def held(found: Sequence[RobotError], *, details: bool = True) -> Iterator[Line]:
+    """Errors that stay at nominal, and those that frames take along."""
+    together: dict[str, list[RobotError]] = {}
+    for error in found:
+        if error.status == "weak":
+            together.setdefault("Held at nominal, hardly observable", []).append(error)
+        elif error.status == "absorbed":
+            frames = enumerated([_frame(name) for name in error.within])
+            together.setdefault(f"Part of {frames}", []).append(error)
+    for meaning in sorted(together, key=lambda words: not words.startswith("Held")):
+        errors = together[meaning]
+        # Errors by joint, such as `joint offset and link offset of wrist_3_joint`.
+        by_owner: dict[str, dict[str, None]] = {}
+        for error in errors:
+            by_owner.setdefault(_of(error), {})[error.kind] = None
+        said = "; ".join(
+            f"{enumerated([*kinds]) if len(kinds) < 4 else 'the placement'} of {owner}"
+            for owner, kinds in by_owner.items()
+        )
+        if len(by_owner) > MANY and not details:
+            said = f"{counted(len(errors), 'error')}, see --details"
+        yield note(f"{meaning}: {said}.")

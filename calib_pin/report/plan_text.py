@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from calib_pin.planning.plan import Plan, Step, sides_of
 from calib_pin.report.accuracy import chain_words, model_words
-from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, table
-from calib_pin.report.robot_errors import error_table
+from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
+from calib_pin.report.identification import error_table
 from calib_pin.report.tables import ESTIMATE, STATUS, amount, listed, number, quantity
 from calib_pin.solvers import Status
 
@@ -28,7 +28,7 @@ def plan_report(plan: Plan) -> Iterator[Block]:
         yield Line(
             f"No configuration can measure {', '.join(plan.unmeasurable)}.", "bad"
         )
-    yield from (Line(said, "note") for said in _made(plan))
+    yield from (note(said) for said in _made(plan))
     yield _steps(plan)
     yield _tip(plan)
     known = [e for e in plan.predicted.robot_errors if e.status == "identifiable"]

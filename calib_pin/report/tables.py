@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from calib_pin.report.blocks import Block, Cell, Line, Names, Table, table
+from calib_pin.report.blocks import Block, Cell, Names, Table, note, table
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import (
     Accuracy,
@@ -211,13 +211,13 @@ def ladder(found: ModelSelection) -> Iterator[Block]:
     chosen = [k for k, r in enumerate(rungs) if r is found.candidates[found.chosen]]
     title = f"{LADDER}, near the fitted configurations and away" if far else LADDER
     yield table(title, ("", *titles, "|remark"), rows, chosen)
-    yield Line(f"The model is for use {WHERE[found.use]}.", "note")
+    yield note(f"The model is for use {WHERE[found.use]}.")
     reasons: dict[str, list[str]] = {}
     for rung in found.candidates:
         if rung.reason:
             reasons.setdefault(rung.reason, []).append(rung.name)
     for reason, names in reasons.items():
-        yield Line(f"Not tried: {', '.join(names)}: {reason.rstrip('.')}.", "note")
+        yield note(f"Not tried: {', '.join(names)}: {reason.rstrip('.')}.")
 
 
 def parameter_overview(

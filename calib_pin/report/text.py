@@ -2,47 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import Any
 
+import calib_pin.report.accuracy as accurate
+import calib_pin.report.trust as trust
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.report.accuracy import (
-    KNOWN,
-    accuracy,
-    beyond,
-    evaluated,
-    moves,
-    recalibrated,
-    subject,
-    taken,
-)
-from calib_pin.report.blocks import Block, Line
-from calib_pin.report.breakdown import parts, told
+from calib_pin.report.blocks import Block, Line, note
+from calib_pin.report.breakdown import frame_blocks, parts, told
 from calib_pin.report.comparison import comparison_report
-from calib_pin.report.identification import identified, in_full, summary
-from calib_pin.report.places import frame_blocks
+from calib_pin.report.identification import (
+    corrections,
+    held,
+    identified,
+    in_full,
+    offsets,
+    offsets_alone,
+    summary,
+)
 from calib_pin.report.plan_text import plan_report
-from calib_pin.report.robot_errors import corrections, held, offsets, offsets_alone
 from calib_pin.report.tables import listed, outlier_table
 from calib_pin.report.terminal import plain_text
-from calib_pin.report.trust import (
-    FIRST,
-    correlated,
-    expected,
-    next_step,
-    noise,
-    opening,
-    statistics,
-)
 from calib_pin.validation.comparison import Comparison
 from calib_pin.validation.result import CalibrationResult, Evaluation, Identification
 
 LINES = 16
 """Lines of a report that are shown of it first."""
+
+PLACES = "Tool, base, stations and cameras"
 
 LISTED = 5, 200
 """Outliers and correlated pairs that a terminal and a page list."""
@@ -75,7 +67,7 @@ def brief(found: Any) -> str:
     ways: dict[type, Callable[[Any], Iterator[Block]]] = {
         CalibrationResult: report,
         Identification: partial(identified, fitted=False),
-        Evaluation: evaluated,
+        Evaluation: accurate.evaluated,
         Comparison: comparison_report,
         Plan: plan_report,
     }
@@ -98,23 +90,23 @@ def report(
         details: All sections, instead of what a person sees first.
         formulae: With these also all parameters and combinations of them.
     """
-    yield from opening(result, None if details else FIRST)
-    yield subject(result)
+    yield from trust.opening(result, None if details else trust.FIRST)
+    yield accurate.subject(result)
     if details:
         for section in sections(result, suggestions, LISTED[0]):
             if section.key != "measured":
                 yield from section.blocks
         if formulae:
             yield from in_full(result, fitted=True)
-        yield from next_step(result)
+        yield from trust.next_step(result)
         return
-    yield from accuracy(result, details=False)
-    yield from recalibrated(result, details=False)
+    yield from accurate.accuracy(result, details=False)
+    yield from accurate.recalibrated(result, details=False)
     yield from parts(result)
     alone = offsets_alone(result)
     if not alone:
-        yield from moves(result)
-    yield from beyond(result)
+        yield from accurate.moves(result)
+    yield from accurate.beyond(result)
     yield from corrections(result)
     yield from frame_blocks(result, lines=False)
     yield from told(result, details=False)
@@ -124,7 +116,7 @@ def report(
     yield from listed("at a bound", result.solver.at_bounds)
     # Last on the terminal: what is to be typed in, and what to do.
     yield from offsets(result, suggestions)
-    yield from next_step(result)
+    yield from trust.next_step(result)
 
 
 @dataclass(frozen=True)
@@ -152,56 +144,31 @@ def sections(
         most: How many outliers are listed.
     """
     frames = [*offsets(result, suggestions), *frame_blocks(result)]
-    yield Section(
-        "frames",
-        "Tool, base, stations and cameras",
-        frames or [Line(KNOWN, "note")],
+    accuracy = (
+        *(accurate.accuracy(result), accurate.recalibrated(result), parts(result)),
+        *(accurate.moves(result), trust.expected(result), accurate.beyond(result)),
     )
-    yield Section("measured", "Measurements", [taken(result)])
-    yield Section(
-        "findings",
-        "Outliers and findings",
-        [*_outliers(result, most)],
-        ("residuals-over-order",),
+    remedies = (
+        listed(f"identifiable if you {remedy.change}", remedy.parameters)
+        for remedy in suggestions
     )
-    yield Section(
-        "accuracy",
-        "Accuracy",
-        [
-            *accuracy(result),
-            *recalibrated(result),
-            *parts(result),
-            *moves(result),
-            *expected(result),
-            *beyond(result),
-        ],
-        ("errors-per-measurement", "tip-accuracy-in-workspace"),
+    known = identified(result, fitted=True, suggestions=suggestions)
+    identifiable = (known, told(result), *remedies, trust.correlated(result, most))
+    bounded = listed("at a bound", result.solver.at_bounds)
+    noise = trust.noise(result), trust.statistics(result)
+    outliers = _outliers(result, most)
+    errors = "errors-per-measurement", "tip-accuracy-in-workspace"
+    every: tuple[tuple[str, str, Iterable[Iterable[Block]], Sequence[str]], ...] = (
+        ("frames", PLACES, [frames or [note(accurate.KNOWN)]], []),
+        ("measured", "Measurements", [[accurate.taken(result)]], []),
+        ("findings", "Outliers and findings", [outliers], ["residuals-over-order"]),
+        ("accuracy", "Accuracy", accuracy, errors),
+        ("identifiability", "Identifiability", identifiable, ["tip-error-by-count"]),
+        ("parameters", "Parameters", [bounded], []),
+        ("residuals", "Noise and statistics", noise, ["residuals-by-joint"]),
     )
-    yield Section(
-        "identifiability",
-        "Identifiability",
-        [
-            *identified(result, fitted=True, suggestions=suggestions),
-            *told(result),
-            *(
-                names
-                for remedy in suggestions
-                for names in listed(
-                    f"identifiable if you {remedy.change}", remedy.parameters
-                )
-            ),
-            *correlated(result, most),
-        ],
-        ("tip-error-by-count",),
-    )
-    bounded = [*listed("at a bound", result.solver.at_bounds)]
-    yield Section("parameters", "Parameters", bounded)
-    yield Section(
-        "residuals",
-        "Noise and statistics",
-        [*noise(result), *statistics(result)],
-        ("residuals-by-joint",),
-    )
+    for key, title, blocks, figures in every:
+        yield Section(key, title, [*chain.from_iterable(blocks)], tuple(figures))
 
 
 def _outliers(result: CalibrationResult, most: int) -> Iterator[Block]:

@@ -13,7 +13,17 @@ from calib_pin.estimation.evidence import (
     Severity,
 )
 from calib_pin.io.setup import yaml_text
-from calib_pin.report.blocks import Block, Cell, Code, Facts, Line, Names, Tone, table
+from calib_pin.report.blocks import (
+    Block,
+    Cell,
+    Code,
+    Facts,
+    Line,
+    Names,
+    Tone,
+    note,
+    table,
+)
 from calib_pin.report.tables import UNIT, counted, number, percent, significant, unit_of
 from calib_pin.setup import PopulationPrior
 from calib_pin.units import DISPLAY
@@ -102,7 +112,7 @@ def findings(
             yield Line(f"Shown by the figure '{figure}'.", "note", figure=figure)
     if later:
         more = counted(len(later), "more finding")
-        yield Line(f"{more}: see the page, or --details.", "note")
+        yield note(f"{more}: see the page, or --details.")
 
 
 def _ordered(found: Iterable[Finding]) -> list[Finding]:
@@ -143,17 +153,16 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
         unit, factor = DISPLAY["m"]
         parts = [f"{significant(factor * a.nominal[0])} {unit} {w}" for w, a in known]
         said = f"Expected tool-point error (rms), uncorrected: {', '.join(parts)}."
-        yield Line(said, "note")
+        yield note(said)
         return
     rows = [row for where, accuracy in known for row in _accuracy(where, accuracy)]
     titles = ("nominal", "calibrated", "95 %", "unmodeled", UNIT, "better", "at")
     yield table("Expected tool-point error (rms)", ("", *titles), rows)
-    yield Line(
+    yield note(
         "95 %: the calibrated robot stays below it in 95 of 100 cases. Unmodeled: the "
         "part that no parameter describes. Better: the probability that the calibrated "
         "robot is more accurate. At: the share of configurations where that "
-        "probability is at least 95 %.",
-        "note",
+        "probability is at least 95 %."
     )
 
 
@@ -209,7 +218,7 @@ def noise(result: CalibrationResult) -> Iterator[Block]:
                 "lack of fit, configurations differ more than their repetitions (p "
                 f"{p})"
             )
-        said += [Line(f"{part.quantity}: {'; '.join(parts)}.", "note")] if parts else []
+        said += [note(f"{part.quantity}: {'; '.join(parts)}.")] if parts else []
     titles = ["given", "estimated", "95 % interval", *["repeats"][:pure], "unmodeled"]
     yield table("Noise (1 sigma of a component)", ("", *titles, UNIT), rows)
     yield from said

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -306,6 +306,39 @@ def predicted_variance(
     sigma, deviations = problem.sigma, deviations or fitted.posterior
     if not np.isfinite(deviations.by_noise).all():
         return np.full(sigma.shape, np.nan)
+    parts = _predicted_parts(fitted, problem, theta, estimated, deviations)
+    whitened = [noise + np.sum(uncertain**2, axis=1) for noise, uncertain in parts]
+    return np.asarray(np.concatenate(whitened) * sigma**2)
+
+
+@serial_blas
+def mahalanobis(fitted: Fit, problem: Problem, theta: Floats) -> float:
+    """Chi-square of the errors of measurements together, by their whole covariance.
+
+    Args:
+        fitted: The fit that predicts.
+        problem: The problem of a few measurements that were not fitted.
+        theta: Parameter values, shape (P,).
+    """
+    parts = [*_predicted_parts(fitted, problem, theta, (), fitted.posterior)]
+    noise, uncertain = (np.concatenate(part) for part in zip(*parts, strict=True))
+    errors = problem.residual(theta)[: len(noise)]
+    C = np.diag(noise) + uncertain @ uncertain.T
+    return float(errors @ np.linalg.lstsq(C, errors, rcond=None)[0])
+
+
+def _predicted_parts(
+    fitted: Fit,
+    problem: Problem,
+    theta: Floats,
+    estimated: Sequence[int],
+    deviations: Posterior,
+) -> Iterator[tuple[Floats, Floats]]:
+    """Variances by noise and deviations by the fit, whitened, of some rows at a time.
+
+    Shapes (M',) and (M', k); arguments as for `predicted_variance`.
+    """
+    sigma = problem.sigma
     names, of_fit = problem.parameters.names, fitted.problem.parameters.names
     # What is new there has no covariance: it was estimated from these.
     own = [k for k, name in enumerate(names) if name in of_fit]
@@ -316,7 +349,6 @@ def predicted_variance(
     layout, count = problem.layout, len(problem.data)
     noises = deviations.noise[alike(layout, fitted.problem.layout)]
     variances = fitted.unit**2 * noises[layout.component]
-    whitened = np.empty(sigma.shape)
     step = max(1, ENTRIES * count // max(1, len(sigma) * len(theta)))
     if len(estimated):  # The estimate couples all of them.
         step = max(count, 1)
@@ -334,8 +366,7 @@ def predicted_variance(
             K = _range(J[:, list(estimated)])
             uncertain = uncertain - K @ (K.T @ uncertain)
             noise = noise * (1.0 - np.sum(K**2, axis=1))
-        whitened[part] = noise + np.sum(uncertain**2, axis=1)
-    return np.asarray(whitened * sigma**2)
+        yield noise, uncertain
 
 
 def _range(A: Floats) -> Floats:

@@ -154,13 +154,12 @@ class Joints:
 def _range(scene: Scene) -> tuple[Floats, Floats]:
     """Limits of all joints: those of the URDF, and what was measured or planned."""
     skeleton, (columns, places) = scene.bodies[0].skeleton, scene.moved
-    lower, upper = skeleton.lower.copy(), skeleton.upper.copy()
+    ends = np.array([skeleton.lower, skeleton.upper])
     shown = [] if scene.rows is None else [scene.rows.data.q]
     shown += [] if scene.plan is None else [scene.plan.q]
-    for q in shown:
-        lower[places] = np.minimum(lower[places], q[:, columns].min(axis=0))
-        upper[places] = np.maximum(upper[places], q[:, columns].max(axis=0))
-    return lower, upper
+    every = np.concatenate([ends[:, places], *(q[:, columns] for q in shown)])
+    ends[:, places] = every.min(axis=0), every.max(axis=0)
+    return ends[0], ends[1]
 
 
 class Player:
@@ -277,30 +276,26 @@ def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
         return
     # The one that makes the largest vector just not too long.
     fitting = [m * largest <= VISIBLE * stage.size for m in MAGNIFICATIONS]
-    first = max(sum(fitting) - 1, 0)
-    marks = tuple((k, str(MAGNIFICATIONS[k])) for k in (0, 3, 6, 9))
+    first = str(MAGNIFICATIONS[max(sum(fitting) - 1, 0)])
+    factors = tuple(map(str, MAGNIFICATIONS))
     with controls.gui.add_folder(
         "Errors, predicted minus measured" if vectors else "Corrections"
     ):
         for name, handle in vectors.items():
             controls.switch(name, handle)
-        # Of one value: the plain slider would write the number of the step beside it.
-        slider = controls.gui.add_multi_slider(
-            "magnified", 0, len(MAGNIFICATIONS) - 1, 1, (first,), marks=marks
-        )
+        choice = controls.gui.add_dropdown("magnified", factors, initial_value=first)
         legend = controls.gui.add_html("")
     what = ["errors, from the measured point"] * bool(vectors)
     what += ["corrections of the robot"] * moving
 
-    def magnify(value: tuple[int, ...]) -> None:
-        factor = MAGNIFICATIONS[value[0]]
-        stage.magnify(factor)
+    def magnify(factor: str) -> None:
+        stage.magnify(float(factor))
         swatches = "".join(swatch(STAGES[name], name) for name in vectors)
         told = f"magnified {factor} times: {'; '.join(what)}"
         legend.content = text(f"{swatches}<br>{told}" if swatches else told)
 
-    controls.on(slider, magnify)
-    magnify((first,))
+    controls.on(choice, magnify)
+    magnify(first)
 
 
 def save_picture(client: viser.ClientHandle | None, title: str) -> None:

@@ -9,7 +9,7 @@ place of the tool only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.estimation.problem import error_table
+from calib_pin.estimation.problem import error_table, tool_points
 from calib_pin.estimation.terms import Block
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.robot_shapes import robot_shapes
@@ -35,8 +35,7 @@ from calib_pin.kinematics.skeleton import (
     drawn_link,
 )
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.tool_point import PointModel
-from calib_pin.observations import Observations
+from calib_pin.observations import BlockKey, Labels, Observations
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.report.breakdown import block_names
@@ -300,63 +299,29 @@ def stage_errors(robot: Registered, link: str) -> StageErrors:
     problem, theta = robot.problem.rebased(robot.theta)
     data, residual = problem.data, problem.errors(theta)
     points, vectors = np.zeros((len(data), 3)), np.full((len(data), 3), np.nan)
-    for block in problem.blocks:
-        q, base = data.q[block.rows], block.term.error.base.inverse().homogeneous
-        seen = _in_base(block, theta)
-        to_link = base_poses(problem.chains, block.term.key.chain, link, q)
-        points[block.rows] = (to_link @ seen)[:, :3, 3]
-        turn = to_link[:, :3, :3] @ base[:3, :3]
+    for block, seen in _in_base(robot):
+        rows, chain = block.rows, block.term.key.chain
+        T = base_poses(problem.chains, chain, link, data.q[rows])
+        points[rows] = np.einsum("nij,nj->ni", T[:, :3, :3], seen) + T[:, :3, 3]
+        turn = T[:, :3, :3] @ block.term.error.base.rotation.T
         errors = block.table(residual)
         for quantity in block.term.measurement.quantities:
             columns = errors[:, quantity.columns]
             if quantity.unit == "m" and columns.shape[1] == 3:
-                vectors[block.rows] = np.einsum("nij,nj->ni", turn, columns)
-    table = error_table(problem, theta)
-    sizes = {
-        quantity.name: ErrorSizes(
-            quantity.unit, np.linalg.norm(table[:, quantity.columns], axis=1)
-        )
-        for quantity in problem.layout.quantities
-    }
+                vectors[rows] = np.einsum("nij,nj->ni", turn, columns)
+    table, sizes = error_table(problem, theta), dict[str, ErrorSizes]()
+    for quantity in problem.layout.quantities:
+        size = np.linalg.norm(table[:, quantity.columns], axis=1)
+        sizes[quantity.name] = ErrorSizes(quantity.unit, size)
     return StageErrors(points, vectors, sizes)
 
 
-def things_around(robot: Registered, reach: float) -> list[Thing]:
-    """Instruments and targets around a robot that is prepared for measurements.
-
-    Args:
-        robot: The robot.
-        reach: Its size [m].
-    """
+def _in_base(robot: Registered) -> Iterator[tuple[Block, Floats]]:
+    """Blocks and the measured points of the tool in their base links, (N, 3) [m]."""
     problem, theta = robot.problem.rebased(robot.theta)
-    touched = {
-        block.term.key: (block.data.target, _in_base(block, theta)[:, :3, 3])
-        for block in problem.blocks
-    }
-    return surroundings(problem.terms, touched, reach)
-
-
-def _in_base(block: Block, theta: Floats) -> Floats:
-    """Poses of the tool at the measured points, in the base link, (N, 4, 4)."""
-    base = block.term.error.base.inverse().homogeneous
-    return np.asarray(base @ _tool_poses(block, theta))
-
-
-def _tool_poses(block: Block, theta: Floats) -> Floats:
-    """Poses of the tool at the measured points, in the measurement frame, (N, 4, 4).
-
-    Of relative measurements as well: where the tool is, not how it has moved.
-    """
-    term, data = block.term, block.data
-    error, of_robot = term.error, term.values(theta)[0]
-    T = error.poses(data.q, of_robot, error.basis(data.q, data.conditions))
-    model = term.measurement
-    if isinstance(model, PointModel):
-        label, _ = model.names(data.target, data)
-        offsets = [point.at(np.zeros(3)) for point in model.points]
-        offset = np.array([*offsets, np.zeros(3)])[label]
-        T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], offset)
-    return np.asarray(T)
+    for block, points in zip(problem.blocks, tool_points(problem, theta), strict=True):
+        base = block.term.error.base.inverse()
+        yield block, points @ base.rotation.T + base.translation
 
 
 def make_scene(
@@ -416,8 +381,11 @@ def make_scene(
     bodies = tuple(bodies_of(chains.robot, link, model))
     skeleton = bodies[0].skeleton
     reach = float(np.ptp(corners(skeleton, shapes.parts, skeleton.neutral), 0).max())
-    things = [] if model is None else surroundings(model.terms, {}, reach)
+    terms = {} if model is None else model.terms
+    touched = dict[BlockKey, tuple[Labels, Floats]]()
     if ready:
-        things = things_around(ready[-1], reach)
+        terms = ready[-1].problem.rebased(ready[-1].theta)[0].terms
+        touched = {b.term.key: (b.data.target, at) for b, at in _in_base(ready[-1])}
+    things = surroundings(terms, touched, reach)
     title = chains.robot.name
     return Scene(title, shapes.parts, bodies, chains, rows, planned, tuple(things))

@@ -12,7 +12,8 @@ import hmac
 import io
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlencode
@@ -20,6 +21,7 @@ from urllib.parse import parse_qs, urlencode
 import viser
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from calib_pin.viewer.panel import Controls, add_panel
@@ -34,6 +36,21 @@ PERIOD = 0.04
 GRACE = 2.0
 """Time in which a window may come back: pages are loaded again [s]."""
 
+TAB: ContextVar[str] = ContextVar("TAB", default="")
+"""Name of the tab whose connection is served: loaded again, it is the same."""
+
+HARMLESS = {
+    "Content-Security-Policy": "sandbox allow-scripts allow-popups",
+    "X-Content-Type-Options": "nosniff",
+}
+"""Headers with which a file in a page of its own can do nothing to ours."""
+
+Tick = Callable[[float], None]
+"""Goes on by some seconds."""
+
+Serve = Callable[[str], tuple[str, bytes] | None]
+"""The type and the content of a file, by the path of its address; None for none."""
+
 
 class _LocalServer(viser.ViserServer):
     """A server that shows nothing to anyone elsewhere."""
@@ -44,29 +61,51 @@ class _LocalServer(viser.ViserServer):
 
 
 class Window:
-    """A scene that browsers can open.
+    """Pages that browsers can open.
 
     Args:
-        scene: The scene to show.
+        title: What stands above the controls.
         port: Port that is wanted; a free one above if it cannot be used, any for 0.
+        serve: Files that the pages lead to.
 
     Attributes:
         port: Port that it is.
-        url: Address of the page, with the token that opens it.
+        token: What opens it.
+        url: Address of the page, with the token.
     """
 
-    def __init__(self, scene: Scene, port: int) -> None:
-        """Start the server and draw the scene."""
-        token = secrets.token_urlsafe(16)
-        with _unheard(), _guarded(token):
+    def __init__(self, title: str, port: int, serve: Serve = lambda _: None) -> None:
+        """Start the server; nothing is shown yet."""
+        self.token = secrets.token_urlsafe(16)
+        with _unheard(), _guarded(self.token, serve):
             self._server = _LocalServer(HOST, port, verbose=False)
         self.port = self._server.get_port()
-        self.url = f"http://localhost:{self.port}/?token={token}"
-        self._server.gui.set_panel_label(scene.title)
+        self.url = f"http://localhost:{self.port}/?token={self.token}"
+        self._server.gui.set_panel_label(title)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         self._server.gui.main_panel.dock_right()
-        controls = Controls(self._server.gui)
-        self._player = add_panel(controls, scene, Stage(self._server, scene))
+        self._ticks = dict[int, Tick]()
+
+    def show(self, scene: Scene) -> None:
+        """Show one scene in all tabs."""
+        stage = Stage(self._server, scene)
+        stage.see(self._server.initial_camera)
+        player = add_panel(Controls(self._server.gui), scene, stage)
+        if player is not None:
+            self._ticks[-1] = player.tick
+
+    def welcome(self, page: Callable[[viser.ClientHandle, str], Tick]) -> None:
+        """Give every tab, which has a name, a page of its own."""
+
+        # Neither waits, so that both run where the connection is served.
+        async def come(client: viser.ClientHandle) -> None:
+            self._ticks[client.client_id] = page(client, TAB.get())
+
+        async def go(client: viser.ClientHandle) -> None:
+            self._ticks.pop(client.client_id, None)
+
+        self._server.on_client_connect(come)
+        self._server.on_client_disconnect(go)
 
     def run(self, once: bool) -> None:
         """Serve until interrupted or, with `once`, until the last browser has gone."""
@@ -75,8 +114,8 @@ class Window:
         while not (once and seen and last - left > GRACE):
             time.sleep(PERIOD)
             before, last = last, time.monotonic()
-            if self._player is not None:
-                self._player.tick(last - before)
+            for tick in [*self._ticks.values()]:
+                tick(last - before)
             if self._server.get_clients():
                 seen, left = True, last
 
@@ -87,7 +126,7 @@ class Window:
 
 
 @contextlib.contextmanager
-def _guarded(token: str) -> Iterator[None]:
+def _guarded(token: str, files: Serve) -> Iterator[None]:
     """Make the server that starts inside answer only those who know the token.
 
     viser has no way to ask for that, but for the library that serves it.
@@ -95,13 +134,18 @@ def _guarded(token: str) -> Iterator[None]:
     served = websockets.asyncio.server.serve
     started: list[bool] = []
 
-    def serve(*words: Any, process_request: Any, **options: Any) -> Any:
+    def serve(handle: Any, *words: Any, process_request: Any, **options: Any) -> Any:
         def answer(connection: ServerConnection, request: Request) -> Response | None:
-            first = _answer(connection, request, token)
+            first = _answer(connection, request, token, files)
             return first or process_request(connection, request)
 
+        async def named(connection: ServerConnection) -> None:
+            assert connection.request is not None
+            TAB.set(_given(connection.request)[1])
+            await handle(connection)
+
         started.append(True)
-        return served(*words, process_request=answer, **options)
+        return served(named, *words, process_request=answer, **options)
 
     websockets.asyncio.server.serve = serve
     try:
@@ -112,15 +156,25 @@ def _guarded(token: str) -> Iterator[None]:
         raise RuntimeError("this version of viser does not start its server as known")
 
 
+def _given(request: Request) -> tuple[str, str]:
+    """The token that a request holds, and the name of its tab behind a point.
+
+    Both are one entry of the address: browsers show, and load again, another address
+    in it with one entry only.
+    """
+    query = parse_qs(request.path.partition("?")[2])
+    token, _, tab = query.get("token", [""])[0].partition(".")
+    return token, tab
+
+
 def _answer(
-    connection: ServerConnection, request: Request, token: str
+    connection: ServerConnection, request: Request, token: str, files: Serve
 ) -> Response | None:
     """The answer that needs no look at the content; None for a good request."""
     port = connection.local_address[1]
     own = [f"{name}:{port}" for name in ("localhost", HOST)]
     host, origin = map(request.headers.get_all, ("Host", "Origin"))
-    query = parse_qs(request.path.partition("?")[2])
-    given = query.get("token", [""])[0]
+    given, tab = _given(request)
     socket_wanted = "Upgrade" in request.headers
     if (
         len(host) != 1
@@ -130,10 +184,15 @@ def _answer(
     ):
         reason = "open the address that calib-pin has printed, with its token\n"
         return connection.respond(HTTPStatus.FORBIDDEN, reason)
-    if socket_wanted or "websocket" in query:
+    path, _, query = request.path.partition("?")
+    if socket_wanted or "websocket" in parse_qs(query):
         return None
+    if (file := files(path)) is not None:
+        headers = Headers(HARMLESS)
+        headers["Content-Type"], headers["Content-Length"] = file[0], str(len(file[1]))
+        return Response(200, "OK", headers, file[1])
     # The page opens its socket without the token unless its address says where.
-    known = {"token": token}
+    known = {"token": f"{token}.{tab or secrets.token_urlsafe(8)}"}
     known["websocket"] = f"ws://{host[0]}/?{urlencode(known)}"
     found = connection.respond(HTTPStatus.FOUND, "")
     found.headers["Location"] = f"/?{urlencode(known)}"

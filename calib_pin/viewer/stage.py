@@ -271,11 +271,15 @@ class Stage:
         path: The paths of all tips, if there is a plan.
     """
 
-    def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
-        """Draw everything."""
-        self._server, self._bodies = server, scene.bodies
+    def __init__(
+        self,
+        viewer: viser.ViserServer | viser.ClientHandle,
+        scene: Scene,
+    ) -> None:
+        """Draw everything for all tabs, or for one."""
+        self._viewer, self._bodies = viewer, scene.bodies
         skeleton = scene.bodies[0].skeleton
-        api, floor = server.scene, floor_height(skeleton, scene.shapes)
+        api, floor = viewer.scene, floor_height(skeleton, scene.shapes)
         robot = corners(skeleton, scene.shapes, scene.start)
         self.size = size = float(np.ptp(robot, axis=0).max())
         _light(api, size, floor)
@@ -285,9 +289,7 @@ class Stage:
         # A tracker may stand far away.
         spots = [thing.origin for thing in scene.things]
         seen += [spot[None] for spot in spots if np.linalg.norm(spot) < CLOSE * size]
-        camera = server.initial_camera
-        camera.fov, camera.up = ANGLE, (0.0, 0.0, 1.0)
-        camera.position, camera.look_at = sight(np.concatenate(seen))
+        self._seen = np.concatenate(seen)
         self.robots = {body.name: draw_robot(api, body, scene) for body in self._bodies}
         self.things, self.names = draw_things(api, scene)
         self._posture = scene.start, ""
@@ -302,6 +304,11 @@ class Stage:
                 thickness=0.002 * size,
             )
 
+    def see(self, camera: viser.InitialCameraConfig | viser.CameraHandle) -> None:
+        """Have a camera see everything, but what is far away."""
+        camera.fov, camera.up = ANGLE, (0.0, 0.0, 1.0)
+        camera.position, camera.look_at = sight(self._seen)
+
     def pose(self, q: Floats, payload: str) -> None:
         """Put all robots where their joints are commanded to be.
 
@@ -311,7 +318,7 @@ class Stage:
         """
         self._posture = q.copy(), payload
         placements = [body.placements(q, payload) for body in self._bodies]
-        with self._server.atomic():
+        with self._viewer.atomic():
             *others, last = self.robots.values()
             for ghost, T in zip(others, placements, strict=False):
                 ghost.put(T)

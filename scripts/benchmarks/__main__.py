@@ -36,6 +36,7 @@ from benchmarks import (
     servo,
     startup,
     verdict,
+    watch,
 )
 
 BENCHMARKS = {
@@ -66,6 +67,7 @@ BENCHMARKS = {
     "fleet-prior": fleet_prior.main,
     "accuracy": accuracy.main,
     "acceptance": acceptance.main,
+    "watch": watch.main,
 }
 
 

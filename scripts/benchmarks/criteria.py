@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from benchmarks.criterion import Criterion
-from calib_pin.cli.workforce import asked_workers
+from calib_pin.cli.options import asked_workers
 from calib_pin.compiled.threads import serial_blas
 
 SHARE = 10

@@ -11,6 +11,7 @@ from documentation import (
     command_reference,
     format_reference,
     setup_reference,
+    watch_picture,
 )
 from documentation.site import build
 
@@ -38,6 +39,7 @@ def documents() -> dict[str, str]:
         "reference/formats.md": format_reference.text(),
         "reference/api.md": api_reference.text(),
         "pictures/boards.svg": board_pictures.text(),
+        "pictures/watch.svg": watch_picture.text(),
     }
 
 

@@ -266,8 +266,10 @@ class Reader:
 
 
 def _calib_pin(words: list[str]) -> tuple[int, str]:
-    from calib_pin.cli import main
+    from calib_pin.cli import main, printing
 
+    # What is told of long work depends on the machine.
+    printing.PATIENCE = float("inf")
     out, error = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
         status = main(words)
@@ -275,9 +277,11 @@ def _calib_pin(words: list[str]) -> tuple[int, str]:
 
 
 def _installable(words: list[str]) -> tuple[int, str]:
-    """Whether what `pip install` is given is this package with extras that it has."""
+    """Whether `pip install` is given this folder, or the package with its extras."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     for word in words:
+        if word == ".":
+            continue
         named = re.fullmatch(r"([\w-]+)(?:\[([\w,-]+)\])?", word)
         extras = set(named[2].split(",") if named and named[2] else [])
         unknown = extras - project["optional-dependencies"].keys()

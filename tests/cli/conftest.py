@@ -17,7 +17,7 @@ from typer.exceptions import TyperException
 
 import calib_pin.cli.app as cli_app
 from calib_pin.cli import main
-from calib_pin.cli.workforce import asked_workers
+from calib_pin.cli.options import asked_workers
 from calib_pin.errors import InputError, OutputError
 from calib_pin.viewer.scene import Scene
 
@@ -122,7 +122,11 @@ def here(workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 @pytest.fixture(autouse=True)
 def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages without figures, unless a test asks for `drawn`: they take the longest."""
+    """Pages without figures, unless a test asks for `drawn`: they take the longest.
+
+    Stages are not told, however slow the machine is.
+    """
+    monkeypatch.setattr("calib_pin.cli.printing.PATIENCE", float("inf"))
     if "drawn" not in request.fixturenames:
         for place in DRAW:
             monkeypatch.setattr(place, lambda *about: [])
@@ -242,10 +246,12 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
     scenes: list[Scene] = []
 
     class Window:
-        def __init__(self, scene: Scene, port: int) -> None:
-            scenes.append(scene)
+        def __init__(self, title: str, port: int) -> None:
             self.port = 8081 if port == 8080 else port
             self.url = f"http://localhost:{self.port}/?token=abc"
+
+        def show(self, scene: Scene) -> None:
+            scenes.append(scene)
 
         def run(self, once: bool) -> None:
             if not once:

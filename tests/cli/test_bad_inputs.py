@@ -140,7 +140,7 @@ CASES: dict[str, Case] = {
     "empty tip": (
         ["calibrate", "arm.urdf", "rows.csv", "--tip", ""],
         {},
-        dict(reason="--tip"),
+        dict(reason="'tip'", value=""),
     ),
     "mimic joint": (
         CALIBRATE,

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -284,6 +285,14 @@ def test_quiet(here, run):
     result = run(f"{POSITION} -o out --quiet")
     assert (result.status, result.out, result.err) == (0, "", "")
     assert document("out")["verdict"]["status"] == "good"
+
+
+def test_long_work_tells_each_stage_in_a_line(here, run, monkeypatch):
+    monkeypatch.setattr("calib_pin.cli.printing.PATIENCE", -1.0)
+    stages = run(POSITION).err.splitlines()
+    assert {"calib-pin: read ...", "calib-pin: fit ..."} <= set(stages)
+    assert all(one != other for one, other in pairwise(stages))
+    assert run(f"{POSITION} --quiet").err == ""
 
 
 def test_options_win_over_the_setup_file(here, run):

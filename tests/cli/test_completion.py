@@ -6,29 +6,45 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import typer
 
-from calib_pin.cli.completion import KNOWN, completed, robots
+from calib_pin.cli.app import application
 
-FORMATS = {"export": "ur-kinematics", "compensate": "urscript"}
+COMMANDS = typer.main.get_command(application([])).commands  # type: ignore[attr-defined]
 
 
-def names(option: str, begun: str, command: str = "") -> list[str]:
+def names(option: str, command: str, begun: str = "") -> list[str]:
+    """Names that begin so, of an option or an argument of a command."""
+    (of,) = (p for p in COMMANDS[command].params if option in (*p.opts, p.name))
     context: Any = SimpleNamespace(info_name=command)
-    complete = completed(option)
-    assert complete is not None
-    return complete(context, begun)
+    return [item.value for item in of.shell_complete(context, begun)]
 
 
-@pytest.mark.parametrize("option", KNOWN)
-def test_every_option_with_names_completes_them(option: str) -> None:
-    known = names(option, "")
-    assert known and names(option, known[-1][:-1]).count(known[-1]) == 1
-    assert names(option, "no such") == []
+@pytest.mark.parametrize(
+    ("option", "command", "one"),
+    [
+        ("--model", "calibrate", "position"),
+        ("--parameters", "calibrate", "placement"),
+        ("--solver", "calibrate", "hybrid"),
+        ("--loss", "calibrate", "gnc"),
+        ("--learned", "calibrate", "network"),
+        ("--use", "calibrate", "away"),
+        ("--criterion", "plan", "prediction"),
+        ("--criterion", "plan", "O5"),
+        ("--method", "plan", "exchange"),
+        ("--format", "export", "ur-kinematics"),
+        ("--format", "compensate", "urscript"),
+        ("--figure-format", "report", "svg"),
+        ("--mount", "detect", "world"),
+        ("robot", "calibrate", "space6"),
+    ],
+)
+def test_names_are_completed(option: str, command: str, one: str) -> None:
+    assert one in names(option, command)
+    assert names(option, command, one[:-1]).count(one) == 1
+    assert names(option, command, "no such") == []
 
 
-def test_formats_are_those_of_the_command() -> None:
-    for command, one in FORMATS.items():
-        assert one in names("--format", "ur", command)
-    assert names("--format", "urs", "export") == []
-    assert completed("--count") is None
-    assert "space6" in robots(SimpleNamespace(), "space")  # type: ignore[arg-type]
+def test_other_values_are_not() -> None:
+    assert names("--count", "plan") == names("--setup", "calibrate") == []
+    assert "ur-kinematics" not in names("--format", "compensate")

@@ -185,6 +185,7 @@ TABLES = [
     ("jobs.csv", f"{FIRST},start\narm.urdf,a.csv,previous\n", "jobs.csv:2"),
     ("jobs.csv", f"{FIRST},figures\narm.urdf,a.csv,here\n", "'figures'"),
     ("jobs.csv", f"{FIRST},model_ladder\narm.urdf,a.csv,often\n", "'model_ladder'"),
+    ("jobs.csv", f"{FIRST},solver\narm.urdf,a.csv,lm\n", "jobs.csv:2: 'solver'"),
     ("jobs.csv", f"{FIRST},process_noise\narm.urdf,a.csv,-1\n", "'process_noise'"),
     ("jobs.yaml", "jobs: []\n", "'jobs'"),
     ("jobs.yaml", "# none yet\n", "jobs.yaml:1"),

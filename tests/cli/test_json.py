@@ -11,8 +11,8 @@ import pytest
 from calib_pin.cli.app import COMMANDS
 from tests.cli.files import table, write
 
-INTERACTIVE = {"view"}
-"""Commands whose result is a picture in a browser."""
+INTERACTIVE = {"app", "view", "watch"}
+"""Commands that go on until they are ended."""
 
 PLAN = "--method greedy --candidates 60 --ignore-collisions --count 8 -o new.csv"
 RESULTS = {

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from calib_pin.cli import main
-from calib_pin.cli.fleet_jobs import Orders, request_of
-from calib_pin.cli.jobs import read_jobs
+from calib_pin.cli.jobs import Orders, read_jobs, request_of
 from calib_pin.io.results import read_result
 from calib_pin.setup import JointPrior
 from tests.cli.files import document

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 import calib_pin.calibration
-import calib_pin.cli.request as request
+import calib_pin.cli.options as request
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class More(request.Request):
     """One more field.
 
@@ -26,8 +26,7 @@ class More(request.Request):
 request.Request = More
 from calib_pin import robot_file
 from calib_pin.cli import main
-from calib_pin.cli.fleet_jobs import Orders, request_of
-from calib_pin.cli.jobs import read_jobs
+from calib_pin.cli.jobs import Orders, read_jobs, request_of
 
 def fitted(*chains, pose_weight, **others):
     print("python:", pose_weight)

@@ -315,7 +315,7 @@ def test_a_signal_before_the_decision(number, status, here, run, listing, monkey
         assert list(Path("done").glob(".calib-pin-*"))
         signal.raise_signal(number)
 
-    monkeypatch.setattr("calib_pin.cli.calibrate.show", stop)
+    monkeypatch.setattr("calib_pin.cli.options.show", stop)
     result = run(f"{POSITION} -o done --force --figures pictures")
     assert (result.status, result.err.count("\n")) == (status, 1)
     assert listing(here) == before

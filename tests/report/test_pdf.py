@@ -46,7 +46,7 @@ def cover_of(**changed: object) -> Cover:
         facts=[("robot", "arm"), ("limit", "AP 0.5 mm"), ("operator", "")],
         numbers=table("", ("", "found"), [("AP", "0.1")]),
         remark="A remark.",
-        figures=[Drawn("f", "Figure", "Look at it.", Figure(figsize=(7.2, 3.0)))],
+        figures=[Drawn("Figure", "Look at it.", Figure(figsize=(7.2, 3.0)), "f")],
         entries=entries,
     )
     return replace(plain, **changed)
@@ -193,7 +193,7 @@ def test_words_are_shown_and_never_run():
         robot=HOSTILE,
         facts=[(HOSTILE, HOSTILE)],
         remark=HOSTILE,
-        figures=[Drawn("f", HOSTILE, HOSTILE, Figure(figsize=(7.2, 3.0)))],
+        figures=[Drawn(HOSTILE, HOSTILE, Figure(figsize=(7.2, 3.0)), "f")],
         entries=ReportSetup(HOSTILE, date="2026-11-23"),
         headline=[Tile(HOSTILE, (step,), HOSTILE, HOSTILE)],
     )

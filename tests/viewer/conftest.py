@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,15 @@ from calib_pin.estimation.terms import Frames, Term, assembled
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.shapes import Shape, Surface
 from calib_pin.measurement_models import MeasurementModel
+from calib_pin.measurement_models.position import Position
 from calib_pin.observations import BlockKey, Labels, Measurements, Observations
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.evaluation import prepared
+from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, stage_errors, tip_paths
 
 
 @pytest.fixture(scope="session")
@@ -77,3 +81,34 @@ def measured_rows() -> Callable[..., Observations]:
         )
 
     return make
+
+
+@pytest.fixture
+def scene(
+    panda: Chain,
+    calibrated: Callable[..., Any],
+    measured_rows: Callable[..., Any],
+) -> Scene:
+    """Triangles for links: what is asked for is not their looks."""
+    model = calibrated(panda, Position())
+    rows = measured_rows(model, 6)
+    errors = stage_errors(prepared(model, rows), panda.base)
+    q = rows.q[:3]
+    small = Surface(np.eye(3), np.array([[0, 1, 2]]))
+    return Scene(
+        title="arm",
+        shapes=tuple(Shape(link, np.eye(4), small) for link in panda.robot.links[:9]),
+        bodies=tuple(bodies_of(panda.robot, panda.base, model)),
+        chains=model.chains,
+        rows=Rows(rows, {"before": errors, "after": errors}),
+        plan=Plan(q, tip_paths(model.chains, q, panda.base, model)),
+    )
+
+
+@pytest.fixture
+def viser_server() -> Iterator[Any]:
+    import viser
+
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    yield server
+    server.stop()

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -23,12 +24,8 @@ from PIL import Image
 from calib_pin.cli import main
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_robot
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.shapes import Shape, Surface
-from calib_pin.measurement_models.position import Position
 from calib_pin.report.surroundings import Thing
-from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer.panel import (
     MAGNIFICATIONS,
     Controls,
@@ -37,7 +34,7 @@ from calib_pin.viewer.panel import (
     add_panel,
     save_picture,
 )
-from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, stage_errors, tip_paths
+from calib_pin.viewer.scene import Scene, bodies_of
 from calib_pin.viewer.stage import Stage, lines
 
 pytestmark = pytest.mark.needs("view")
@@ -171,7 +168,9 @@ def bare() -> Scene:
 def window() -> Iterator[Any]:
     from calib_pin.viewer.server import Window
 
-    window = Window(bare(), 0)
+    files = {"/tab/report.html": ("text/html", b"<p>"), "/tab/a": ("b/c", b"d")}
+    window = Window("arm", 0, files.get)
+    window.show(bare())
     yield window
     window.close()
 
@@ -179,9 +178,9 @@ def window() -> Iterator[Any]:
 def test_a_port_that_is_taken_and_a_token_of_its_own(window, capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        other = type(window)(bare(), port)
+        other = type(window)("arm", port)
         other.close()
-    again = type(window)(bare(), port)
+    again = type(window)("arm", port)
     again.close()
     assert other.port != port and again.port == port
     tokens = {one.url.partition("=")[2] for one in (window, other, again)}
@@ -241,6 +240,25 @@ def test_the_address_opens_the_page_and_its_socket(window, upgrade, host):
     assert asked(window, path, upgrade, origin) == (101, "")
 
 
+def test_files_are_served_and_can_do_nothing_to_the_page(window):
+    for path, kind, content in (
+        ("/tab/report.html", "text/html", b"<p>"),
+        ("/tab/a", "b/c", b"d"),
+    ):
+        with urlopen(f"http://localhost:{window.port}{path}?token={window.token}") as a:
+            assert a.read() == content and a.headers["Content-Type"] == kind
+            assert a.headers["Content-Security-Policy"].startswith("sandbox")
+
+
+def test_a_tab_that_is_loaded_again_has_its_name(window):
+    places = [asked(window, "/?token={token}", GOOD)[1] for _ in range(2)]
+    first, second = (parse_qs(urlsplit(place).query)["token"][0] for place in places)
+    assert first != second
+    assert {t.partition(".")[0] for t in (first, second)} == {window.token}
+    again = asked(window, f"/?token={first}", GOOD)[1]
+    assert parse_qs(urlsplit(again).query)["token"] == [first]
+
+
 STRANGE: list[tuple[str, dict[str, str | None]]] = [
     ("/", {}),
     ("/index.html", {}),
@@ -249,6 +267,10 @@ STRANGE: list[tuple[str, dict[str, str | None]]] = [
     ("/?token=%ff{token}", {}),
     ("/?other={token}", {}),
     ("//[?token=", {}),
+    ("/tab/report.html", {}),
+    ("/tab/report.html?token=other", {}),
+    ("/tab/a?token={token}", {"Origin": "http://evil.example"}),
+    ("/tab/a?token={token}", {"Host": "evil.example:{port}"}),
     ("/?token={token}", {"Host": None}),
     ("/?token={token}", {"Host": "localhost"}),
     ("/?token={token}", {"Host": "localhost:1"}),
@@ -279,41 +301,10 @@ def test_a_server_that_cannot_be_guarded_does_not_start(monkeypatch):
 
     monkeypatch.setattr(server, "_LocalServer", lambda *words, **options: None)
     with pytest.raises(RuntimeError, match="viser"):
-        server.Window(bare(), 0)
+        server.Window("arm", 0)
 
 
 # --- in this process ---------------------------------------------------------------
-
-
-@pytest.fixture
-def scene(
-    panda: Chain,
-    calibrated: Callable[..., Any],
-    measured_rows: Callable[..., Any],
-) -> Scene:
-    """Triangles for links: what is asked for is not their looks."""
-    model = calibrated(panda, Position())
-    rows = measured_rows(model, 6)
-    errors = stage_errors(prepared(model, rows), panda.base)
-    q = rows.q[:3]
-    small = Surface(np.eye(3), np.array([[0, 1, 2]]))
-    return Scene(
-        title="arm",
-        shapes=tuple(Shape(link, np.eye(4), small) for link in panda.robot.links[:9]),
-        bodies=tuple(bodies_of(panda.robot, panda.base, model)),
-        chains=model.chains,
-        rows=Rows(rows, {"before": errors, "after": errors}),
-        plan=Plan(q, tip_paths(model.chains, q, panda.base, model)),
-    )
-
-
-@pytest.fixture
-def viser_server() -> Iterator[Any]:
-    import viser
-
-    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
-    yield server
-    server.stop()
 
 
 def test_controls_do_what_they_say(scene, viser_server, monkeypatch):
@@ -337,7 +328,7 @@ def test_controls_do_what_they_say(scene, viser_server, monkeypatch):
     known["nominal"][1](False)
     assert not stage.robots["nominal"].root.visible
     known["panda_joint3"][1](moved + 0.1)
-    known["magnified"][1]((5,))
+    known["magnified"][1](str(MAGNIFICATIONS[5]))
     drawn = np.asarray(stage.rows.vectors["after"].points)
     expected = np.asarray(lines(scene.rows.stages["after"], float(MAGNIFICATIONS[5])))
     np.testing.assert_array_equal(drawn, expected)

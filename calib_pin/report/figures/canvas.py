@@ -10,6 +10,8 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 from textwrap import fill
 from typing import Any, Literal
 
@@ -25,10 +27,16 @@ from PIL import Image
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 
-INK = "#1f2328"
-MUTED = "#646c75"
-GRID = "#dde1e6"
-PAPER = "#ffffff"
+STYLE = mpl.rc_params_from_file(
+    Path(str(files("calib_pin.report"))) / "page" / "figures.mplstyle",
+    use_default_template=False,
+)
+"""The style of all figures."""
+
+INK = str(STYLE["text.color"])
+MUTED = str(STYLE["axes.edgecolor"])
+GRID = str(STYLE["grid.color"])
+PAPER = str(STYLE["figure.facecolor"])
 BEFORE = "#d55e00"
 AFTER = "#0072b2"
 
@@ -78,41 +86,6 @@ KINDS: Mapping[str, tuple[dict[str, Any], int]] = {
 Without dates and versions, the same numbers give the same bytes [dots per inch].
 """
 
-STYLE: dict[str, Any] = {
-    "axes.axisbelow": True,
-    "axes.edgecolor": MUTED,
-    "axes.facecolor": "none",
-    "axes.formatter.limits": (-6, 7),
-    "axes.formatter.useoffset": False,
-    "axes.grid": True,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.8,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 10,
-    "axes.titley": 1.0,
-    "figure.facecolor": PAPER,
-    "font.family": "sans-serif",
-    "font.size": 9.5,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "legend.borderaxespad": 0.0,
-    "legend.frameon": False,
-    "legend.handletextpad": 0.4,
-    "pdf.fonttype": 42,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "calib-pin",
-    "text.color": INK,
-    # A name may hold any character: none of them is a formula.
-    "text.parse_math": False,
-    "text.usetex": False,
-    "xtick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.color": MUTED,
-    "ytick.labelcolor": INK,
-}
-
 NUMBERED = re.compile(r' id="[\w.]+_\d+"')
 """Names of groups, which would be those of other figures of a page as well."""
 
@@ -128,7 +101,7 @@ def drawing() -> Iterator[None]:
     """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")
-        with mpl.rc_context(STYLE):  # type: ignore[arg-type]
+        with mpl.rc_context(STYLE):
             yield
 
 
@@ -137,16 +110,16 @@ class Drawn:
     """A figure with its name, title and caption.
 
     Attributes:
-        name: Stem of its file and id in a page.
         title: Its heading.
         reading: The caption: what to look for, and the numbers, in one line.
         figure: The figure.
+        name: Stem of its file and id in a page.
     """
 
-    name: str
     title: str
     reading: str
     figure: Figure
+    name: str = ""
 
     def svg(self) -> str:
         """Part of an HTML page, whose style sheet gives it font and colors."""

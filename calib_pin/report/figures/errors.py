@@ -77,7 +77,6 @@ def cumulative_errors(result: CalibrationResult) -> Drawn | None:
     key(figure, {name: {"color": c} for name, c in STAGES.items()})
     which = "fitted" if result.held_out is None else "held-out"
     return Drawn(
-        "cumulative-errors",
         "Share of measurements below an error",
         f"Each curve shows which part of the {len(rows)} {which} measurements has an "
         "error of at most the size on the axis: the further to the left, the more "
@@ -140,7 +139,6 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
     entries |= {name: marks(color, "s") for name, color, _ in _after(result.fitted)}
     key(figure, {**entries, **({"outlier": RING} if outliers else {})})
     return Drawn(
-        "errors-per-measurement",
         "Errors per measurement",
         " ".join(dict.fromkeys(notes)),
         figure,
@@ -311,7 +309,6 @@ def residuals_over_order(result: CalibrationResult) -> Drawn | None:
     }
     key(figure, {**entries, "moving mean": {"color": INK}})
     return Drawn(
-        "residuals-over-order",
         "Residuals over the order of the measurements",
         "Signed residuals of the fit by their place in the files. They should scatter "
         "about zero everywhere: a step is an instrument or a tool that moved, a slope "
@@ -346,7 +343,6 @@ def residuals_by_joint(result: CalibrationResult) -> Drawn | None:
     colors = zip(found.names, GROUPS, strict=False)
     key(figure, {name: marks(color, "o") for name, color in colors})
     return Drawn(
-        "residuals-by-joint",
         "Residuals by joint",
         "Signed residuals of the fit against the position of each joint. A slope or a "
         "wave along one joint is an error of its gear or its encoder; a joint whose "

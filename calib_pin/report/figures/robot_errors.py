@@ -11,6 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
 
+import calib_pin.report.figures.canvas as canvas
 from calib_pin.kinematics.shapes import Color, Shape, simplified
 from calib_pin.kinematics.skeleton import (
     Skeleton,
@@ -25,15 +26,6 @@ from calib_pin.kinematics.skeleton import (
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.stand_ins import stand_ins
 from calib_pin.observations import Observations
-from calib_pin.report.figures.canvas import (
-    SCALE,
-    STAGES,
-    WIDTH,
-    Drawn,
-    thinned,
-    thinning,
-    top_of,
-)
 from calib_pin.report.surroundings import surroundings, touched_by
 from calib_pin.report.tables import significant, unit_of
 from calib_pin.validation.result import CalibrationResult, MeasurementErrors
@@ -94,7 +86,7 @@ class Measured(NamedTuple):
 
 def robot_errors(
     result: CalibrationResult, shapes: Sequence[Shape] = ()
-) -> Drawn | None:
+) -> canvas.Drawn | None:
     """Tool points colored by their errors before and after, around the robot.
 
     Args:
@@ -108,7 +100,7 @@ def robot_errors(
     low, high, triangles, colors = _scene(result, links, measured.points)
     unit, factor = unit_of(measured.unit)
     sizes = [factor * measured.before, factor * measured.after]
-    chosen = thinned(len(measured.points), POINTS, sizes)
+    chosen = canvas.thinned(len(measured.points), POINTS, sizes)
     points, extent = measured.points[chosen], float((high - low).max())
     azimuth = _azimuth(points, extent)
     eye = LightSource(90.0 - azimuth, ELEVATION).direction
@@ -116,10 +108,10 @@ def robot_errors(
     apart = len(np.unique(np.round(points / (LARGEST * extent)), axis=0))
     radius = extent * float(np.clip(0.17 / math.sqrt(apart), SMALLEST, LARGEST))
     corners = np.concatenate([triangles, _balls(points, radius, eye)])
-    lit, top = _lit(triangles, colors, eye, lamp), top_of(np.concatenate(sizes))
-    scale = ScalarMappable(Normalize(0.0, top), SCALE)
-    figure = Figure(figsize=(WIDTH, HEIGHT))
-    for k, (name, color) in enumerate(STAGES.items()):
+    lit, top = _lit(triangles, colors, eye, lamp), canvas.top_of(np.concatenate(sizes))
+    scale = ScalarMappable(Normalize(0.0, top), canvas.SCALE)
+    figure = Figure(figsize=(canvas.WIDTH, HEIGHT))
+    for k, (name, color) in enumerate(canvas.STAGES.items()):
         axes: Any = figure.add_axes((0.5 * k + 0.01, 0.23, 0.46, 0.7), projection="3d")
         axes.view_init(ELEVATION, azimuth)
         axes.set_box_aspect(high - low, zoom=1.08)
@@ -134,13 +126,12 @@ def robot_errors(
     place = figure.add_axes((0.3, 0.11, 0.4, 0.022))
     bar = figure.colorbar(scale, place, orientation="horizontal")
     bar.set_label(f"{measured.name} error [{unit}]{clipped}")
-    return Drawn(
-        "robot-errors",
+    return canvas.Drawn(
         "Errors of the robot before and after calibration",
         f"Every ball is a measured tool point; its color is the {measured.name} error "
         "there, on one scale for both. A ball behind the robot shines through. "
         "The robot stands as in one of the measurements; axes in meters."
-        + thinning(len(chosen), len(measured.points)),
+        + canvas.thinning(len(chosen), len(measured.points)),
         figure,
     )
 

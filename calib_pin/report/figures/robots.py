@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,38 +37,30 @@ ROBOTS = {
 """Name and sign of each robot of a test."""
 
 
-@dataclass(frozen=True)
-class Judged:
-    """A test with its limits.
+def poses_tested(
+    tests: Mapping[str, Acceptance], limit: LimitSetup, path: bool = False
+) -> Drawn | None:
+    """AP and RP by pose with their intervals, of each robot, and the limits.
 
-    Attributes:
+    Args:
         tests: The test by the robot that the commanded poses are of.
         limit: What must be reached.
         path: Whether the poses are points of a path.
     """
-
-    tests: Mapping[str, Acceptance]
-    limit: LimitSetup
-    path: bool = False
-
-
-def poses_tested(found: Judged) -> Drawn | None:
-    """AP and RP by pose with their intervals, of each robot, and the limits."""
     figure, (row,) = panels(1, 2, 2.5, gap=0.8)
-    limit, unit = found.limit, unit_of("m")[0]
-    place = "point of the path" if found.path else "pose"
-    _poses(row[0], found.tests, lambda pose: pose.accuracy, limit.position)
-    _poses(row[1], found.tests, lambda pose: pose.repeatability, limit.repeatability)
+    unit = unit_of("m")[0]
+    place = "point of the path" if path else "pose"
+    _poses(row[0], tests, lambda pose: pose.accuracy, limit.position)
+    _poses(row[1], tests, lambda pose: pose.repeatability, limit.repeatability)
     for axes, name in zip(row, ("AP", "RP"), strict=True):
         axes.set_ylabel(f"{name} [{unit}]")
         axes.set_xlabel(place)
-    entries = dict(ROBOTS[name] for name in found.tests)
+    entries = dict(ROBOTS[name] for name in tests)
     if limit.position is not None or limit.repeatability is not None:
         entries["limit"] = LIMIT
     key(figure, entries)
-    worst = "; the worst are AT and RT" if found.path else ""
+    worst = "; the worst are AT and RT" if path else ""
     return Drawn(
-        "poses-tested",
         f"Accuracy and repeatability by {place}",
         f"AP and RP of every {place} with 95 % intervals{worst}."
         + " A limit is met where all of an interval lies below it."
@@ -116,17 +107,11 @@ def _poses(
         axes.set_ylim(0.0, 1.12 * float(everything.max(initial=0.0)) or 1.0)
 
 
-@dataclass(frozen=True)
-class Foreseen:
-    """The outlooks of a Monte Carlo study, and the limit."""
-
-    outlooks: Sequence[Outlook]
-    limit: LimitSetup
-
-
-def accuracy_by_configurations(found: Foreseen) -> Drawn | None:
+def accuracy_by_configurations(
+    outlooks: Sequence[Outlook], limit: LimitSetup
+) -> Drawn | None:
     """Position error, and part of the robots within the limit, by configurations."""
-    done = [one for one in found.outlooks if one.failed < one.robots]
+    done = [one for one in outlooks if one.failed < one.robots]
     if not done:
         return None
     limited = bool(np.isfinite(done[0].met[0]))
@@ -146,12 +131,12 @@ def accuracy_by_configurations(found: Foreseen) -> Drawn | None:
         "5 to 95 % of robots": {**band, "linewidth": 6.0},
         "95 % of the workspace": wide,
     }
-    limit = np.nan
-    if found.limit.position is not None:
-        limit = factor * found.limit.position
-        axes.axhline(limit, **LIMIT)
+    largest = np.nan
+    if limit.position is not None:
+        largest = factor * limit.position
+        axes.axhline(largest, **LIMIT)
         entries["limit"] = LIMIT
-    log_axis(axes, "y", low, high, share, np.array([limit]))
+    log_axis(axes, "y", low, high, share, np.array([largest]))
     axes.set_ylabel(f"position error [{unit}]")
     axes.set_xlabel("configurations")
     text = (
@@ -172,7 +157,6 @@ def accuracy_by_configurations(found: Foreseen) -> Drawn | None:
         )
     key(figure, entries)
     return Drawn(
-        "accuracy-by-configurations",
         "Accuracy against number of configurations",
         text,
         figure,

@@ -88,7 +88,6 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
     axes.set_ylabel(f"tool-point uncertainty [{unit}]")
     key(figure, signs)
     return Drawn(
-        "tip-error-by-count",
         "Accuracy against number of measurements",
         f"Predicted tool-point uncertainty (1 sigma, rms over the workspace): "
         f"{number(errors[-1])} {unit} with all {counts[-1]:.0f} measurements. Far "
@@ -117,7 +116,6 @@ def tip_in_workspace(result: CalibrationResult) -> Drawn | None:
     label = f"uncertainty [{unit}], rms"
     figure, _ = views(tip.points, factor * tip.position, label)
     return Drawn(
-        "tip-accuracy-in-workspace",
         "Tool-point accuracy over the workspace",
         f"Predicted tool-point uncertainty (1 sigma) "
         f"{_spread(tip.points, tip.position)}, in the frame of the instrument. {said}.",
@@ -130,7 +128,6 @@ def drift_in_workspace(drift: TipDrift) -> Drawn:
     unit, factor = unit_of("m")
     figure, _ = views(drift.points, factor * drift.drift, f"distance [{unit}]")
     return Drawn(
-        "tip-drift",
         "Distance of the tool points over the workspace",
         f"Distance of the tool points of both calibrations "
         f"{_spread(drift.points, drift.drift)}. Displacements of estimated frames are "
@@ -178,7 +175,6 @@ def criterion_by_count(plan: Plan) -> Drawn | None:
     size = "smaller" if plan.criterion in SMALL else "larger"
     own, random = (number(scale * value) for value in (plan.value, plan.random))
     return Drawn(
-        "criterion-by-count",
         "Accuracy against number of configurations",
         f"Below {len(plan.q)} configurations the best part of the plan, above it the "
         f"plan with more candidates. Planned: {name} {own}{of_unit}; random baseline: "
@@ -217,7 +213,6 @@ def planned_positions(plan: Plan) -> Drawn | None:
         view.plot(*points[:1, side].T, **marks(BEFORE, "s", 6.5), zorder=4.0)
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     return Drawn(
-        "planned-positions",
         "Planned positions of the tool",
         f"The {len(points)} configurations from three sides; the color is their place "
         f"in the plan, the square is the first. Straight lines, {length:.2f} m in all, "

@@ -66,12 +66,12 @@ def figure_of(found: Sequence[Measured]) -> Drawn:
     signs = {HEADERS[method]: sign for method, sign in SIGNS.items()}
     key(figure, signs | {"predicted away": PREDICTED, "others": OTHERS})
     return Drawn(
-        "accuracy",
         "Accuracy on public measurements",
         "Position errors on measurements that were not fitted, mean or rms as others "
         "tell it. A model that chose itself should be left of the others near the "
         "fitted configurations, and right of none away from them.",
         figure,
+        "accuracy",
     )
 
 

@@ -17,8 +17,8 @@ from benchmarks.accuracy.figure import figure_of
 from benchmarks.accuracy.measuring import Measured, measure
 from benchmarks.accuracy.published import PUBLISHED
 from benchmarks.accuracy.showing import document, table
+from calib_pin.cli.options import asked_workers
 from calib_pin.cli.printing import progress_bar
-from calib_pin.cli.workforce import asked_workers
 from calib_pin.errors import CalibPinError
 from calib_pin.io.files import write_atomically
 from calib_pin.io.json_text import encode

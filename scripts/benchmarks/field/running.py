@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks.field import away, trial
 from benchmarks.field.days import INSTRUMENTS, JOBS
 from benchmarks.field.mishaps import MISHAPS
-from calib_pin.cli.workforce import asked_workers
+from calib_pin.cli.options import asked_workers
 from calib_pin.compiled.threads import serial_blas
 
 SEED = 44

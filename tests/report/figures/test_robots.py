@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from calib_pin.monte_carlo import Outlook
-from calib_pin.report.figures import Foreseen, Judged, drawn
+from calib_pin.report.figures import drawn
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.acceptance import Acceptance, acceptance
 
@@ -36,7 +36,7 @@ def outlook(count: int, met: float = 0.9) -> Outlook:
 def test_values_intervals_and_limits_are_drawn():
     test = visits_of(5e-3)
     limit = LimitSetup(position=1e-2)
-    (found,) = drawn("acceptance", Judged({"robot": test}, limit))
+    (found,) = drawn("acceptance", {"robot": test}, limit)
     accuracy, repeatability = found.figure.axes
     (points, *_), *_ = accuracy.containers
     shown = [1e3 * pose.accuracy.value for pose in test.poses]
@@ -49,7 +49,7 @@ def test_values_intervals_and_limits_are_drawn():
 
 def test_robots_that_differ_much_share_a_log_axis():
     tests = {"nominal": visits_of(5e-3), "calibrated": visits_of(2e-5)}
-    (found,) = drawn("acceptance", Judged(tests, LimitSetup()))
+    (found,) = drawn("acceptance", tests, LimitSetup())
     accuracy, repeatability = found.figure.axes
     assert accuracy.get_yscale() == "log" and repeatability.get_yscale() == "linear"
     assert len(found.figure.legends[0].get_texts()) == 2
@@ -57,15 +57,15 @@ def test_robots_that_differ_much_share_a_log_axis():
 
 def test_an_outlook_shows_errors_and_chances():
     limit = LimitSetup(position=2e-4)
-    foreseen = Foreseen([outlook(12, 0.5), outlook(30, 1.0)], limit)
-    (found,) = drawn("outlook", foreseen)
+    foreseen = [outlook(12, 0.5), outlook(30, 1.0)]
+    (found,) = drawn("outlook", foreseen, limit)
     errors, chances = found.figure.axes
     np.testing.assert_allclose(errors.lines[0].get_ydata(), [2 / 12, 2 / 30])
     low, high = errors.get_ylim()
     assert low < 0.2 < high  # The limit is inside.
     np.testing.assert_allclose(chances.lines[0].get_ydata(), [50.0, 100.0])
-    nobody = replace(foreseen.outlooks[0], met=(math.nan, math.nan, math.nan))
-    (found,) = drawn("outlook", Foreseen([nobody], LimitSetup()))
+    nobody = replace(foreseen[0], met=(math.nan, math.nan, math.nan))
+    (found,) = drawn("outlook", [nobody], LimitSetup())
     assert len(found.figure.axes) == 1, "without a limit there are errors only"
     lost = replace(nobody, failed=nobody.robots)
-    assert not [*drawn("outlook", Foreseen([lost], LimitSetup()))]
+    assert not [*drawn("outlook", [lost], LimitSetup())]

@@ -14,12 +14,7 @@ from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from calib_pin.report.figures import (
-    NAMES,
-    Drawn,
-    Foreseen,
-    Judged,
-)
+from calib_pin.report.figures import NAMES, Drawn
 from calib_pin.report.figures import drawn as draw_all
 from calib_pin.report.figures.canvas import drawing
 from calib_pin.report.figures.workspace import criterion_by_count, views
@@ -165,11 +160,11 @@ def others(
     for count in counts:
         far, near = (visits_of(offset, count) for offset in (5e-3, 2e-5))
         tests = {"nominal": far, "calibrated": near}
-        yield from draw_all("acceptance", Judged(tests, LIMIT))
-        yield from draw_all("acceptance", Judged({"robot": far}, LIMIT, path=True))
+        yield from draw_all("acceptance", tests, LIMIT)
+        yield from draw_all("acceptance", {"robot": far}, LIMIT, True)
     for chances in trials:
         met = [outlook(n, c) for n, c in zip((12, 30), chances, strict=True)]
-        yield from draw_all("outlook", Foreseen(met, LIMIT))
+        yield from draw_all("outlook", met, LIMIT)
 
 
 def test_of_everything_else():

@@ -12,7 +12,7 @@ import pytest
 
 import calib_pin
 from calib_pin.report.blocks import Block, Code, Line, Table
-from calib_pin.report.places import frame_blocks
+from calib_pin.report.breakdown import frame_blocks
 from calib_pin.report.tables import parameter_overview
 from calib_pin.report.terminal import plain_text
 from calib_pin.setup import CameraSetup, Setup

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from calib_pin.cli.options import parse_limits
+from calib_pin.cli.plan import parse_limits
 from calib_pin.errors import OptionError
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain

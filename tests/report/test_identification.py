@@ -12,7 +12,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import robot_values
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.kinematics.chain import Chain
-from calib_pin.report.robot_errors import corrections, held
+from calib_pin.report.identification import corrections, held
 from calib_pin.report.terminal import plain_text
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.assessment import identify, robot_errors

@@ -1,0 +1,70 @@
+"""`calib-pin app`: `init`, `calibrate`, `view` and `watch` behind a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
+from urllib.parse import unquote
+
+import calib_pin.cli.options as options
+from calib_pin.cli.options import Told
+from calib_pin.cli.view import PORT, require_viser, serve
+
+TYPES, BYTES = {".html": "text/html; charset=utf-8"}, "application/octet-stream"
+
+
+@dataclass(frozen=True, kw_only=True)
+class App:
+    """A page as it is asked for.
+
+    Attributes:
+        port: Port on this machine; 0 for any free port.
+        once: Stop when the last tab is closed.
+    """
+
+    port: Annotated[int, Told("N", "Window", PORT)] = 8080
+    once: Annotated[bool, Told("", "Window")] = False
+
+
+@options.spread
+def app(asked: App) -> int:
+    """Calibrate in a page of the browser, from two files to a corrected URDF.
+
+    A robot and measurements are dropped or chosen there; the page shows what was found,
+    calibrates, and has the results to download. It is open to this machine only, at the
+    address that is printed. Every tab is a job of its own. What is dropped goes to a
+    temporary folder, which is removed at the end.
+    """
+    require_viser()
+    from calib_pin.cli.page_job import Job
+    from calib_pin.viewer.app import Page
+    from calib_pin.viewer.server import Window
+
+    jobs, start = dict[str, Job](), Path.cwd()
+
+    def file(path: str) -> tuple[str, bytes] | None:
+        tab, _, name = unquote(path[1:]).partition("/")
+        content = jobs[tab].files.get(name) if tab in jobs else None
+        return None if content is None else (TYPES.get(name[-5:], BYTES), content)
+
+    def page(client: Any, tab: str) -> Callable[[float], None]:
+        if tab not in jobs:
+            own, to = Path(folder, str(len(jobs))), f"/{tab}/{{}}?token={window.token}"
+            own.mkdir()
+            jobs[tab] = Job(own, start, to, worker.submit)
+        return Page(client, client.camera, jobs[tab]).tick
+
+    # One worker: jobs share remarks, the working folder and the processors.
+    worker = ThreadPoolExecutor(1)
+    with TemporaryDirectory(prefix="calib-pin-") as folder:
+        window = Window("calib-pin", asked.port, file)
+        window.welcome(page)
+        serve(window, asked.port, asked.once)
+        for job in jobs.values():
+            job.stopped.set()
+        worker.shutdown(cancel_futures=True)
+    return 0

@@ -1,0 +1,195 @@
+"""`calib-pin watch`: a job that is guided while it is measured."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import calib_pin.cli.options as options
+from calib_pin.cli.calibrate import calibrate
+from calib_pin.cli.options import Request, Told, number
+from calib_pin.cli.printing import say, taken_notices
+from calib_pin.cli.requests import opened
+from calib_pin.errors import OptionError
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+    from calib_pin.guidance import Event, Watch
+
+PAUSE = 0.2
+"""Time between two looks at the files [s]."""
+
+LIMIT = number(float, "--limit", "1e-6 to 1 m", 1e-6, 1.0)
+
+Tell = Callable[["Event"], None]
+
+
+def watched(
+    request: Request,
+    plan: Path | None = None,
+    limit: float | None = None,
+    *,
+    srdf: Path | None = None,
+) -> Watch:
+    """The watch of a calibration as `calibrate` takes it.
+
+    Args:
+        request: The calibration.
+        plan: Configurations to measure.
+        limit: Expected error of the tool point that is to be reached [m].
+        srdf: Pairs of links that need no collision check.
+    """
+    from calib_pin.guidance import Watch
+
+    def read() -> Any:
+        try:
+            found = opened(request, None)
+            return found.chains, found.setup, found.measurements
+        finally:
+            taken_notices()
+
+    return Watch(
+        read,
+        [*request.measurements, *filter(None, [request.setup])],
+        plan,
+        limit,
+        srdf=srdf,
+        package_dirs=request.package_dir or (),
+        seed=request.seed,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watched(options.QuietAnswer, Request):
+    """Measurements that are to be followed.
+
+    Attributes:
+        output: Folder for the results, written as by calibrate.
+        plan: Configurations to measure.
+        type: Ask for the readings of --plan, and write the rows.
+        limit: Expected error of the tool point to reach [m]; by default 'limit' of the
+            setup file.
+        srdf: SRDF file of the links that need no collision check.
+        once: Look once, and end without a result.
+    """
+
+    output: Annotated[Path | None, Told("DIR", "Output")] = None
+    plan: Annotated[Path | None, Told("CSV", "Watch")] = None
+    type: Annotated[bool, Told("", "Watch")] = False
+    limit: Annotated[float | None, Told("S", "Watch", LIMIT)] = None
+    srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
+    once: Annotated[bool, Told("", "Watch")] = False
+
+
+@options.spread
+def watch(asked: Watched, context: typer.Context) -> int:
+    """Follow measurements while they are taken.
+
+    Reads the files again whenever another program has written to them. Each new row is
+    compared with its prediction by the rows before it; the verdict so far, the expected
+    accuracy and the configuration to measure next follow. Ctrl-C ends, with the result
+    as calibrate would write it. The same command goes on with the rows that are there.
+    """
+    before: Callable[[], object] = partial(time.sleep, PAUSE)
+    if asked.type:
+        from calib_pin.cli.typed import typed
+
+        if asked.plan is None or len(asked.measurements) != 1 or asked.json:
+            raise OptionError("--type needs --plan and one file of measurements")
+        before = typed(asked, asked.plan)
+    job, live = watched(asked, asked.plan, asked.limit, srdf=asked.srdf), None
+    if sys.stdout.isatty() and not asked.type:
+        from rich.console import Console
+
+        live = Console(highlight=False, markup=False, emoji=False)
+    with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
+        if asked.once:
+            any(map(tell, job.look()))
+            return 0 if job.fit is not None else 1
+        follow(job, tell, before)
+    if job.fit is None:
+        return 1
+    context.obj = asked.words(asked.output or Path())[1:]
+    own = {"plan", "type", "limit", "srdf", "once"}
+    given = {name: value for name, value in vars(asked).items() if name not in own}
+    return calibrate(**given, context=context)
+
+
+def follow(job: Watch, tell: Tell, before: Callable[[], object]) -> None:
+    """Look at the files again and again, until somebody interrupts.
+
+    Args:
+        job: The job.
+        tell: Told its events.
+        before: Called before each look but the first one.
+    """
+    try:
+        while True:
+            for event in job.look():
+                tell(event)
+            before()
+    except (KeyboardInterrupt, EOFError):
+        return
+
+
+STYLES = {
+    **dict.fromkeys(("state", "next", "waiting"), "cyan"),
+    **dict.fromkeys(("finding", "problem"), "bold red"),
+    "reached": "bold green",
+}
+"""Styles of the lines of a terminal by the kind of their event."""
+
+
+def styled(event: Event) -> Text:
+    """The line of an event on a terminal."""
+    from rich.text import Text
+
+    wrong = event.numbers.get("wrong")
+    return Text(event.text, style="red" if wrong else STYLES.get(event.kind, ""))
+
+
+@contextmanager
+def display(
+    *, json: bool = False, quiet: bool = False, live: Any = None
+) -> Iterator[Tell]:
+    """Shows events, one line each.
+
+    Args:
+        json: Whether they are shown as JSON.
+        quiet: Whether they are not shown.
+        live: A rich console where the state and the next configuration stay below the
+            other events.
+    """
+    if json or quiet or live is None:
+        from json import dumps
+
+        def line(event: Event) -> None:
+            text = dumps(event.document(), default=dict) if json else event.text
+            say("" if quiet and not json else f"{text}\n")
+
+        yield line
+        return
+    from rich.live import Live
+    from rich.text import Text
+
+    below = dict[str, Text]()
+    with Live(console=live, auto_refresh=False) as shown:
+
+        def tell(event: Event) -> None:
+            if event.kind not in ("state", "next", "waiting"):
+                shown.console.print(styled(event))
+                return
+            below.pop("waiting", None)
+            below[event.kind] = styled(event)
+            shown.update(Text("\n").join(below.values()), refresh=True)
+
+        yield tell

@@ -1,0 +1,131 @@
+"""The events of a watched job: one line for people, the numbers for programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from calib_pin.errors import enumerated
+from calib_pin.estimation.evidence import TRUSTED
+
+Kind = Literal[
+    "row", "removed", "waiting", "finding", "state", "next", "reached", "problem"
+]
+
+WORTH, AHEAD = 0.9, 5
+"""Part of the expected error that so many further rows may leave to be worth it, where
+no limit is stated."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """An event of a watched job.
+
+    Attributes:
+        kind: `row` for a new row, with `wrong` among its numbers; `removed` for rows
+            that were taken back; `waiting` as long as rows cannot be judged; `finding`
+            for the cause of wrong rows; `state` for all that is known so far; `next`
+            for the configuration to measure; `reached` when more rows are not worth it,
+            once; `problem` where the files cannot be read.
+        text: One line.
+        numbers: The same as plain data, in SI units.
+    """
+
+    kind: Kind
+    text: str
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """The event as plain data, without numbers that are not known."""
+        known = {
+            name: value
+            for name, value in self.numbers.items()
+            if not (isinstance(value, float) and math.isnan(value))
+        }
+        return {"kind": self.kind, "text": self.text, **known}
+
+
+@dataclass(frozen=True)
+class State:
+    """The state of a job.
+
+    Attributes:
+        rows: Number of rows.
+        aside: Number of those that are set aside.
+        verdict: The verdict so far; empty as long as there is none.
+        reason: Its reason.
+        near: Expected error of the tool point near the rows [m]; NaN where unknown.
+        workspace: The same over the workspace.
+        bound: Upper bound of that with 95 % confidence.
+        unknown: Errors of the robot that more rows would tell.
+        limit: The error that is to be reached [m]; None where none is stated.
+        ahead: The error over the workspace after 0, 1, ... further rows [m].
+    """
+
+    rows: int
+    aside: int
+    verdict: str = ""
+    reason: str = ""
+    near: float = math.nan
+    workspace: float = math.nan
+    bound: float = math.nan
+    unknown: tuple[str, ...] = ()
+    limit: float | None = None
+    ahead: tuple[float, ...] = ()
+
+    @property
+    def more(self) -> int | None:
+        """Number of further rows that reach the limit; None where nobody knows."""
+        if self.limit is None or math.isnan(self.bound):
+            return None
+        share = self.limit * self.workspace / self.bound
+        return next((k for k, left in enumerate(self.ahead) if left <= share), None)
+
+    @property
+    def reached(self) -> bool:
+        """Whether more rows are not needed."""
+        if self.verdict not in TRUSTED:
+            return False
+        if self.limit is not None:
+            return self.bound <= self.limit
+        return len(self.ahead) > AHEAD and self.ahead[AHEAD] > WORTH * self.workspace
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        words = [f"{self.rows} rows"]
+        if self.aside:
+            words[0] += f", {self.aside} set aside"
+        words.append(self.verdict.upper() or "no verdict yet")
+        if self.verdict not in TRUSTED and self.reason:
+            words[-1] += f" ({self.reason.partition(';')[0]})"
+        if not math.isnan(self.workspace):
+            near = "" if math.isnan(self.near) else f"near {_mm(self.near)}, "
+            bound = f"95 %: below {_mm(self.bound)}"
+            over = f"over the workspace {_mm(self.workspace)} ({bound})"
+            words.append(f"expected error {near}{over}")
+        if self.unknown:
+            words.append(f"still unknown: {enumerated(self.unknown, 60)}")
+        if self.more:
+            words.append(f"about {self.more} more reach {_mm(self.limit or 0.0)}")
+        elif self.limit is None and len(self.ahead) > AHEAD:
+            words.append(f"{AHEAD} more leave {_mm(self.ahead[AHEAD])}")
+        return "; ".join(words)
+
+    @property
+    def conclusion(self) -> str:
+        """Why more rows are not needed, one line."""
+        if self.limit is not None:
+            return f"reached: below {_mm(self.limit)} over the workspace"
+        now, then = _mm(self.workspace), _mm(self.ahead[AHEAD])
+        return f"enough: {AHEAD} more rows would only lower {now} to {then}"
+
+    def document(self) -> dict[str, Any]:
+        """The state as plain data."""
+        return {**vars(self), "more": self.more, "reached": self.reached}
+
+
+def _mm(size: float) -> str:
+    return f"{1e3 * size:.2g} mm"

@@ -1,0 +1,212 @@
+"""The fit of all rows so far: the prediction of the next one, the verdict, causes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from calib_pin.errors import CalibPinError
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.fit import FittedModel, fit_model
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.nominal import register
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.row_blocks import Priors
+from calib_pin.estimation.statistics.distributions import f_tail
+from calib_pin.guidance.events import State
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import Observations, states_sigmas
+from calib_pin.setup import JointPrior, Setup
+from calib_pin.validation.assessment import registration_reason, robot_errors
+from calib_pin.validation.findings import find
+from calib_pin.validation.findings.case import Case, Others
+from calib_pin.validation.held_out import check
+from calib_pin.validation.judgement import judge
+from calib_pin.validation.model_errors import (
+    fitted_errors,
+    mahalanobis,
+    predicted_variance,
+    registered,
+)
+
+LEVEL = 1e-3
+"""Probability by chance below which a row is told not to be as expected."""
+
+WIDE = 1.5
+"""Expected sizes of an error within which a robot is looked for before its measurements
+tell the noise."""
+
+KNOWN = 1e6
+"""Degrees of freedom of a noise that is stated."""
+
+
+class Deviation(NamedTuple):
+    """A row beside its prediction.
+
+    Attributes:
+        size: How far it is from there, of the first quantity it has [its unit].
+        sigma: Standard deviation of that [its unit].
+        unit: The unit, m, rad or px.
+        chance: Probability of as much by chance.
+    """
+
+    size: float
+    sigma: float
+    unit: str
+    chance: float
+
+    @property
+    def wrong(self) -> bool:
+        """Whether it is not chance."""
+        return self.chance < LEVEL
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fit of the rows so far.
+
+    Attributes:
+        chains: The nominal chains.
+        rows: The rows.
+        setup: The setup.
+        seed: Seed of whatever is random.
+        model: The fit; None where there is none yet.
+        reason: Why not.
+        early: Whether the noise is assumed, and the size of the robot's errors, too.
+    """
+
+    chains: Chains
+    rows: Observations
+    setup: Setup
+    seed: int
+    model: FittedModel | None = None
+    reason: str = "nothing to compare it with yet"
+    early: bool = False
+
+    def fit(self, known: bool, robust: bool) -> Fitted:
+        """The ordinary fit, or with wide priors as long as nothing tells the noise.
+
+        Args:
+            known: Whether fewer rows than these determined the frames.
+            robust: Whether the rows may have outliers that nobody has set aside.
+        """
+        if not robust and self.setup.loss == "auto":
+            squared = replace(self.setup, loss="squared")
+            return replace(self, setup=squared).fit(known, True)
+        try:
+            problem = make_problem(self.chains, self.rows, self.setup)
+            if not known:
+                found, result = register(problem, np.zeros(len(problem.parameters)))
+                if reason := registration_reason(found, result):
+                    return replace(self, reason=reason)
+            model = fit_model(self.chains, self.rows, self.setup, self.seed)
+            if early := not model.fit.noise:
+                setup = replace(self.setup, prior=_wide(problem), learned=None)
+                model = fit_model(self.chains, self.rows, setup, self.seed)
+            return replace(self, model=model, early=early)
+        except (CalibPinError, np.linalg.LinAlgError) as error:
+            return replace(self, reason=getattr(error, "reason", str(error)))
+
+    @property
+    def informed(self) -> Problem:
+        """The problem of the fit with wide priors on all errors of the robot."""
+        assert self.model is not None
+        problem = self.model.fit.problem
+        of = problem.parameters
+        alone = of.free & ~of.nuisance & np.isinf(of.priors)
+        sizes = np.where(alone, WIDE * of.scales, np.inf)
+        return replace(problem, expected=Priors.alone(sizes))
+
+    def deviation(self, row: Observations) -> Deviation | None:
+        """How far measurements are from their prediction; None where nothing tells."""
+        if self.model is None or not np.isfinite(self.model.fit.covariance).all():
+            return None
+        fit, freedom, inflation = self.model.fit, KNOWN, 1.0
+        if self.early:
+            # Errors that are larger than assumed show in the fit.
+            inflation = max(float(np.nan_to_num(fit.sigma0)), 1.0)
+        elif not states_sigmas(fit.problem.data):
+            freedom = sum(part.redundancy * part.values for part in fit.noise)
+        try:
+            there = registered(self.model.problem, self.model.theta, row)
+        except CalibPinError:
+            return None
+        if there.new or freedom < 1.0:
+            return None  # Its own place is all it tells.
+        problem, theta = there.problem, there.theta
+        values = len(problem.sigma)
+        square = mahalanobis(fit, problem, theta) / inflation**2
+        first = problem.layout.component == problem.layout.component[0]
+        error = problem.errors(theta)[first]
+        variance = inflation**2 * predicted_variance(fit, problem, theta)[first]
+        size, sigma = np.sqrt([np.sum(error**2), variance.sum()]) / len(row) ** 0.5
+        unit = problem.layout.quantities[0].unit
+        chance = f_tail(square / values, values, freedom)
+        return Deviation(float(size), float(sigma), unit, chance)
+
+    @cached_property
+    def doubtful(self) -> bool:
+        """Whether the rows are so far from the robot that they may be read wrong."""
+        if self.model is None:
+            return True
+        return Case.of(self.model.fit, self.chains).doubtful
+
+    def causes(self, every: Observations, others: Others) -> tuple[Finding, ...]:
+        """Why no robot explains the rows, those among them that were set aside."""
+        try:
+            return find(Case.of_robot(self.chains, every, self.setup, others)).causes
+        except CalibPinError:
+            return ()
+
+    def assess(
+        self, known: State, ahead: tuple[float, ...], seek: bool
+    ) -> tuple[State, Iterable[Finding]]:
+        """The verdict and the expected accuracy, and what is wrong with the rows.
+
+        Args:
+            known: Number of rows and limit.
+            ahead: Error of the tool point after 0, 1, ... further rows [m].
+            seek: Whether to seek faults of all rows; they have been sought otherwise.
+        """
+        model = self.model
+        if model is None:
+            return known, ()
+        if self.early:
+            case = Case.of(model.fit, self.chains)
+            return known, find(case, seek=False).others
+        try:
+            errors = fitted_errors(model, self.rows)
+            held_out = check(model, self.rows, self.seed, validate=False)
+            found = judge(self.chains, model, errors, held_out, self.seed, seek=seek)
+        except CalibPinError as error:
+            return replace(known, reason=str(error)), ()
+        told, (_, accuracy) = dict[str, Any](), found.worst
+        if accuracy is not None:
+            every = [a.measured for a in found.accuracies.values() if a.measured]
+            now = accuracy.calibrated.position
+            told |= {"workspace": now, "bound": accuracy.bound.position}
+            if every:
+                told |= {"near": max(e.calibrated.position for e in every)}
+            told |= {"ahead": tuple(now * left / ahead[0] for left in ahead)}
+        fit = model.fit
+        told["unknown"] = tuple(
+            f"{error.kind} of {' + '.join(error.of)}"
+            for error in robot_errors(fit.problem, fit.structure, fit)
+            if error.status == "weak"
+        )
+        verdict, reason = found.verdict
+        return replace(known, verdict=verdict, reason=reason, **told), found.findings
+
+
+def _wide(problem: Problem) -> JointPrior | dict[str, float]:
+    """Priors of all errors of the robot, those that the setup states first."""
+    stated = problem.setup.prior
+    if isinstance(stated, JointPrior):
+        return stated
+    errors = [p for p in problem.parameters if p.free and not p.nuisance]
+    wide = {p.name: WIDE * p.scale for p in errors if np.isinf(p.prior)}
+    return {**stated, **wide}

@@ -1,0 +1,201 @@
+"""Where to measure next, and what more rows would tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib_pin.errors import CalibPinError
+from calib_pin.estimation.tip_accuracy import SAMPLES
+from calib_pin.guidance.fitted import Fitted
+from calib_pin.io.collision import load_collisions
+from calib_pin.io.measured_columns import own_columns, read_positions
+from calib_pin.io.measurements import encode_configurations
+from calib_pin.io.table import Table, read_table
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
+from calib_pin.planning.criteria import Prediction, Selection
+from calib_pin.planning.planned_problem import TipTests, identification
+from calib_pin.planning.workspace import Aims, Candidates, Workspace, require_plannable
+from calib_pin.setup import Setup
+
+MORE = 20
+"""Most further rows that are looked ahead to."""
+
+NEAR = 0.02
+"""Difference of a joint up to which a planned configuration was measured [rad, m]."""
+
+Place = tuple[Floats, str]
+"""A configuration, shape (n,) [rad, m], and its target."""
+
+Planned = tuple[Floats, Sequence[str]]
+"""Configurations, shape (N, n) [rad, m], and their targets."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """The configuration to measure next.
+
+    Attributes:
+        q: Joint positions, shape (n,) [rad, m].
+        joints: Names of these.
+        cells: Columns of the measurement file that bring the robot there.
+        left: Number of configurations of the plan that are left.
+    """
+
+    q: Floats
+    joints: tuple[str, ...]
+    cells: dict[str, str]
+    left: int = 0
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        where = ", ".join(f"{name} {value}" for name, value in self.cells.items())
+        return f"next: {where}" + (f" ({self.left} planned)" if self.left else "")
+
+    def document(self) -> dict[str, Any]:
+        """The proposal as plain data."""
+        q = dict(zip(self.joints, self.q.tolist(), strict=True))
+        return {"joints": q, "cells": self.cells, "left": self.left}
+
+
+@dataclass
+class Proposals:
+    """Configurations that may be measured, of which the best is proposed.
+
+    Attributes:
+        file: The measurement file, whose columns name the joints; None without one.
+        plan: File of a plan, of which the rest comes first; None without one.
+        srdf: Pairs of links that need no collision check.
+        package_dirs: Folders of the packages that the robot names.
+        free: Whether they must be free of collisions.
+    """
+
+    file: Path | None
+    plan: Path | None
+    srdf: Path | None
+    package_dirs: Sequence[Path]
+    free: bool
+    _spread: Candidates | None = None
+
+    def ahead(
+        self, fitted: Fitted, every: Observations
+    ) -> tuple[Proposal | None, tuple[float, ...]]:
+        """The next configuration, and the error of the tool point after more of them.
+
+        The error is that after 0, 1, ... further rows [m]; of instruments that cannot
+        be planned for, and before there is a fit, nothing is known.
+        """
+        left = planned(self.plan, fitted, every)
+        try:
+            selection, at, names = self._selection(fitted, left)
+        except (CalibPinError, np.linalg.LinAlgError):
+            first = self._shown(fitted, *left[0], len(left)) if left else None
+            return first, ()
+        errors = [selection.value]
+        for k in range(min(MORE, selection.left)):
+            selection.add(k if left else selection.best_to_add()[0])
+            errors.append(selection.value)
+        best = selection.chosen[0]
+        target = names[int(at.aim[best])]
+        return self._shown(fitted, at.q[best], target, len(left)), tuple(errors)
+
+    def _selection(
+        self, fitted: Fitted, left: Sequence[Place]
+    ) -> tuple[Selection, Candidates, list[str]]:
+        """The candidates with all that the rows tell already, and names of targets."""
+        keys, model = fitted.rows.keys, fitted.model
+        require_plannable(keys)
+        if model is None:
+            raise CalibPinError(fitted.reason)
+        noise = {} if fitted.early else {n.quantity: n for n in model.fit.noise}
+        found = {k.partition(" (")[0]: n.estimate for k, n in noise.items()}
+        known = {name: size for name, size in found.items() if size > 0.0}
+        setup = replace(fitted.setup, noise={**fitted.setup.noise, **known})
+        problem = replace(fitted.informed, setup=replace(setup, learned=None))
+        aims = Aims.of(problem, keys)
+        if self._spread is None:
+            solid, rng = None, np.random.default_rng(fitted.seed)
+            if self.free:
+                solid = load_collisions(
+                    fitted.chains,
+                    setup.obstacles,
+                    srdf=self.srdf,
+                    package_dirs=self.package_dirs,
+                )
+            workspace = Workspace.create(problem, solid, 0.0, aims)
+            self._spread = workspace.candidates(SAMPLES, rng)
+            self._spread.require(1)
+        spread = at = self._spread
+        names = [aim.target for aim in aims.each]
+        if left:
+            aim = [names.index(name) if name in names else 0 for _, name in left]
+            at = Candidates(np.array([q for q, _ in left]), np.array(aim), len(left))
+        _, rows, information = identification(problem, aims, spread, fitted.rows)
+        chain_of = np.array([aim.key.chain for aim in aims.each])[spread.aim]
+        tests = {name: spread.q[chain_of == name][:SAMPLES] for name in {*chain_of}}
+        tip = Prediction(TipTests.of(rows, tests).position)
+        table = rows.rows(at.q, at.aim)
+        return Selection(table, rows.nuisances, tip, information), at, names
+
+    def _shown(self, fitted: Fitted, q: Floats, target: str, left: int) -> Proposal:
+        """A configuration in the names, units and signs of the measurement file."""
+        chains, joints, degrees = fitted.chains, fitted.setup.joints, False
+        if self.file is not None:
+            columns = read_table(self.file, columns=fitted.setup.columns).columns
+            units = (columns[n].unit for n in {*chains.joints, *joints} & {*columns})
+            degrees = "deg" in units
+        table = encode_configurations(
+            chains, q[None], [target], joints=joints, degrees=degrees
+        )
+        header, row = (line.split(",") for line in table.decode().splitlines()[-2:])
+        cells = {
+            name: cell if name == "target" else f"{float(cell):.{3 if degrees else 4}f}"
+            for name, cell in zip(header, row, strict=True)
+        }
+        return Proposal(q, chains.joints, cells, left)
+
+
+def planned(plan: Path | None, fitted: Fitted, rows: Observations) -> list[Place]:
+    """The configurations of a plan that were not measured yet, in their order.
+
+    Raises:
+        InputError: If the plan cannot be read.
+    """
+    if plan is None:
+        return []
+    table = read_table(plan, columns=fitted.setup.columns)
+    q, names = _read(table, fitted.chains, fitted.setup)
+    return [(q[k], names[k]) for k in _left((q, names), (rows.q, rows.target))]
+
+
+def remaining(plan: Table, rows: Table, chains: Chains, setup: Setup) -> list[int]:
+    """Positions of the rows of a plan that a file does not have yet.
+
+    Raises:
+        InputError: If one of them has not the joints.
+    """
+    return _left(_read(plan, chains, setup), _read(rows, chains, setup))
+
+
+def _read(table: Table, chains: Chains, setup: Setup) -> Planned:
+    """Configurations, shape (N, n) [rad, m], and their targets."""
+    named, own = own_columns(table, chains, setup.joints)
+    return read_positions(named, chains, own), table.labels("target")
+
+
+def _left(plan: Planned, rows: Planned) -> list[int]:
+    """Positions of planned configurations that no row has; each row has one."""
+    left = [*range(len(plan[0]))]
+    for at, own in zip(*rows, strict=True):
+        for k in left:
+            if np.abs(plan[0][k] - at).max() < NEAR and plan[1][k] in ("", own):
+                left.remove(k)
+                break
+    return left

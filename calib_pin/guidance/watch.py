@@ -1,0 +1,293 @@
+"""A job that is watched while it is measured."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib_pin.errors import CalibPinError, one_line
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.formulation import fitting
+from calib_pin.guidance.events import Event, State
+from calib_pin.guidance.fitted import Deviation, Fitted
+from calib_pin.guidance.proposals import Proposal, Proposals
+from calib_pin.io.urdf import other_robots
+from calib_pin.kinematics.chains import Chains
+from calib_pin.measurement_models import declared
+from calib_pin.observations import Booleans, Observations, fitted_and_held_out
+from calib_pin.setup import ReadingSetup, Setup
+from calib_pin.units import DISPLAY
+
+SETTLED = 1.0
+"""Age of a file from which what looks unfinished is what it is [s]."""
+
+FEW = 8
+"""New rows up to which each is judged by those before it, while more are judged
+together; and rows from which a cause is sought why no robot explains them."""
+
+SEVERAL = 3
+"""Last rows that disagree with those before them from which all are fitted together."""
+
+AGAIN = 1.25
+"""Number of rows by that of the last robust fit, or the last search for a cause, from
+which it is repeated."""
+
+Key = tuple[str, bytes, int]
+"""File, content and number of occurrence of a row."""
+
+
+class Watch:
+    """Follows files that others write.
+
+    Args:
+        read: Reads the job as it stands now: nominal chains, setup, measurements.
+        files: The files to follow, the first one of measurements.
+        plan: Configurations to measure.
+        limit: Expected error of the tool point that is to be reached [m]; default the
+            limit of the setup.
+        srdf: Pairs of links that need no collision check.
+        package_dirs: Folders of the packages that the robot names.
+        free: Whether configurations that are proposed must be free of collisions.
+        seed: Seed of whatever is random.
+
+    Attributes:
+        fit: The model so far; None before there is one.
+        state: The last state; None before there is one.
+        next: The configuration to measure next; None where nobody knows.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[], tuple[Chains, Setup, Observations]],
+        files: Sequence[Path],
+        plan: Path | None = None,
+        limit: float | None = None,
+        *,
+        srdf: Path | None = None,
+        package_dirs: Sequence[Path] = (),
+        free: bool = True,
+        seed: int = 0,
+    ) -> None:
+        """Begin with nothing."""
+        self._read, self._files, self._limit = read, tuple(files), limit
+        self._proposals = Proposals(files[0], plan, srdf, package_dirs, free)
+        self._seed, self._searched, self._reviewed = seed, 0, FEW
+        self._stamp: tuple[Any, ...] | None = None
+        self._told, self._reached, self._found = "", False, set[str]()
+        self._known, self._aside = dict[Key, str](), set[Key]()
+        self._fitted: Fitted | None = None
+        self.fit: FittedModel | None = None
+        self.state: State | None = None
+        self.next: Proposal | None = None
+
+    def look(self) -> Iterator[Event]:
+        """The events since the last look; none where no file changed."""
+        stamp, unfinished = _stamp(self._files)
+        if stamp == self._stamp:
+            return
+        newest = max((one[0] for one in stamp if one), default=0)
+        new = time.time() - 1e-9 * newest < SETTLED
+        if new and unfinished:
+            return  # A half-written line waits.
+        try:
+            chains, setup, rows = self._read()
+            setup = replace(setup, reading=ReadingSetup())
+            chains, (rows,) = fitting(chains, setup, fitted_and_held_out(rows)[0])
+            found = {key: rows.source(k) for k, key in enumerate(_keys(rows))}
+            gone = [place for key, place in self._known.items() if key not in found]
+            if new and gone:
+                return  # A file that is written anew begins with nothing.
+            self._stamp, self._told = stamp, ""
+            yield from self._changed(chains, setup, rows, found, gone)
+        except CalibPinError as error:
+            if new:
+                return
+            self._stamp, told = stamp, one_line(str(error))
+            if told != self._told:
+                self._told = told
+                yield Event("problem" if self._known else "waiting", told)
+
+    def _changed(
+        self,
+        chains: Chains,
+        setup: Setup,
+        rows: Observations,
+        found: dict[Key, str],
+        gone: Sequence[str],
+    ) -> Iterator[Event]:
+        """Tell of rows that came and went, then of the job."""
+        keys = [*found]
+        self._aside &= {*keys}
+        used = np.array([key in self._known and key not in self._aside for key in keys])
+        new = [k for k in rows.in_order.tolist() if keys[k] not in self._known]
+        self._known = found
+        if gone:
+            what = gone[0] if len(gone) == 1 else f"{len(gone)} rows"
+            text = f"{what}: removed or corrected, no longer used as before"
+            yield Event("removed", text, {"places": [*gone]})
+        units = _units(rows, new)
+        fit = partial(self._fit, chains, setup, rows)
+        if gone or self._fitted is None or len(units) > FEW:
+            used[new] = len(units) > FEW
+            self._fitted = fit(used, True)
+        for unit in units if len(units) <= FEW else ():
+            deviation = self._fitted.deviation(rows.rows(np.array(unit)))
+            again = any(keys[k][2] for k in unit)
+            if again or (deviation is not None and deviation.wrong):
+                self._aside |= {keys[k] for k in unit}
+            yield self._row(rows.source(unit[0]), deviation, again)
+            used[unit] = keys[unit[0]] not in self._aside
+            if used[unit[0]]:
+                self._fitted = fit(used)
+        # Which of several are wrong is for the fit of all to say.
+        last = _units(rows, rows.in_order.tolist())[-SEVERAL:]
+        if new and all(keys[unit[0]] in self._aside for unit in last):
+            self._aside = {key for key in keys if key[2]}
+            used = np.array([not key[2] for key in keys])
+            self._fitted = fit(used, True)
+        yield from self._reconsidered(rows, keys, used)
+        yield from self._guided(rows)
+
+    def _fit(
+        self,
+        chains: Chains,
+        setup: Setup,
+        rows: Observations,
+        used: Booleans,
+        robust: bool = False,
+    ) -> Fitted:
+        """Fit the rows that are used, now and then robustly."""
+        known = self._fitted is not None and self._fitted.model is not None
+        found = Fitted(chains, rows.rows(used), setup, self._seed)
+        robust = robust or used.sum() >= AGAIN * self._reviewed
+        if robust:
+            self._reviewed = int(used.sum())
+        found = found.fit(known, robust) if used.any() else found
+        self.fit, self._places = found.model, np.flatnonzero(used)
+        return found
+
+    def _row(self, place: str, found: Deviation | None, again: bool) -> Event:
+        """Tell of a new row."""
+        numbers: dict[str, Any] = {"place": place, "wrong": again}
+        if again:
+            text = f"{place}: the same numbers as in a row before; was it measured?"
+            return Event("row", text, numbers)
+        if found is None:
+            reason = "not known yet" if self._fitted is None else self._fitted.reason
+            return Event("row", f"{place}: {reason}", numbers)
+        unit, factor = DISPLAY[found.unit]
+        size, sigma = (f"{factor * x:.2g} {unit}" for x in found[:2])
+        text = f"{place}: {size} from where it is expected ({sigma})"
+        if found.wrong:
+            text += "; set aside: is the target seated? is the robot still?"
+        return Event("row", text, numbers | found._asdict() | {"wrong": found.wrong})
+
+    def _reconsidered(
+        self, rows: Observations, keys: Sequence[Key], used: Booleans
+    ) -> Iterator[Event]:
+        """Tell of rows that agree now, and of those that the fit has set aside."""
+        fitted = self._fitted
+        if fitted is None or fitted.doubtful:
+            return
+        aside = [k for k, key in enumerate(keys) if key in self._aside and not key[2]]
+        for unit in _units(rows, aside):
+            found, place = (
+                fitted.deviation(rows.rows(np.array(unit))),
+                rows.source(unit[0]),
+            )
+            if found is not None and not found.wrong:
+                self._aside -= {keys[k] for k in unit}
+                text = f"{place}: agrees with the others now; used again"
+                yield Event("row", text, {"place": place, "wrong": False})
+        assert fitted.model is not None
+        for outlier in () if fitted.early else fitted.model.fit.robust.outliers:
+            key = keys[self._places[outlier.row]]
+            if outlier.weight == 0.0 and key not in self._aside:
+                self._aside.add(key)
+                text = f"{outlier.place}: does not fit the other rows; set aside"
+                yield Event("row", text, {"place": outlier.place, "wrong": True})
+
+    def _guided(self, rows: Observations) -> Iterator[Event]:
+        """Tell the state, and where to go."""
+        fitted, count = self._fitted, len(rows)
+        assert fitted is not None
+        doubtful = fitted.doubtful
+        self._searched = self._searched if doubtful else 0
+        if doubtful and count >= max(AGAIN * self._searched, FEW):
+            self._searched = count
+            others = partial(other_robots, fitted.chains, fitted.setup)
+            yield from self._causes(fitted.causes(rows, others))
+        self.next, ahead = self._proposals.ahead(fitted, rows)
+        if fitted.model is None:
+            yield Event("waiting", f"{count} rows: {fitted.reason}")
+        else:
+            limit = self._limit or fitted.setup.limit.position
+            known = State(count, len(self._aside), limit=limit)
+            self.state, found = fitted.assess(known, ahead, not doubtful)
+            if not doubtful:
+                yield from self._causes(found)
+            yield Event("state", self.state.text, self.state.document())
+        if self.next is not None:
+            yield Event("next", self.next.text, self.next.document())
+        if self.state is not None and self.state.reached and not self._reached:
+            self._reached = True
+            yield Event("reached", self.state.conclusion)
+
+    def _causes(self, found: Iterable[Finding]) -> Iterator[Event]:
+        """Tell of findings, each once as long as it stands."""
+        by_code = {one.code: one for one in found if one.severity == "error"}
+        for code, one in by_code.items():
+            if code not in self._found:
+                text = "; ".join(filter(None, (one.message, one.remedy)))
+                numbers = {"code": code, "setup": one.setup}
+                yield Event("finding", text, numbers)
+        self._found = {*by_code}
+
+
+def _stamp(files: Sequence[Path]) -> tuple[tuple[Any, ...], bool]:
+    """Times of change and sizes of files, and whether one ends within a line."""
+    stamp, unfinished = list[Any](), False
+    for file in files:
+        try:
+            found = file.stat()
+            with file.open("rb") as stream:
+                stream.seek(max(found.st_size - 1, 0))
+                unfinished |= stream.read() not in (b"\n", b"\r")
+            stamp.append((found.st_mtime_ns, found.st_size))
+        except OSError:
+            stamp.append(None)  # It is not there.
+    return tuple(stamp), unfinished
+
+
+def _keys(rows: Observations) -> list[Key]:
+    """The content of every row, in the order of the rows; equal ones are counted."""
+    found, seen = list[Key](), Counter[tuple[str, bytes]]()
+    for block, place in zip(rows.blocks, rows.slices, strict=True):
+        parts = [block.q, block.values, block.sigma, block.conditions.time]
+        numbers = [p.reshape(len(block), -1) for p in parts if p is not None and p.size]
+        names = zip(np.hstack(numbers), block.target, rows.files[place], strict=True)
+        for cells, target, file in names:
+            same = file, cells.tobytes() + "/".join((*block.key, target)).encode()
+            found.append((*same, seen[same]))
+            seen[same] += 1
+    return found
+
+
+def _units(rows: Observations, new: Iterable[int]) -> list[list[int]]:
+    """Rows that are judged together: those of an image, others one by one."""
+    found: dict[tuple[int, int], list[int]] = {}
+    groups = rows.groups()
+    for k in new:
+        block = int(rows.block_of[k])
+        together = declared(rows.blocks[block].model).at_once
+        unit = int(groups[k]) if together else -k - 1
+        found.setdefault((block, unit), []).append(k)
+    return [*found.values()]

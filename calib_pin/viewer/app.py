@@ -1,0 +1,215 @@
+"""A page for one tab: what it says and asks as plain data, drawn as viser's widgets."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+from calib_pin.viewer.panel import Controls, Player, add_panel, text
+from calib_pin.viewer.scene import Scene
+from calib_pin.viewer.stage import Stage
+
+if TYPE_CHECKING:
+    import viser
+
+PAUSE = 0.2
+"""Time between two looks at what a page says [s]."""
+
+DROP = """
+<div ondragover="event.preventDefault()" ondrop="event.preventDefault();
+const input = document.querySelector('input[type=file]');
+[...event.dataTransfer.files].forEach((file, k) => setTimeout(() => {{
+  const one = new DataTransfer(); one.items.add(file); input.files = one.files;
+  input.dispatchEvent(new Event('change', {{bubbles: true}}));
+}}, 500 * k))" style="border: 2px dashed #8aa; border-radius: 8px; text-align: center;
+margin: 0.2em 0.9em 0.6em; padding: 1.1em 0.8em; font-size: 0.9em">{}</div>"""
+"""Where files may be dropped; the button for the choice of one takes them in.
+
+It knows the last one only: several follow one another.
+"""
+
+TONES = {
+    **{"plain": "", "note": "opacity: 0.75", "strong": "font-weight: 600"},
+    "error": "color: #d6336c; font-weight: 600",
+    "head": "font-size: 1.05em; font-weight: 600",
+    "good": "padding: 0.6em; border-radius: 6px; background: #1b7f3b; color: white",
+    "bad": "padding: 0.6em; border-radius: 6px; background: #b3261e; color: white",
+    "code": "font: 0.85em monospace; white-space: pre-wrap; padding: 0.5em; "
+    "border: 1px solid #8886; border-radius: 6px",
+}
+"""How words are shown."""
+
+LINK = "display: inline-block; margin: 0.2em 0.6em 0.2em 0; padding: 0.3em 0.7em; "
+LINK += "border: 1px solid #228be6; border-radius: 6px; text-decoration: none; "
+PRIMARY = "color: white; background: #228be6; font-weight: 600"
+"""How links to files look, and to those that matter most."""
+
+
+@dataclass(frozen=True)
+class Widget:
+    """A widget as plain data.
+
+    Attributes:
+        kind: `words`; `links` to files; `choice` of one of several; `entry` and `lines`
+            of a person, each with a button; `button`; `upload` of files; `progress`.
+        label: What stands beside it or on its button.
+        value: What it shows: words, addresses by their labels, the choice, a part.
+        choices: What can be chosen.
+        tone: How words are shown, `TONES`.
+        do: Told what a person chooses or writes, or the name and bytes of a file.
+    """
+
+    kind: str
+    label: str = ""
+    value: Any = ""
+    choices: tuple[str, ...] = ()
+    tone: str = "plain"
+    do: Callable[..., None] = field(default=lambda: None, compare=False)
+
+
+def words(said: str, tone: str = "plain") -> Widget:
+    """Words alone."""
+    return Widget("words", value=said, tone=tone)
+
+
+@dataclass(frozen=True)
+class Section:
+    """Widgets below a heading.
+
+    Attributes:
+        title: The heading.
+        widgets: Its widgets; a section without any is not shown.
+        expanded: Whether they are seen at first.
+    """
+
+    title: str
+    widgets: Sequence[Widget]
+    expanded: bool = True
+
+
+class Told(Protocol):
+    """The content of a page."""
+
+    @property
+    def scene(self) -> Scene | None:
+        """The robot and its measurements, if there are any yet."""
+
+    def sections(self, seconds: float) -> Iterable[Section]:
+        """All sections in their order, some seconds after the last time."""
+
+
+class Page:
+    """The page of one tab, drawn again where what it shows has changed.
+
+    Args:
+        viewer: Where widgets and the scene of the tab are added.
+        camera: Its camera.
+        told: What is shown.
+    """
+
+    def __init__(
+        self,
+        viewer: viser.ViserServer | viser.ClientHandle,
+        camera: viser.InitialCameraConfig | viser.CameraHandle,
+        told: Told,
+    ) -> None:
+        """Nothing is drawn before the first tick."""
+        self._viewer, self._camera, self._told = viewer, camera, told
+        self._drawn = dict[str, tuple[Section, Any]]()
+        self._scene: Scene | None = None
+        self._look: tuple[Any, Player | None] | None = None
+        self._waited = PAUSE
+
+    def tick(self, seconds: float) -> None:
+        """Go on by some seconds."""
+        if self._look is not None and self._look[1] is not None:
+            self._look[1].tick(seconds)
+        self._waited += seconds
+        if self._waited < PAUSE:
+            return
+        waited, self._waited = self._waited, 0.0
+        with self._viewer.atomic():
+            for order, section in enumerate(self._told.sections(waited)):
+                self._show(section, order)
+            if (scene := self._told.scene) is not self._scene and scene is not None:
+                self._draw(scene)
+
+    def _show(self, section: Section, order: int) -> None:
+        before, folder = self._drawn.get(section.title, (None, None))
+        if section == before:
+            return
+        if folder is not None:
+            folder.remove()
+        folder = None
+        if section.widgets:
+            folder = self._viewer.gui.add_folder(
+                section.title, order=order, expand_by_default=section.expanded
+            )
+            with folder:
+                for widget in section.widgets:
+                    draw(self._viewer.gui, widget)
+        self._drawn[section.title] = section, folder
+
+    def _draw(self, scene: Scene) -> None:
+        """Draw another scene, and its controls below everything else."""
+        gui, before = self._viewer.gui, self._scene
+        if self._look is not None:
+            self._look[0].remove()
+        self._viewer.scene.reset()
+        folder = gui.add_folder("View", order=len(self._drawn), expand_by_default=False)
+        with folder:
+            stage = Stage(self._viewer, scene)
+            player = add_panel(Controls(gui), scene, stage)
+        # While rows come in, and after the calibration, nobody's view is moved.
+        kinds = [(s.title, s.rows is None) for s in (before, scene) if s is not None]
+        if len(kinds) == 1 or kinds[0] != kinds[1]:
+            stage.see(self._camera)
+        self._scene, self._look = scene, (folder, player)
+
+
+def draw(gui: viser.GuiApi, widget: Widget) -> None:
+    """Add a widget."""
+    label, value, do = widget.label, widget.value, widget.do
+    match widget.kind:
+        case "words":
+            style = TONES[widget.tone]
+            shown = f'<div style="white-space: pre-wrap; {style}">{html.escape(value)}'
+            gui.add_html(text(f"{shown}</div>"))
+        case "links":
+            style = LINK + (
+                "color: white; background: #228be6" * (widget.tone == "good")
+            )
+            links = (
+                f'<a style="{style}" target="_blank" href="{html.escape(to)}"'
+                f"{'' if to.partition('?')[0].endswith('.html') else ' download'}>"
+                f"{html.escape(name)}</a>"
+                for name, to in value.items()
+            )
+            gui.add_html(text("".join(links)))
+        case "progress":
+            part = 100.0 * (value or 0.0)
+            gui.add_html(text(html.escape(label)))
+            gui.add_progress_bar(100.0 if value is None else part, animated=True)
+        case "choice":
+            choice = gui.add_dropdown(label, widget.choices, initial_value=value)
+            choice.on_update(lambda _: do(choice.value))
+        case "entry" | "lines":
+            entry = gui.add_text(
+                "" if widget.kind == "lines" else widget.choices[0],
+                value,
+                multiline=widget.kind == "lines",
+            )
+            gui.add_button(label, color="gray").on_click(lambda _: do(entry.value))
+        case "button":
+            color = "green" if widget.tone == "good" else "gray"
+            gui.add_button(label, color=color).on_click(lambda _: do())
+        case "upload":
+            gui.add_html(DROP.format(html.escape(value)))
+            upload = gui.add_upload_button(label)
+
+            # Where uploads come in, so that the next one cannot take its place.
+            @upload.on_upload
+            async def take(_: object) -> None:
+                do(upload.value.name, upload.value.content)

@@ -1,0 +1,157 @@
+"""`calib-pin watch` with files that another process writes, and typed readings."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from calib_pin.cli.typed import reading
+from calib_pin.cli.watch import display
+from calib_pin.errors import InputError
+from calib_pin.guidance import Event
+from calib_pin.io.columns import LENGTH
+from tests.cli.files import document
+
+MAIN = "import sys; from calib_pin.cli import main; sys.exit(main())"
+COMMAND = (sys.executable, "-c", MAIN, "watch", "arm.urdf", "watched.csv")
+PLACES = dict.fromkeys("xyz", LENGTH)
+LENGTHS = {"distance": LENGTH}
+
+
+@contextmanager
+def watching(*words: str) -> Iterator[subprocess.Popen[str]]:
+    """The command in a process of its own, ended whatever happens."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with subprocess.Popen(
+        [*COMMAND, *words],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def until(process: subprocess.Popen[str], text: str) -> str:
+    """The first line that a process prints with some text in it."""
+    assert process.stdout is not None
+    return next(line for line in process.stdout if text in line)
+
+
+def test_rows_that_another_process_appends(here: Path):
+    lines = Path("rows.csv").read_text().splitlines(keepends=True)
+    with (
+        Path("watched.csv").open("w") as file,
+        watching("--setup", "setup.yaml", "-o", "out", "--json") as process,
+    ):
+        file.write("".join(lines[:18]))
+        file.flush()
+        first = json.loads(until(process, '"state"'))
+        assert first["rows"] == 16 and first["verdict"] == "good"
+        cells = lines[18].split(",")
+        cells[4] = str(float(cells[4]) + 0.01)
+        start = time.monotonic()
+        file.write(",".join(cells))
+        file.flush()
+        row = json.loads(until(process, '"row"'))
+        assert row["place"] == "watched.csv:19" and row["wrong"]
+        assert time.monotonic() - start < 30.0
+        process.send_signal(signal.SIGINT)
+        assert process.stdout is not None
+        rest = process.stdout.read()
+        assert process.wait() == 0
+    result = document("out")
+    assert result["verdict"]["status"] == "good" and '"format"' in rest
+    assert Path("out/arm.urdf").exists()
+    assert result["provenance"]["command"][1:4] == [
+        "calibrate",
+        "arm.urdf",
+        "watched.csv",
+    ]
+
+
+@pytest.mark.slow
+def test_typed_readings_survive_a_kill(here: Path, run):
+    run("plan arm.urdf --model position --count 12 --method greedy -o plan.csv")
+    words = ("--plan", "plan.csv", "--type", "--model", "position")
+    words += ("--parameters", "joint-offset")
+    with watching(*words) as process:
+        assert process.stdin is not None
+        for text in ("700,5 -20 1250 mm", "skip", "690 15 1240.5"):
+            process.stdin.write(f"{text}\n")
+            process.stdin.flush()
+        while (
+            Path("watched.csv").read_text().count("\n") < 3
+            if Path("watched.csv").exists()
+            else True
+        ):
+            time.sleep(0.05)
+        process.send_signal(signal.SIGKILL)
+    header, first, second = Path("watched.csv").read_text().splitlines()
+    planned = Path("plan.csv").read_text().splitlines()
+    assert header == f"{planned[1]},x,y,z"
+    assert first == f"{planned[2]},0.7005,-0.02,1.25"
+    assert second == f"{planned[4]},0.69,0.015,1.2405"
+    with watching(*words) as process:
+        said, _ = process.communicate("back\n0.69 0.015 1.24 m\n")
+    assert "10 left" in said and "11 left" in said
+    assert Path("watched.csv").read_text().splitlines()[2] != second
+    assert len(Path("watched.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "kinds", "unit", "numbers"),
+    [
+        ("523,5 mm", LENGTHS, "", [0.5235]),
+        ("523.5", LENGTHS, "mm", [0.5235]),
+        ("0,5m", LENGTHS, "mm", [0.5]),
+        ("1,5;-2 3 in", PLACES, "", [0.0381, -0.0508, 0.0762]),
+    ],
+)
+def test_readings(text: str, kinds, unit: str, numbers: list[float]):
+    assert reading(text, kinds, unit)[0] == pytest.approx(numbers)
+
+
+@pytest.mark.parametrize(
+    "text", ["12.5", "12.5 parsec", "1 2 mm", "mm", "x mm", "nan mm", "1e9 m"]
+)
+def test_readings_that_are_none(text: str):
+    with pytest.raises(InputError):
+        reading(text, LENGTHS, "")
+
+
+@pytest.mark.parametrize(
+    "words", ["--type", "--type --plan plan.csv --json", "--limit 2"]
+)
+def test_options_that_do_not_go(here: Path, run, words: str):
+    found = run(f"watch arm.urdf rows.csv {words}")
+    assert found.status == 1 and found.err.count("\n") == 1
+
+
+def test_a_terminal_shows_the_state_below_the_rows():
+    from rich.console import Console
+
+    console = Console(record=True, width=100, force_terminal=True)
+    with display(live=console) as tell:
+        tell(Event("state", "12 rows; GOOD"))
+        tell(
+            Event(
+                "row", "rows.csv:14: 3.1 mm from where it is expected", {"wrong": True}
+            )
+        )
+        tell(Event("next", "next: joint1 0.5"))
+    text = console.export_text()
+    assert text.index("3.1 mm") < text.rindex("12 rows") < text.rindex("next:")

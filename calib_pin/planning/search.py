@@ -173,11 +173,10 @@ def _descend(objective: Objective, task: Task) -> Found:
     return objective.descended(*task)
 
 
-@dataclass
 class Search:
     """A search for the best set of configurations.
 
-    Attributes:
+    Args:
         rows: The rows of a configuration.
         workspace: The constraints of configurations.
         criterion: Criterion to minimize.
@@ -189,41 +188,40 @@ class Search:
         starts: Most random sets from which the gradient method starts.
         measured: Number of measurements that the known information comes from.
         workers: Who descends.
+
+    Attributes:
+        table: Rows of the candidates, shape (C, d, m).
         stopped: Whether the search was asked to stop.
 
     Raises:
         OptionError: If there are fewer candidates than wanted.
     """
 
-    rows: IdentificationRows
-    workspace: Workspace
-    criterion: Criterion
-    known: Floats
-    candidates: Candidates
-    count: int
-    rng: np.random.Generator
-    progress: Progress | None = None
-    starts: int = STARTS
-    measured: int = 0
-    workers: Workers = SERIAL
-    stopped: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse too few candidates."""
-        self.candidates.require(self.count)
+    def __init__(
+        self,
+        rows: IdentificationRows,
+        workspace: Workspace,
+        criterion: Criterion,
+        known: Floats,
+        candidates: Candidates,
+        count: int,
+        rng: np.random.Generator,
+        progress: Progress | None = None,
+        starts: int = STARTS,
+        measured: int = 0,
+        workers: Workers = SERIAL,
+    ) -> None:
+        """Compute the rows of the candidates."""
+        candidates.require(count)
+        self.rows, self.workspace, self.criterion = rows, workspace, criterion
+        self.candidates, self.count, self.measured = candidates, count, measured
         self._descended_part = 0.0
-
-    @cached_property
-    def objective(self) -> Objective:
-        """The criterion of a set."""
         asked = Asked(lambda: self.told("gradient", self._descended_part))
-        given = self.rows, self.workspace, self.criterion, self.known
-        return Objective(*given, asked)
-
-    @cached_property
-    def table(self) -> Floats:
-        """Rows of the candidates, shape (C, d, m)."""
-        return self.rows.rows(self.candidates.q, self.candidates.aim)
+        self.objective = Objective(rows, workspace, criterion, known, asked)
+        self.table = rows.rows(candidates.q, candidates.aim)
+        self.stopped = False
+        self._progress, self._workers = progress, workers
+        self._rng, self._starts = rng, starts
 
     def run(self, method: str) -> Found:
         """Search with a method of `METHODS`.
@@ -242,7 +240,7 @@ class Search:
     ) -> Selection:
         """A subset of the candidates, or of others, under the criterion."""
         table = self.table if table is None else table
-        known, nuisances = self.known, self.rows.nuisances
+        known, nuisances = self.objective.known, self.rows.nuisances
         return Selection(table, nuisances, self.criterion, known, chosen, self.measured)
 
     def by_greedy(self) -> Found:
@@ -269,7 +267,7 @@ class Search:
             costs,
             len(self.candidates.q),
             self.count,
-            self.rng,
+            self._rng,
             callback=lambda k, x, cost: self.told("ga", k / (k + 100.0)),
         )
         return self._of("ga", result.x, result.status)
@@ -282,7 +280,7 @@ class Search:
         n = len(self.workspace.lower)
         fitting = [np.flatnonzero(self.candidates.aim == one) for one in aim]
         starts = [
-            [int(self.rng.choice(some)) for some in fitting]
+            [int(self._rng.choice(some)) for some in fitting]
             for _ in range(options.particles)
         ]
 
@@ -292,7 +290,7 @@ class Search:
         result = particle_swarm(
             costs,
             np.tile(self.workspace.bounds, (self.count, 1)),
-            self.rng,
+            self._rng,
             options,
             x0=self.candidates.q[np.array(starts)].reshape(len(starts), -1),
             callback=lambda k, x, cost: self.told("pso", k / options.iterations),
@@ -327,8 +325,8 @@ class Search:
         most = VARIABLES // best.q.size
         size, stages = len(self.candidates.q), self.criterion.sharpnesses
         drawn = [
-            self._of("gradient", self.rng.choice(size, self.count, replace=False))
-            for _ in range(min(self.starts, max(1, most)))
+            self._of("gradient", self._rng.choice(size, self.count, replace=False))
+            for _ in range(min(self._starts, max(1, most)))
         ]
         sets = [one for one in (best, *drawn) if np.isfinite(one.cost)]
         explored = self._descents([(stages[:1], EXPLORING, one) for one in sets], 0.0)
@@ -341,7 +339,7 @@ class Search:
         """Ends of descents, of those that are done when the search is stopped."""
         found = list[Found]()
         if not self.stopped:
-            for one in self.workers.map(_descend, self.objective, tasks):
+            for one in self._workers.map(_descend, self.objective, tasks):
                 found.append(one)
                 self._descended_part = begin + 0.5 * len(found) / len(tasks)
                 if self.told("gradient", self._descended_part):
@@ -425,7 +423,7 @@ class Search:
 
     def told(self, stage: str, part: float) -> bool:
         """Tell the progress; whether the search is to stop."""
-        if self.progress is not None and self.progress(stage, min(part, 1.0)):
+        if self._progress is not None and self._progress(stage, min(part, 1.0)):
             self.stopped = True
         return self.stopped
 

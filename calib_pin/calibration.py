@@ -235,7 +235,7 @@ def _result(
     accuracies = {
         name: replace(
             accuracy,
-            tip=tip_accuracy(fitted, model.problem, model.theta, seed, name),
+            tip=tip_accuracy(fitted, model.problem, seed, name),
         )
         for name, accuracy in judgement.accuracies.items()
     }

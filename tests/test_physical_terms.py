@@ -1,7 +1,7 @@
 """Simulated robots with one physical error each: it is found, and commands know it.
 
 Errors are those at other configurations. A drift of the instrument is in
-`estimation/test_time_course`, and how ripples are found in
+`estimation/test_fit`, and how ripples are found in
 `validation/findings/test_ripple`. That none is invented is in
 `validation/test_discoveries`.
 """

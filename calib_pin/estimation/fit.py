@@ -147,10 +147,8 @@ def fit_model(
     problem = make_problem(chains, measurements, setup)
     tell = portion(progress, 0.0, part)
     fitted = fit(problem, np.random.default_rng(seed), progress=tell)
-    if effects_of is None:
-        fitted = with_effects(fitted)
-    else:
-        fitted = replace(fitted, effects=effects_of.effects)
+    known = None if effects_of is None else replace(fitted, effects=effects_of.effects)
+    fitted = known or with_effects(fitted)
     if fitted.result.status is Status.NOT_FINITE:
         raise InputError(
             "no fit to these measurements is possible from where the nominal robot is: "

@@ -53,8 +53,8 @@ def tip_by_count(
     """The error of the tip by the number of measurements.
 
     Args:
-        problem: The problem about its solution, with some of its rows.
-        theta: Parameter values, shape (P,).
+        problem: The problem of a fit, with some of its rows.
+        theta: Its solution, shape (P,).
         robot: Directions of the robot that were estimated, shape (P, k).
         index: Positions of the parameters of the error model of the tip, shape (p,).
         of_tip: Derivative of the tip's position by these at the configurations of the
@@ -99,14 +99,13 @@ def tip_by_count(
 
 @serial_blas
 def tip_accuracy(
-    fitted: Fit, problem: Problem, theta: Floats, seed: int, chain: str | None = None
+    fitted: Fit, problem: Problem, seed: int, chain: str | None = None
 ) -> TipAccuracy | None:
     """Predict the accuracy of a tip; None for a fit without redundancy.
 
     Args:
         fitted: The fit.
         problem: The problem about its solution, with the rows that were fitted.
-        theta: Parameter values about that, shape (P,).
         seed: Seed of the configurations, and of the order in which rows are counted.
         chain: Name of the chain; default the first that moves.
     """
@@ -125,7 +124,7 @@ def tip_accuracy(
     twists = fitted.posterior.twists(replace(term, error=error), q, J)
     position, orientation = _deviations(twists)
     alone = map(rms, _deviations(without_frames(twists, J)))
-    few = replace(problem, data=problem.data.sample(ROWS))
+    few = replace(fitted.problem, data=problem.data.sample(ROWS))
     order, total = np.argsort(rng.permutation(len(few.data))), len(problem.data)
     robot = fitted.directions.robot
     numbers = robot, own, J[:, :3], order, fitted.unit, total
@@ -137,7 +136,7 @@ def tip_accuracy(
         orientation=orientation,
         rms=PoseErrors(rms(position), rms(orientation)),
         of_robot=PoseErrors(*alone),
-        by_count=ByCount(partial(tip_by_count, few, theta, *numbers)),
+        by_count=ByCount(partial(tip_by_count, few, fitted.theta, *numbers)),
     )
 
 

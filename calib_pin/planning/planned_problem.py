@@ -39,7 +39,8 @@ from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.result import RobotError
 
 ASSUMED_TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
-"""Where a target sits in the tip that nobody has stated: beside the last axis [m]."""
+"""Where a target sits in the tip that nobody has stated: beside the last axis [m]; and
+from a tool that may sit on that to one that does not."""
 
 
 def planned_keys(

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
@@ -21,13 +20,11 @@ from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import frame_pose, frame_setup
+from calib_pin.planning.planned_problem import ASSUMED_TOOL
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import Identification
-
-BESIDE = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
-"""From a tool that may sit on the last axis to one that does not [m]."""
 
 LARGEST = 1000
 """Most parameters of which suggestions are sought; each takes the time of an analysis,
@@ -169,7 +166,7 @@ def _changes(
         if "pose" not in followed:
             if not setup.targets:
                 words = "mount the target off the last axis"
-                yield words, keys, _held(keys, setup, tool=tool, aside=BESIDE)
+                yield words, keys, _held(keys, setup, tool=tool, aside=ASSUMED_TOOL)
             yield POSES, _with(pose, keys), plain
         if not base:
             words = "state the pose of the base link in the measurement frame"

@@ -126,3 +126,5 @@ def test_a_far_first_guess_predicts_the_same() -> None:
     # Directions of the structure come from Jacobians about other references.
     np.testing.assert_allclose(other.position, near.position, rtol=1e-6)
     np.testing.assert_allclose(other.orientation, near.orientation, rtol=1e-6)
+    curves = (tip.by_count.curve[1] for tip in (other, near))
+    np.testing.assert_allclose(*curves, rtol=1e-5)

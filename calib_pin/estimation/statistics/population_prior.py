@@ -401,10 +401,9 @@ class Explanation:
 
     def fitted(self) -> tuple[Explanation, tuple[float, ...]]:
         """The likeliest sizes, and the number of effects that tell each of them."""
-        open_ = np.isfinite([cause.worth for cause in self.causes])
-        acting = [self.causes[k] for k in np.flatnonzero(open_)]
-        known = self.without({cause.name for cause in acting}).covariance
-        variances, vectors = np.linalg.eigh(known)
+        acting = [cause for cause in self.causes if np.isfinite(cause.worth)]
+        names = [cause.name for cause in acting]
+        variances, vectors = np.linalg.eigh(self.without(names).covariance)
         half = vectors * np.sqrt(np.maximum(variances, 0.0))
         factors = [half, *(cause.effects for cause in acting)]
         number = [factor.shape[1] for factor in factors]
@@ -415,12 +414,11 @@ class Explanation:
         components = Components([block], worth, worth * size**2)
         least = SMALLEST * size**2
         found = estimate_variances(components, size**2, least, most**2)
-        sizes = np.array([cause.size for cause in self.causes])
-        told = np.zeros(len(sizes))
-        sizes[open_], told[open_] = np.sqrt(found.values), found.redundancies - worth
-        pairs = zip(self.causes, sizes.tolist(), strict=True)
-        causes = tuple(replace(cause, size=size) for cause, size in pairs)
-        return replace(self, causes=causes), tuple(told.tolist())
+        sizes = dict(zip(names, np.sqrt(found.values).tolist(), strict=True))
+        told = dict(zip(names, (found.redundancies - worth).tolist(), strict=True))
+        causes = [replace(c, size=sizes.get(c.name, c.size)) for c in self.causes]
+        result = replace(self, causes=tuple(causes))
+        return result, tuple(told.get(cause.name, 0.0) for cause in causes)
 
     def misfit(self, effects: Floats) -> float:
         """Chi-square of the innovations with effects of any size, shape (r, k)."""
@@ -444,13 +442,11 @@ class Explanation:
 
     def expected(self, other: Explanation) -> float:
         """Logarithm of how likely the sizes are beforehand by those of another one."""
-        result = 0.0
         pairs = zip(self.causes, other.causes, strict=False)
-        for own, cause in pairs:
-            if np.isfinite(own.worth):
-                ratio = (cause.size / own.size) ** 2
-                result -= 0.5 * own.worth * (np.log(ratio) + 1.0 / ratio - 1.0)
-        return result
+        acting = [(own, cause) for own, cause in pairs if np.isfinite(own.worth)]
+        squares = [(own.worth, (cause.size / own.size) ** 2) for own, cause in acting]
+        terms = [worth * float(np.log(r) + 1.0 / r - 1.0) for worth, r in squares]
+        return -0.5 * sum(terms)
 
 
 def explained(

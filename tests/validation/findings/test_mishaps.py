@@ -445,8 +445,8 @@ ELSEWHERE = {
     "repeated-validation": "test_held_out",
     "moved-instrument": "test_held_out",
     "frames-moved": "test_evaluation",
-    "modeled-warm-up": "test_time_course",
-    "modeled-drift": "test_time_course",
+    "modeled-warm-up": "test_fit",
+    "modeled-drift": "test_fit",
     "different-robots": "test_compare",
 }
 """Codes with tests of their own, by the module that has them."""

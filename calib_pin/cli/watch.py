@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,9 +16,9 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.printing import say, tell_notices
-from calib_pin.cli.request import Request, number
+from calib_pin.cli.request import Request, Told, number
 from calib_pin.cli.requests import opened
-from calib_pin.errors import OptionError
+from calib_pin.errors import InputError, OptionError, RobotError
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -31,7 +32,30 @@ LIMIT = number(float, "--limit", "1e-6 to 1 m", 1e-6, 1.0)
 
 Tell = Callable[["Event"], None]
 
-watching = partial(options.option, "Watch")
+
+@dataclass(frozen=True, kw_only=True)
+class Watching(Request):
+    """A job to watch, as it is asked for.
+
+    Attributes:
+        output: Folder for the results, written at the end as by calibrate.
+        plan: Configurations to measure.
+        type: Ask for the readings of --plan one by one, and write the rows.
+        limit: Expected error of the tool point to reach [m]; by default 'limit' of the
+            setup file.
+        srdf: SRDF file of the pairs of links that need no collision check.
+        once: Look once, and end without a result.
+    """
+
+    output: Annotated[Path | None, Told("DIR", "Output")] = None
+    plan: Annotated[Path | None, Told("CSV", "Watch")] = None
+    type: Annotated[bool, Told("", "Watch")] = False
+    limit: Annotated[float | None, Told("S", "Watch", LIMIT)] = None
+    srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
+    once: Annotated[bool, Told("", "Watch")] = False
+    force: options.Force = False
+    quiet: options.Quiet = False
+    json: options.Json = False
 
 
 def watched(
@@ -70,42 +94,7 @@ def watched(
 
 
 @options.spread
-def watch(
-    request: Request,
-    context: typer.Context,
-    output: Annotated[
-        Path | None,
-        options.output(
-            "-o --output DIR", "Folder for the results, written as by calibrate."
-        ),
-    ] = None,
-    plan: Annotated[
-        Path | None, watching("--plan CSV", "Configurations to measure.")
-    ] = None,
-    by_hand: Annotated[
-        bool,
-        watching("--type", "Ask for the readings of --plan, and write the rows."),
-    ] = False,
-    limit: Annotated[
-        float | None,
-        watching(
-            "--limit S",
-            "Expected error of the tool point to reach [m]; by default 'limit' of the "
-            "setup file.",
-            LIMIT,
-        ),
-    ] = None,
-    srdf: Annotated[
-        Path | None,
-        watching("--srdf FILE", "SRDF file of the links that need no collision check."),
-    ] = None,
-    once: Annotated[
-        bool, watching("--once", "Look once, and end without a result.")
-    ] = False,
-    force: options.Force = False,
-    quiet: options.Quiet = False,
-    json: options.Json = False,
-) -> int:
+def watch(asked: Watching, context: typer.Context) -> int:
     """Follow measurements while they are taken.
 
     Reads the files again whenever another program has written to them. Each new row is
@@ -113,54 +102,51 @@ def watch(
     accuracy and the configuration to measure next follow. Ctrl-C ends, with the result
     as calibrate would write it. The same command goes on with the rows that are there.
     """
+    own = {field.name: getattr(asked, field.name) for field in fields(Request)}
+    request = Request(**own)
     before: Callable[[], object] = partial(time.sleep, PAUSE)
-    if by_hand:
+    try:
+        opened(request, None if asked.once else asked.output, force=asked.force)
+    except (OptionError, RobotError):
+        raise
+    except InputError:
+        pass  # There may be no rows yet.
+    tell_notices(forget=True)
+    if asked.type:
         from calib_pin.cli.typed import typed
 
-        if plan is None or len(request.measurements) != 1 or json:
+        if asked.plan is None or len(request.measurements) != 1 or asked.json:
             raise OptionError("--type needs --plan and one file of measurements")
-        before = typed(request, plan)
-    job, live = watched(request, plan, limit, srdf=srdf), None
-    if sys.stdout.isatty() and not by_hand:
+        before = typed(request, asked.plan)
+    job, live = watched(request, asked.plan, asked.limit, srdf=asked.srdf), None
+    if sys.stdout.isatty() and not asked.type:
         from rich.console import Console
 
         live = Console(highlight=False, markup=False, emoji=False)
-    with display(json=json, quiet=quiet, live=live) as tell:
-        if once:
-            any(map(tell, job.look()))
-            return 0 if job.fit is not None else 1
-        follow(job, tell, before)
-    if job.fit is None:
-        return 1
-    context.obj = request.words(output or Path())[1:]
-    given = {"details": False, "figures": None, "figure_format": "png"}
-    given |= {"workers": None, "cluster": None}
-    return calibrate(
-        **vars(request),
-        **given,
-        context=context,
-        output=output,
-        force=force,
-        quiet=quiet,
-        json=json,
-    )
+    with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
+        follow(job, tell, before if not asked.once else None)
+    if asked.once or job.fit is None:
+        return 0 if job.fit is not None else 1
+    context.obj = request.words(asked.output or Path())[1:]
+    told = {name: getattr(asked, name) for name in ("output", *options.ANSWER)}
+    return calibrate(**own, **told, context=context)
 
 
-def follow(job: Watch, tell: Tell, before: Callable[[], object]) -> None:
+def follow(job: Watch, tell: Tell, before: Callable[[], object] | None) -> None:
     """Look at the files again and again, until somebody interrupts.
 
     Args:
         job: The job.
         tell: Told its events.
-        before: Called before each look but the first one.
+        before: Called before each look but the first one; None to look once.
     """
-    try:
+    with suppress(KeyboardInterrupt, EOFError):
         while True:
             for event in job.look():
                 tell(event)
+            if before is None:
+                return
             before()
-    except (KeyboardInterrupt, EOFError):
-        return
 
 
 STYLES = {

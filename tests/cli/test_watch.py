@@ -134,7 +134,7 @@ def test_readings_that_are_none(text: str):
 
 
 @pytest.mark.parametrize(
-    "words", ["--type", "--type --plan plan.csv --json", "--limit 2"]
+    "words", ["--type", "--type --plan plan.csv --json", "--limit 2", "-o done"]
 )
 def test_options_that_do_not_go(here: Path, run, words: str):
     found = run(f"watch arm.urdf rows.csv {words}")

@@ -41,6 +41,9 @@ class Watching(Request):
         output: Folder for the results, written at the end as by calibrate.
         plan: Configurations to measure.
         type: Ask for the readings of --plan one by one, and write the rows.
+        board: MEASUREMENTS are a folder of images of this board, see detect; their
+            corners go to a file of its name beside it.
+        joints: With --board, the configurations by a column 'image' (file name).
         limit: Expected error of the tool point to reach [m]; by default 'limit' of the
             setup file.
         srdf: SRDF file of the pairs of links that need no collision check.
@@ -50,6 +53,8 @@ class Watching(Request):
     output: Annotated[Path | None, Told("DIR", "Output")] = None
     plan: Annotated[Path | None, Told("CSV", "Watch")] = None
     type: Annotated[bool, Told("", "Watch")] = False
+    board: Annotated[str | None, Told("SPEC", "Watch")] = None
+    joints: Annotated[Path | None, Told("CSV", "Watch")] = None
     limit: Annotated[float | None, Told("S", "Watch", LIMIT)] = None
     srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
     once: Annotated[bool, Told("", "Watch")] = False
@@ -103,8 +108,14 @@ def watch(asked: Watching, context: typer.Context) -> int:
     as calibrate would write it. The same command goes on with the rows that are there.
     """
     own = {field.name: getattr(asked, field.name) for field in fields(Request)}
-    request = Request(**own)
     before: Callable[[], object] = partial(time.sleep, PAUSE)
+    if asked.board is not None:
+        from calib_pin.cli.watched_images import images_of
+
+        folder = asked.measurements[0]
+        file, before = images_of(folder, asked.board, asked.joints, PAUSE)
+        own["measurements"] = [file]
+    request = Request(**own)
     try:
         opened(request, None if asked.once else asked.output, force=asked.force)
     except (OptionError, RobotError):

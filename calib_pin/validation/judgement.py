@@ -99,6 +99,11 @@ Of a thousand perfect robots one is refused.
 MISJUDGED = 2.0
 """Found by predicted held-out error from which a fit misjudges itself."""
 
+UNCERTAIN = 1.4
+"""Bound of the expected error, by that itself, from which the verdict tells it: what a
+region leaves open is a few directions, and half of the true errors are farther from
+what is expected."""
+
 SURE = 0.9
 """Probability that the corrected robot is better over the workspace for `good`.
 
@@ -284,7 +289,7 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         coarse: Errors, by the reach, that noise may leave where nobody knows it.
     """
     quantity = next(iter(grounds.errors), None)
-    if quantity is None or quantity.unit != "m":
+    if quantity is None or quantity.unit not in ("m", "px"):
         return ""
     before, after = (sizes.rms for sizes in quantity.shown)
     noise, blocks = _noise(grounds, quantity), grounds.fitted.problem.blocks
@@ -293,17 +298,20 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         return ""
     tips = (term.error.chain.poses(data.q)[:, :3, 3] for term, data, _, _ in blocks)
     reach = max(float(np.linalg.norm(points, axis=1).max()) for points in tips)
-    if after <= (coarse if noise is None else LARGE) * reach:
+    # Whatever finds the corners of a board finds them well.
+    known = noise is not None or quantity.unit == "px"
+    size = expected_size(quantity.unit) / expected_size("m") * reach
+    if after <= (LARGE if known else coarse) * size:
         return ""
     times = "" if noise is None else f", {after / noise:.2g} times the noise"
-    known = "" if noise else ", state the 'noise' if the instrument is so coarse"
+    state = "" if known else ", state the 'noise' if the instrument is so coarse"
     lacks = (f for f in grounds.findings if f.code == "model-lacks")
-    advice = f"measure at rest{known}, and {CHECK}"
+    advice = f"measure at rest{state}, and {CHECK}"
     advice = next((f"{f.message}; {f.remedy}" for f in lacks), advice)
+    first, last = (_shown(errors, quantity.unit) for errors in (before, after))
     return (
-        f"{quantity.name} errors of {_shown(after, 'm')} rms remain of "
-        f"{_shown(before, 'm')}{times}: nothing that was estimated explains them; "
-        f"{advice}"
+        f"{quantity.name} errors of {last} rms remain of {first}{times}: nothing that "
+        f"was estimated explains them; {advice}"
     )
 
 
@@ -399,6 +407,8 @@ def _gain(grounds: Judgement, shown: bool, nothing: bool) -> tuple[str, str]:
         return "good", f"{found} on {held}"
     sizes = workspace.nominal.position, workspace.calibrated.position
     nominal, calibrated = (_shown(size, "m") for size in sizes)
+    if (bound := workspace.bound.position) > UNCERTAIN * sizes[1]:
+        calibrated += f" (95 %: below {_shown(bound, 'm')})"
     expected = f"{calibrated} instead of {nominal} are expected"
     expected = f"over the workspace{chain} {expected}"
     sure = workspace.better >= SURE

@@ -55,6 +55,29 @@ def test_five_poses_many_times_are_unchecked() -> None:
     assert result.verdict == "unchecked", result.reason
 
 
+def test_pixels_that_no_robot_explains_are_untrusted() -> None:
+    """No corner of a board is found so badly, whatever the noise that is assumed."""
+    job = tracked(2, model="camera", noise=12.0, stated=False)
+    rows = job.measured(stream(2, 1))
+    result = calib_pin.calibrate(job.chain, rows, job.setup)
+    assert result.verdict == "untrusted"
+    assert "nothing that was estimated explains them" in result.reason
+
+
+def test_a_region_tells_how_far_off_the_tool_may_be() -> None:
+    """The bound of what is expected stands beside it where it is far from it."""
+    job = tracked(3)
+    q = job.chain.random_configurations(60, stream(3, 1))
+    everywhere = calib_pin.calibrate(
+        job.chain, job.measured(stream(3, 1), q=q), job.setup
+    )
+    corner = job.measured(stream(3, 1), q=q.mean(axis=0) + 0.15 * (q - q.mean(axis=0)))
+    narrow = calib_pin.calibrate(job.chain, corner, job.setup)
+    assert "95 %" not in everywhere.reason
+    bound = narrow.accuracy.workspace.bound.position
+    assert f"(95 %: below {1e3 * bound:.3g} mm)" in narrow.reason
+
+
 # 7: outliers were never found in a mix.
 
 

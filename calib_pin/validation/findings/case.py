@@ -216,6 +216,8 @@ class Case:
         each, found = dict.fromkeys(effects.kinds), []
         for some in (*((kind,) for kind in each), *combinations(each, 2)):
             own = np.isin(kinds, some)
+            if own.sum() >= fit.problem.data.configurations:
+                continue  # They explain whatever a configuration errs by.
             score = fit.score(X[:, own])
             if score.chance < CHANCE and score.left < LACKING:
                 # By Schwarz's criterion: two families explain more than one anyway.

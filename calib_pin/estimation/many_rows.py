@@ -204,9 +204,10 @@ class _Pass(NamedTuple):
 
     def for_weights(self, term: Term, sigma: Floats) -> _Pass:
         """The same with deviations of which its own are a multiple, if it is."""
-        factor = self.sigma.min() / sigma.min()
-        if self.term is not term or not 0.0 < factor < np.inf:
+        least = self.sigma.min(), sigma.min()
+        if self.term is not term or not np.isfinite(least).all():
             return self
+        factor = least[0] / least[1]
         if not np.allclose(factor * sigma, self.sigma, 1e-12, 0.0):
             return self
         return self._replace(sigma=sigma, r=factor * self.r, J=factor * self.J)

@@ -14,7 +14,6 @@ from calib_pin.estimation.registration import relocated
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.terms import BASE, FRAME
-from calib_pin.validation.findings.changes import CHANCE
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
@@ -47,6 +46,10 @@ The nominal robot, with errors that are larger than the move, cannot confirm it.
 AS_FITTED = 1.5
 """Errors from a station of their own, in standard deviations, up to which nothing but
 a move is wrong."""
+
+CHANCE = 1e-9
+"""Probability by chance of a move that is told: in another region a robot errs by what
+noise does not explain, and of 30 distances another station takes up most of it."""
 
 STATION = (
     "give them a station of their own (a column 'station', or --station-per-file), or "

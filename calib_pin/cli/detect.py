@@ -100,7 +100,7 @@ def detect(asked: Detection, context: typer.Context) -> int:
     files.check_outputs((output, extra), inputs, asked.force)
     if asked.times is not None and asked.joints is None:
         raise OptionError("--times needs --joints: a log of the joints, with times")
-    images, rows = _configurations(asked, sorted(images, key=_numbers))
+    images, rows = configurations_of(asked, sorted(images, key=numbers_in))
     with printing.progress_bar(quiet=asked.quiet) as bar:
         size, every = boards.find_board(detector, images, printing.stage(bar, "images"))
     if not boards.require_stated(board, every, images):
@@ -162,7 +162,7 @@ def _drawn(asked: Detection, file: Path, detector: Detector) -> int:
     return 0
 
 
-def _numbers(image: Path) -> list[int]:
+def numbers_in(image: Path) -> list[int]:
     """The numbers in a name: img_2 comes before img_10."""
     return [int(word or 0) for word in re.split(r"\D+", str(image))]
 
@@ -181,7 +181,7 @@ def _remarks(found: dict[str, Found], start: Start, tell: Notice) -> None:
         tell(ASSUMED)
 
 
-def _configurations(
+def configurations_of(
     asked: Detection, images: list[Path]
 ) -> tuple[list[Path], dict[str, list[Any]]]:
     """Images of known joints, and for each the cells of the columns of their file.

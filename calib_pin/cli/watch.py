@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,7 +18,7 @@ from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.options import Request, Told, number
 from calib_pin.cli.printing import say, taken_notices
 from calib_pin.cli.requests import opened
-from calib_pin.errors import OptionError
+from calib_pin.errors import InputError, OptionError, RobotError
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -31,6 +31,33 @@ PAUSE = 0.2
 LIMIT = number(float, "--limit", "1e-6 to 1 m", 1e-6, 1.0)
 
 Tell = Callable[["Event"], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watching(options.QuietAnswer, Request):
+    """A job to watch, as it is asked for.
+
+    Attributes:
+        output: Folder for the results, written at the end as by calibrate.
+        plan: Configurations to measure.
+        type: Ask for the readings of --plan one by one, and write the rows.
+        board: MEASUREMENTS are a folder of images of this board, see detect; their
+            corners go to a file of its name beside it.
+        joints: With --board, the configurations by a column 'image' (file name).
+        limit: Expected error of the tool point to reach [m]; by default 'limit' of the
+            setup file.
+        srdf: SRDF file of the pairs of links that need no collision check.
+        once: Look once, and end without a result.
+    """
+
+    output: Annotated[Path | None, Told("DIR", "Output")] = None
+    plan: Annotated[Path | None, Told("CSV", "Watch")] = None
+    type: Annotated[bool, Told("", "Watch")] = False
+    board: Annotated[str | None, Told("SPEC", "Watch")] = None
+    joints: Annotated[Path | None, Told("CSV", "Watch")] = None
+    limit: Annotated[float | None, Told("S", "Watch", LIMIT)] = None
+    srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
+    once: Annotated[bool, Told("", "Watch")] = False
 
 
 def watched(
@@ -68,30 +95,8 @@ def watched(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Watched(options.QuietAnswer, Request):
-    """Measurements that are to be followed.
-
-    Attributes:
-        output: Folder for the results, written as by calibrate.
-        plan: Configurations to measure.
-        type: Ask for the readings of --plan, and write the rows.
-        limit: Expected error of the tool point to reach [m]; by default 'limit' of the
-            setup file.
-        srdf: SRDF file of the links that need no collision check.
-        once: Look once, and end without a result.
-    """
-
-    output: Annotated[Path | None, Told("DIR", "Output")] = None
-    plan: Annotated[Path | None, Told("CSV", "Watch")] = None
-    type: Annotated[bool, Told("", "Watch")] = False
-    limit: Annotated[float | None, Told("S", "Watch", LIMIT)] = None
-    srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
-    once: Annotated[bool, Told("", "Watch")] = False
-
-
 @options.spread
-def watch(asked: Watched, context: typer.Context) -> int:
+def watch(asked: Watching, context: typer.Context) -> int:
     """Follow measurements while they are taken.
 
     Reads the files again whenever another program has written to them. Each new row is
@@ -99,46 +104,57 @@ def watch(asked: Watched, context: typer.Context) -> int:
     accuracy and the configuration to measure next follow. Ctrl-C ends, with the result
     as calibrate would write it. The same command goes on with the rows that are there.
     """
+    own = {field.name: getattr(asked, field.name) for field in fields(Request)}
     before: Callable[[], object] = partial(time.sleep, PAUSE)
+    if asked.board is not None:
+        from calib_pin.cli.watched_images import images_of
+
+        folder = asked.measurements[0]
+        file, before = images_of(folder, asked.board, asked.joints, PAUSE)
+        own["measurements"] = [file]
+    request = Request(**own)
+    try:
+        opened(request, None if asked.once else asked.output, force=asked.force)
+    except (OptionError, RobotError):
+        raise
+    except InputError:
+        pass  # There may be no rows yet.
+    taken_notices()
     if asked.type:
         from calib_pin.cli.typed import typed
 
-        if asked.plan is None or len(asked.measurements) != 1 or asked.json:
+        if asked.plan is None or len(request.measurements) != 1 or asked.json:
             raise OptionError("--type needs --plan and one file of measurements")
-        before = typed(asked, asked.plan)
-    job, live = watched(asked, asked.plan, asked.limit, srdf=asked.srdf), None
+        before = typed(request, asked.plan)
+    job, live = watched(request, asked.plan, asked.limit, srdf=asked.srdf), None
     if sys.stdout.isatty() and not asked.type:
         from rich.console import Console
 
         live = Console(highlight=False, markup=False, emoji=False)
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
-        if asked.once:
-            any(map(tell, job.look()))
-            return 0 if job.fit is not None else 1
-        follow(job, tell, before)
-    if job.fit is None:
-        return 1
-    context.obj = asked.words(asked.output or Path())[1:]
-    own = {"plan", "type", "limit", "srdf", "once"}
-    given = {name: value for name, value in vars(asked).items() if name not in own}
-    return calibrate(**given, context=context)
+        follow(job, tell, before if not asked.once else None)
+    if asked.once or job.fit is None:
+        return 0 if job.fit is not None else 1
+    context.obj = request.words(asked.output or Path())[1:]
+    told = {name: getattr(asked, name) for name in options.PLACES}
+    return calibrate(**own, **told, context=context)
 
 
-def follow(job: Watch, tell: Tell, before: Callable[[], object]) -> None:
+def follow(job: Watch, tell: Tell, before: Callable[[], object] | None) -> None:
     """Look at the files again and again, until somebody interrupts.
 
     Args:
         job: The job.
         tell: Told its events.
-        before: Called before each look but the first one.
+        before: Called before each look but the first one; None to look once.
     """
-    try:
+    with suppress(KeyboardInterrupt, EOFError):
         while True:
             for event in job.look():
                 tell(event)
+            if before is None:
+                return
             before()
-    except (KeyboardInterrupt, EOFError):
-        return
 
 
 STYLES = {

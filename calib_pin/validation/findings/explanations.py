@@ -80,7 +80,7 @@ size of an error."""
 KEPT = 0.75
 """Part of the measurements that counts: outliers may stand beside another fault."""
 
-LEAST = 12
+LEAST = 3
 """Values beyond the unknowns of frames without which nothing is tried."""
 
 UNLIKELY = 14.0

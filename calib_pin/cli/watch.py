@@ -136,7 +136,7 @@ def watch(asked: Watching, context: typer.Context) -> int:
     if asked.once or job.fit is None:
         return 0 if job.fit is not None else 1
     context.obj = request.words(asked.output or Path())[1:]
-    told = {name: getattr(asked, name) for name in ("output", "force", "quiet", "json")}
+    told = {name: getattr(asked, name) for name in options.PLACES}
     return calibrate(**own, **told, context=context)
 
 

@@ -15,7 +15,7 @@ import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.calibrate import calibrate
-from calib_pin.cli.printing import say, tell_notices
+from calib_pin.cli.printing import notice, say, tell_notices
 from calib_pin.cli.request import Request, Told, number
 from calib_pin.cli.requests import opened
 from calib_pin.errors import InputError, OptionError, RobotError
@@ -136,8 +136,11 @@ def watch(asked: Watching, context: typer.Context) -> int:
         live = Console(highlight=False, markup=False, emoji=False)
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
         follow(job, tell, before if not asked.once else None)
-    if asked.once or job.fit is None:
-        return 0 if job.fit is not None else 1
+    if job.fit is None:
+        notice("no result: the rows do not determine frames and instrument yet")
+        return 1
+    if asked.once:
+        return 0
     context.obj = request.words(asked.output or Path())[1:]
     told = {name: getattr(asked, name) for name in ("output", *options.ANSWER)}
     return calibrate(**own, **told, context=context)

@@ -16,7 +16,7 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.options import Request, Told, number
-from calib_pin.cli.printing import say, taken_notices
+from calib_pin.cli.printing import notice, say, taken_notices
 from calib_pin.cli.requests import opened
 from calib_pin.errors import InputError, OptionError, RobotError
 
@@ -133,8 +133,11 @@ def watch(asked: Watching, context: typer.Context) -> int:
         live = Console(highlight=False, markup=False, emoji=False)
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
         follow(job, tell, before if not asked.once else None)
-    if asked.once or job.fit is None:
-        return 0 if job.fit is not None else 1
+    if job.fit is None:
+        notice("no result: the rows do not determine frames and instrument yet")
+        return 1
+    if asked.once:
+        return 0
     context.obj = request.words(asked.output or Path())[1:]
     told = {name: getattr(asked, name) for name in options.PLACES}
     return calibrate(**own, **told, context=context)

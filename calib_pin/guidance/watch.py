@@ -107,9 +107,9 @@ class Watch:
                 return  # A file that is written anew begins with nothing.
             self._stamp, self._told = stamp, ""
             yield from self._changed(chains, setup, rows, found, gone)
-        except CalibPinError as error:
-            if new:
-                return
+        except (CalibPinError, np.linalg.LinAlgError) as error:
+            if new and self._stamp != stamp:
+                return  # It may be half written.
             self._stamp, told = stamp, one_line(str(error))
             if told != self._told:
                 self._told = told

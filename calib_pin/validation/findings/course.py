@@ -26,6 +26,7 @@ from calib_pin.setup import AXES, ReadingSetup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.changes import (
+    CHANCE,
     Kind,
     Trial,
     changes_of,
@@ -158,7 +159,8 @@ def drift(case: Case) -> Iterator[Finding]:
         score, count = fit.score(columns * time), columns.shape[1]
         waves = np.hstack([columns * np.cos(np.pi * k * time) for k in WAVES])
         if surpasses(fit, squares(fit) * score.left, count, waves, 1):
-            cost = fit.left * np.log(score.left) + count * np.log(fit.left)
+            # One of more parts takes a part of what a simpler one explains.
+            cost = fit.left * np.log(score.left) - count * np.log(CHANCE)
             found.append((cost, told, score, columns * time, names))
     if not found:
         return

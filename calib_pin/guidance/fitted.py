@@ -23,7 +23,7 @@ from calib_pin.observations import Observations, states_sigmas
 from calib_pin.setup import JointPrior, Setup
 from calib_pin.validation.assessment import registration_reason, robot_errors
 from calib_pin.validation.findings import find
-from calib_pin.validation.findings.case import Case, Others
+from calib_pin.validation.findings.case import FOREIGN, Case, Others
 from calib_pin.validation.held_out import check
 from calib_pin.validation.judgement import judge
 from calib_pin.validation.model_errors import (
@@ -148,12 +148,19 @@ class Fitted:
         chance = f_tail(square / values, values, freedom)
         return Deviation(float(size), float(sigma), unit, chance)
 
-    @cached_property
+    @property
     def doubtful(self) -> bool:
         """Whether the rows are so far from the robot that they may be read wrong."""
-        if self.model is None:
-            return True
-        return Case.of(self.model.fit, self.chains).doubtful
+        return self._case is None or self._case.doubtful
+
+    @property
+    def lost(self) -> bool:
+        """Whether no robot explains them, so that none of them stands out."""
+        return self._case is None or not self._case.errors_left <= FOREIGN
+
+    @cached_property
+    def _case(self) -> Case | None:
+        return Case.of(self.model.fit, self.chains) if self.model else None
 
     def causes(self, every: Observations, others: Others) -> tuple[Finding, ...]:
         """Why no robot explains the rows, those among them that were set aside."""
@@ -175,9 +182,8 @@ class Fitted:
         model = self.model
         if model is None:
             return known, ()
-        if self.early:
-            case = Case.of(model.fit, self.chains)
-            return known, find(case, seek=False).others
+        if self.early and self._case is not None:
+            return known, find(self._case, seek=False).others
         try:
             errors = fitted_errors(model, self.rows)
             held_out = check(model, self.rows, self.seed, validate=False)

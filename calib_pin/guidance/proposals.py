@@ -18,7 +18,7 @@ from calib_pin.io.measurements import encode_configurations
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Observations
+from calib_pin.observations import Observations, states_sigmas
 from calib_pin.planning.criteria import Prediction, Selection
 from calib_pin.planning.planned_problem import TipTests, identification
 from calib_pin.planning.workspace import Aims, Candidates, Workspace, require_plannable
@@ -115,10 +115,13 @@ class Proposals:
         if model is None:
             raise CalibPinError(fitted.reason)
         noise = {} if fitted.early else {n.quantity: n for n in model.fit.noise}
-        found = {k.partition(" (")[0]: n.estimate for k, n in noise.items()}
-        known = {name: size for name, size in found.items() if size > 0.0}
-        setup = replace(fitted.setup, noise={**fitted.setup.noise, **known})
-        problem = replace(fitted.informed, setup=replace(setup, learned=None))
+        # What rows state weighs them; what is planned then is measured as they are.
+        stated = states_sigmas(fitted.rows)
+        sizes = {k: n.given if stated else n.estimate for k, n in noise.items()}
+        found = {k.partition(" (")[0]: size for k, size in sizes.items() if size > 0.0}
+        setup = replace(fitted.setup, noise={**fitted.setup.noise, **found})
+        setup, none = replace(setup, learned=None), np.zeros(0)
+        problem = replace(fitted.informed, setup=setup, units=none)
         aims = Aims.of(problem, keys)
         if self._spread is None:
             solid, rng = None, np.random.default_rng(fitted.seed)

@@ -79,7 +79,7 @@ class Watch:
         """Begin with nothing."""
         self._read, self._files, self._limit = read, tuple(files), limit
         self._proposals = Proposals(files[0], plan, srdf, package_dirs, free)
-        self._seed, self._searched, self._reviewed = seed, 0, FEW
+        self._seed, self._searched, self._reviewed = seed, 0, 2 * FEW
         self._stamp: tuple[Any, ...] | None = None
         self._told, self._reached, self._found = "", False, set[str]()
         self._known, self._aside = dict[Key, str](), set[Key]()
@@ -169,7 +169,7 @@ class Watch:
         found = Fitted(chains, rows.rows(used), setup, self._seed)
         robust = robust or used.sum() >= AGAIN * self._reviewed
         if robust:
-            self._reviewed = int(used.sum())
+            self._reviewed = max(int(used.sum()), 2 * FEW)
         found = found.fit(known, robust) if used.any() else found
         self.fit, self._places = found.model, np.flatnonzero(used)
         return found
@@ -195,7 +195,7 @@ class Watch:
     ) -> Iterator[Event]:
         """Tell of rows that agree now, and of those that the fit has set aside."""
         fitted = self._fitted
-        if fitted is None or fitted.doubtful:
+        if fitted is None or fitted.lost:
             return
         aside = [k for k, key in enumerate(keys) if key in self._aside and not key[2]]
         for unit in _units(rows, aside):

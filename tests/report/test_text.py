@@ -91,7 +91,8 @@ def test_verdict_and_subject(result):
     workspace = result.accuracy.workspace
     sizes = [
         *(position.validation_after.rms, position.validation_before.rms),
-        *(workspace.calibrated[0], workspace.nominal[0]),
+        *(s.position for s in (workspace.calibrated, workspace.bound)),
+        workspace.nominal.position,
     ]
     text = full_report(result)
     *verdict, subject = text.split("\n\n")[0].splitlines()

@@ -42,7 +42,7 @@ from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
 from calib_pin.units import DISPLAY, steps_of
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.findings.case import some_of
-from calib_pin.validation.findings.facts import COMPUTED, spread
+from calib_pin.validation.findings.facts import COMPUTED, require_motion, spread
 
 TOUCHES = ("fixed-point", "plane-contact", "sphere-contact")
 DISTANCES = ("plane-distance", "point-distance", "relative-distance")
@@ -476,6 +476,7 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
             notice=remarks.append,
         )
         chains = chains.named(tuple(key.chain for key in data.keys))
+        require_motion(data)
         ready = prepared(chains, some_of(data)[0], setup)
         known = distinct_values(ready.problem)
         parameters = ready.problem.parameters

@@ -31,6 +31,7 @@ from calib_pin.validation.findings.facts import (
     FACTS,
     constant_orientation,
     gauge_readings,
+    require_motion,
 )
 from calib_pin.validation.findings.hypotheses import Explanation, finding
 from calib_pin.validation.findings.joint_motions import joint_motion
@@ -162,8 +163,9 @@ def explained(
         others: Other robots that may have been measured.
 
     Raises:
-        InputError: If one is raised within.
+        InputError: If one is raised within, or the joints did not move.
     """
+    require_motion(data)
     try:
         yield
     except OptionError:

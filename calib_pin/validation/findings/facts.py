@@ -28,6 +28,7 @@ from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.measurement_models.orientations import numbers_of
 from calib_pin.observations import Indices, Observations
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.validation.findings.case import CHANCE, Case
 from calib_pin.validation.findings.hypotheses import setup_lines
 from calib_pin.validation.findings.readings import offset_by
@@ -101,9 +102,55 @@ FINE, TIMES = 1e-5, 1.2
 """Steps of written values up to which errors of so many times what rounding makes are
 those of a controller that rounds: no robot is as near to its URDF [m]."""
 
+STOOD, MOVED = 5e-4, 20.0
+"""Difference of joint positions that are those of one configuration [rad, m], and
+scatter there, in expected sizes of an error, that no robot has."""
+
 OPPOSITE, NEAR = -1.0, 0.5
 """Factor of readings with which they fit best if they count the other way, and by how
 much it may be missed: half-way to those that say nothing."""
+
+
+def require_motion(data: Observations) -> None:
+    """Refuse joint positions that stay where they are while measurements do not.
+
+    Whatever wrote them did not follow the robot: they are those of one configuration,
+    or of two.
+
+    Args:
+        data: The measurements.
+
+    Raises:
+        InputError: If the measurements of a thing at a configuration differ by more
+            than any robot errs.
+    """
+    q = data.q
+    if len(q) < FEWEST or any(block.start.size for block in data.blocks):
+        return
+    first = np.abs(q - q[0]).max(axis=1) < STOOD
+    second = np.abs(q - q[np.argmin(first)]).max(axis=1) < STOOD
+    if not (first | second).all():
+        return
+    for block, rows in zip(data.blocks, data.slices, strict=True):
+        quantity = declared(block.model).quantities[0]
+        thing, values = 2 * block.target.codes + first[rows], block.values
+        count = np.maximum(np.bincount(thing), 1)
+        squares = np.zeros(len(count))
+        for value in values[:, quantity.columns].T:
+            mean = np.bincount(thing, value) / count
+            squares += np.bincount(thing, (value - mean[thing]) ** 2)
+        scatter = float(np.sqrt(squares.sum() / max(len(block), 1)))
+        if scatter > MOVED * expected_size(quantity.unit):
+            several = "of all measurements are those of"
+            several += (
+                " two configurations" if not first.all() else " one configuration"
+            )
+            raise block.error(
+                0,
+                f"the joint positions {several}, while their {quantity.name} values "
+                f"scatter by {shown(scatter, quantity.unit, 3)}: what wrote the joints "
+                "did not follow the robot",
+            )
 
 
 def constant_orientation(case: Case) -> Iterator[Finding]:

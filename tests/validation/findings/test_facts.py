@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.errors import InputError
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Measurements, Observations
@@ -22,7 +23,7 @@ from calib_pin.setup import (
     SphereSetup,
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.findings.facts import coarse_step
+from calib_pin.validation.findings.facts import coarse_step, require_motion
 
 RANDOM = np.random.default_rng(0).uniform(-2.0, 2.0, 60)
 
@@ -38,6 +39,19 @@ def test_no_step() -> None:
     assert coarse_step(np.repeat(np.arange(10.0), 6), "m") == 0.0
     degrees = np.radians(0.1 * np.round(np.degrees(RANDOM) / 0.1))
     assert coarse_step(degrees, "rad") == pytest.approx(np.radians(0.1))
+
+
+@pytest.mark.parametrize(("configurations", "jitter"), [(1, 0.0), (1, 1e-4), (2, 0.0)])
+def test_joints_that_do_not_follow_the_robot(ur10, configurations, jitter) -> None:
+    """Of one configuration at rest, what is measured rests as well."""
+    rng = np.random.default_rng(1)
+    moved, few = ur10(q=rng.uniform(-2.0, 2.0, (20, 6))), rng.normal(size=(2, 6))
+    stood = few[np.arange(20) % configurations] + rng.uniform(-jitter, jitter, (20, 6))
+    wrong = replace(moved.only, q=stood)
+    with pytest.raises(InputError, match="did not follow the robot"):
+        require_motion(Observations.of(wrong))
+    require_motion(ur10(q=few[np.arange(20) % configurations]))
+    require_motion(moved)
 
 
 @pytest.fixture(scope="module")

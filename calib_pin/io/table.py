@@ -85,9 +85,6 @@ BINARY: Sequence[tuple[bytes, bytes, str]] = (
 )
 """First bytes of files that hold no lines, others in them, and what they are."""
 
-PERCENT = 90.0
-"""Largest number of a column from which, up to 100, it may be percent of a range."""
-
 TEXTS = 1 << 8
 """Different cells of a column up to which the texts of its numbers are kept: names such
 as 01 and 1.10 are few, and numbers that are measured are not."""
@@ -298,10 +295,9 @@ class Table:
             reason = f"stands in {len(same)} rows and looks like a sign that there is "
             reason += f"no reading; leave them out by 'reading: {{without: [{lines}]}}'"
             raise self.error(reason, name, row=int(same[0]))
-        reason = f"{values[row]:.6g} {kind.si} looks like the wrong unit"
-        reason += f", {why}" if why else ""
-        unit = column.unit or kind.si
-        number = abs(values[row]) / kind.units[unit]
+        looks = f"{values[row]:.6g} {kind.si} looks like the wrong unit"
+        reason = ", ".join(filter(None, [looks, why]))
+        number = abs(values[row]) / kind.units[unit := column.unit or kind.si]
         fits = (u for u in kind.smaller(unit) if number * kind.units[u] <= kind.largest)
         meant = next(fits, "")
         if kind.si == ANGLE.si and column.unit is None:
@@ -313,7 +309,8 @@ class Table:
             reason += f"; state in the setup 'columns: {both}'"
         elif meant:
             reason += f"; write the header as '{name} [{meant}]'"
-        if kind.si == ANGLE.si and PERCENT < np.nanmax(np.abs(column.numbers)) <= 100.0:
+        # Percent of a range come near to 100, and no farther.
+        if kind.si == ANGLE.si and 90.0 < np.nanmax(np.abs(column.numbers)) <= 100.0:
             reason += ", of percent [steps/N@0] with N = 72000 / range in deg"
         raise self.error(reason, name, ", ".join(kind.units), row)
 

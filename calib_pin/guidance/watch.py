@@ -31,7 +31,10 @@ SETTLED = 1.0
 
 FEW = 8
 """New rows up to which each is judged by those before it, while more are judged
-together; and rows from which a cause is sought why no robot explains them."""
+together."""
+
+SOUGHT = 4
+"""Rows from which a cause is sought why no robot explains them."""
 
 SEVERAL = 3
 """Last rows that disagree with those before them from which all are fitted together."""
@@ -221,7 +224,8 @@ class Watch:
         assert fitted is not None
         doubtful = fitted.doubtful
         self._searched = self._searched if doubtful else 0
-        if doubtful and count >= max(AGAIN * self._searched, FEW):
+        least = AGAIN * self._searched if count > FEW else SOUGHT
+        if doubtful and count >= least:
             self._searched = count
             others = partial(other_robots, fitted.chains, fitted.setup)
             yield from self._causes(fitted.causes(rows, others))

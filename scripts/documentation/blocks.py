@@ -280,12 +280,10 @@ def _installable(words: list[str]) -> tuple[int, str]:
     """Whether `pip install` is given this folder, or the package with its extras."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     for word in words:
-        if word == ".":
-            continue
-        named = re.fullmatch(r"([\w-]+)(?:\[([\w,-]+)\])?", word)
+        named = re.fullmatch(r"(\.|[\w-]+)(?:\[([\w,-]+)\])?", word)
         extras = set(named[2].split(",") if named and named[2] else [])
         unknown = extras - project["optional-dependencies"].keys()
-        if named is None or named[1] != project["name"] or unknown:
+        if named is None or named[1] not in (".", project["name"]) or unknown:
             return 1, f"there is no '{word}'"
     return 0, ""
 

@@ -90,6 +90,8 @@ def changed(case: Case) -> Iterator[Finding]:
         row, behind = _sides(concerned(data, change), rank, at)
         file, line = data.files[row], int(data.lines[row]) or int(rank[row]) + 1
         where = f"after {'line' if file else 'measurement'} {place_of(data, row)}"
+        if data.files[behind] != file:
+            where = f"between {file} and {data.files[behind]}"
         places[change.kind].append(place_of(data, behind))
         if change.kind == "joint":
             name = data.joints[change.joint]

@@ -77,8 +77,9 @@ EXPLAINED, USUAL = 0.02, 4.0
 """Part of the errors, and expected sizes of an error, with either of which nothing more
 is sought: nominal robots of which we have measurements leave 2 to 5 mm."""
 
-KEPT = 0.75
-"""Part of the measurements that counts: outliers may stand beside another fault."""
+KEPT, FEW = 0.75, 12
+"""Part of the measurements that counts, as outliers may stand beside another fault, and
+configurations from which it does: of fewer all are needed to tell anything."""
 
 LEAST = 3
 """Values beyond the unknowns of frames without which nothing is tried."""
@@ -406,7 +407,12 @@ def _redundancy(problem: Problem) -> float:
     """Values of the best part of the measurements beyond the unknowns of frames."""
     parameters = problem.parameters
     unknown = int((parameters.free & parameters.nuisance).sum())
-    return KEPT * measured_count(problem) - unknown
+    return _kept(problem) * measured_count(problem) - unknown
+
+
+def _kept(problem: Problem) -> float:
+    """Part of the measurements that counts."""
+    return KEPT if problem.data.configurations >= FEW else 1.0
 
 
 def _trimmed(problem: Problem, bound: float, scale: float) -> float:
@@ -430,7 +436,7 @@ def _trimmed(problem: Problem, bound: float, scale: float) -> float:
         table = error_table(problem, zero)
         table[np.isinf(table)] = 1e6
         squares = np.nanmean((table / sigma) ** 2, axis=1)
-        limit = np.quantile(squares, KEPT)
+        limit = np.quantile(squares, _kept(problem))
         size = float(np.sqrt(np.mean(squares[squares <= limit])))
         if size >= bound:
             break

@@ -90,7 +90,9 @@ class State:
             return False
         if self.limit is not None:
             return self.bound <= self.limit
-        return len(self.ahead) > AHEAD and self.ahead[AHEAD] > WORTH * self.workspace
+        if self.verdict != "good" or len(self.ahead) <= AHEAD:
+            return False
+        return self.ahead[AHEAD] > WORTH * self.workspace
 
     @property
     def text(self) -> str:

@@ -86,6 +86,7 @@ class Watch:
         self._stamp: tuple[Any, ...] | None = None
         self._told, self._reached, self._found = "", False, set[str]()
         self._known, self._aside = dict[Key, str](), set[Key]()
+        self._gone = list[str]()
         self._fitted: Fitted | None = None
         self.fit: FittedModel | None = None
         self.state: State | None = None
@@ -106,9 +107,10 @@ class Watch:
             chains, (rows,) = fitting(chains, setup, fitted_and_held_out(rows)[0])
             found = {key: rows.source(k) for k, key in enumerate(_keys(rows))}
             gone = [place for key, place in self._known.items() if key not in found]
-            if new and gone:
+            if new and gone != self._gone:
+                self._gone = gone
                 return  # A file that is written anew begins with nothing.
-            self._stamp, self._told = stamp, ""
+            self._stamp, self._told, self._gone = stamp, "", []
             yield from self._changed(chains, setup, rows, found, gone)
         except (CalibPinError, np.linalg.LinAlgError) as error:
             if new and self._stamp != stamp:

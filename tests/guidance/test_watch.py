@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -218,6 +219,17 @@ def test_a_line_that_is_being_written_waits(job: Job):
     assert [*job.watch.look()] == []
     os.utime(job.file, (50, 50))
     assert texts([*job.watch.look()], "row")
+
+
+def test_a_row_that_was_just_taken_back_is_told_with_the_next_one(job: Job):
+    """Who types is faster than a file settles; one that is written anew is not told."""
+    job.look(6)
+    job.time = int(time.time()) + 100
+    assert job.look([0, 1]) == []  # Written anew: there is more to come.
+    assert job.look(5) == []
+    said = job.look([0, 1, 2, 3, 4, 7])
+    assert [event.kind for event in said][:2] == ["removed", "row"]
+    assert job.watch.state.rows == 6
 
 
 def test_a_file_that_cannot_be_read_is_told_once(job: Job):

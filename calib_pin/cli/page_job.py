@@ -138,6 +138,7 @@ class Job:
         self._remarks, self._events = list[str](), list[Event]()
         self._stage: tuple[str, float | None] | None = None
         self._watch: Watch | None = None
+        self._seen: Opened | None = None
         self._waited = 0.0
 
     # --- what a person does --------------------------------------------------------
@@ -185,7 +186,8 @@ class Job:
     def follow(self) -> None:
         """Follow the measurements while they are written."""
         assert self.read.opened is not None
-        self._events, self._watch = [], watched(self.read.opened.request)
+        request, self._events = self.read.opened.request, []
+        self._watch = watched(request, seen=partial(setattr, self, "_seen"))
 
     # --- what is done then ---------------------------------------------------------
 
@@ -301,11 +303,11 @@ class Job:
         self.scene = self._drawn(model.chains, given.setup, model)
 
     def _look(self) -> None:
-        if self._watch is None or (given := self.read.opened) is None:
+        if self._watch is None or (before := self.read.opened) is None:
             return
         if found := [*self._watch.look()]:
             self._events += found
-            given = opened(given.request, OUT, force=True)
+            given = replace(self._seen or before, files=before.files)
             self.read = replace(self.read, opened=given)
             self.scene = self._drawn(given.chains, given.setup)
 

@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,7 +17,7 @@ import calib_pin.cli.options as options
 from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.options import Request, Told, number
 from calib_pin.cli.printing import notice, say, taken_notices
-from calib_pin.cli.requests import opened
+from calib_pin.cli.requests import Opened, opened
 from calib_pin.errors import InputError, OptionError, RobotError
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ def watched(
     limit: float | None = None,
     *,
     srdf: Path | None = None,
+    seen: Callable[[Opened], object] = lambda _: None,
 ) -> Watch:
     """The watch of a calibration as `calibrate` takes it.
 
@@ -74,12 +75,13 @@ def watched(
         plan: Configurations to measure.
         limit: Expected error of the tool point that is to be reached [m].
         srdf: Pairs of links that need no collision check.
+        seen: Told the input whenever it was read.
     """
     from calib_pin.guidance import Watch
 
     def read() -> Any:
         try:
-            found = opened(request, None)
+            seen(found := opened(request, None))
             return found.chains, found.setup, found.measurements
         finally:
             taken_notices()
@@ -104,7 +106,7 @@ def watch(asked: Watching, context: typer.Context) -> int:
     accuracy and the configuration to measure next follow. Ctrl-C ends, with the result
     as calibrate would write it. The same command goes on with the rows that are there.
     """
-    own = {field.name: getattr(asked, field.name) for field in fields(Request)}
+    own = options.same(asked, Request)
     before: Callable[[], object] = partial(time.sleep, PAUSE)
     if asked.board is not None:
         from calib_pin.cli.watched_images import images_of
@@ -139,8 +141,7 @@ def watch(asked: Watching, context: typer.Context) -> int:
     if asked.once:
         return 0
     context.obj = request.words(asked.output or Path())[1:]
-    told = {name: getattr(asked, name) for name in options.PLACES}
-    return calibrate(**own, **told, context=context)
+    return calibrate(**options.same(asked, calibrate) | own, context=context)
 
 
 def follow(job: Watch, tell: Tell, before: Callable[[], object] | None) -> None:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calib_pin.observations.blocks import (
+    FRAMES,
+    Frame,
     Observations,
     apart,
     fitted_and_held_out,
@@ -27,11 +29,13 @@ from calib_pin.observations.measurements import BlockKey, Measurements, trusted
 
 __all__ = [
     "AT",
+    "FRAMES",
     "UNSTATED",
     "BlockKey",
     "Booleans",
     "Conditions",
     "Floats",
+    "Frame",
     "Indices",
     "Labels",
     "Measurements",

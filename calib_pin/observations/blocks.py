@@ -16,6 +16,10 @@ from calib_pin.observations.labels import Booleans, Floats, Indices, Labels
 from calib_pin.observations.measurements import BlockKey, Measurements, SourcedRows
 from calib_pin.setup.arguments import settle, taken
 
+Frame = Literal["station", "tool"]
+FRAMES: tuple[Frame, ...] = ("station", "tool")
+"""Frames that measurements are taken in, each by its name in their block."""
+
 
 @dataclass(frozen=True, repr=False)
 class Observations(SourcedRows):
@@ -202,7 +206,7 @@ class Observations(SourcedRows):
 
 
 def apart(
-    data: Observations, kind: Literal["station", "tool"], names: Labels
+    data: Observations, kind: Frame, names: Labels
 ) -> tuple[Observations, Indices]:
     """Measurements of which some have a station, or a tool, of their own.
 

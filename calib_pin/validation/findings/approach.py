@@ -23,6 +23,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Signs
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.sentences import told
 from calib_pin.validation.findings.setup_lines import written
 
 CHANCE = 5e-3
@@ -54,16 +55,13 @@ BY_ORDER = "the sides are taken from the order of the measurements in their file
 
 def approach_order(case: Case) -> Iterator[Finding]:
     """That lost motion was estimated by an order that nobody has stated."""
-    told = case.data.conditions.source == "order"
-    if told and "direction" in needed_conditions(case.setup.parameters):
-        yield Finding(
-            "approach-by-order",
-            "info",
-            f"{BY_ORDER}: they must be those of measuring",
-            {"joints": ", ".join(case.data.joints)},
-            "or state them in columns '<joint>.direction', or when each measurement "
-            "was taken in a column 'time'",
-        )
+    by_order = case.data.conditions.source == "order"
+    if by_order and "direction" in needed_conditions(case.setup.parameters):
+        said = f"{BY_ORDER}: they must be those of measuring"
+        remedy = "or state them in columns '<joint>.direction', or when each "
+        remedy += "measurement was taken in a column 'time'"
+        numbers = {"joints": ", ".join(case.data.joints)}
+        yield told("approach-by-order", said, numbers, remedy, info=True)
 
 
 def approach(case: Case) -> Iterator[Finding]:
@@ -74,7 +72,6 @@ def approach(case: Case) -> Iterator[Finding]:
         return
     values, deviations, chances = lost_motions(case)
     names = case.data.joints
-    turning = dict(zip(case.chains.joints, case.chains.revolute, strict=True))
     found = [
         j
         for j in np.argsort(-values / deviations).tolist()
@@ -84,22 +81,21 @@ def approach(case: Case) -> Iterator[Finding]:
         return
     said = []
     for j in found:
-        unit = "mrad" if turning.get(names[j], True) else "mm"
+        unit = "mrad" if case.unit(names[j]) == "rad" else "mm"
         size, sigma = 1e3 * values[j], 1e3 * deviations[j]
         said.append(f"'{names[j]}' {size:.2g} +- {sigma:.1g} {unit}")
     lines = {"parameters": [*case.setup.parameters, "hysteresis"]}
     evidence = {names[j]: float(values[j]) for j in found}
     order = f" ({BY_ORDER})" if held.source == "order" else ""
-    yield Finding(
+    yield told(
         "backlash",
-        "warning",
         "errors depend on the side from which joints came, lost motion: "
         f"{enumerated(said)}{order}",
         {**evidence, "joints": ", ".join(evidence)},
         f"estimate it: --parameters {','.join(lines['parameters'])}, or state in the "
         f"setup file: {written(lines)}",
         lines,
-        "residuals-by-joint",
+        "by-joint",
     )
 
 
@@ -205,11 +201,10 @@ def _usual_sides(q: Floats, sides: Signs) -> Floats:
 
 def _smooth(case: Case, by_joints: Floats, q: Floats) -> Floats:
     """Whitened residual by smooth errors of the joints at their positions, (M, K)."""
-    turning = dict(zip(case.chains.joints, case.chains.revolute, strict=True))
     columns = []
     for j, joint in enumerate(case.data.joints):
         x = q[:, j]
         waves = [np.sin(x), np.cos(x), np.sin(2.0 * x), np.cos(2.0 * x)]
-        shapes = [x, *waves] if turning.get(joint, True) else [x, x**2]
+        shapes = [x, *waves] if case.unit(joint) == "rad" else [x, x**2]
         columns += [by_joints[:, j] * shape for shape in shapes]
     return np.column_stack(columns)

@@ -25,6 +25,7 @@ from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import with_positions
 from calib_pin.observations import (
+    FRAMES,
     BlockKey,
     Booleans,
     Indices,
@@ -37,7 +38,6 @@ from calib_pin.validation.findings.joint_motions import refitted
 from calib_pin.validation.findings.quick_fit import QuickFit
 
 Kind = Literal["station", "tool", "joint"]
-FRAMES: tuple[Literal["station", "tool"], ...] = ("station", "tool")
 
 CHANCE = 1e-6
 """Probability that noise explains as much as an alternative, all rows taken together:

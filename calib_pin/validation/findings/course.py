@@ -146,8 +146,7 @@ def _frame(trial: Trial, k: int) -> tuple[str, Numbers]:
 
 def _shown(case: Case, joint: str, form: str, *sizes: float) -> str:
     """Motions of a joint that people read."""
-    turning = dict(zip(case.chains.joints, case.chains.revolute, strict=True))
-    unit, factor = DISPLAY["rad" if turning.get(joint, True) else "m"]
+    unit, factor = DISPLAY[case.unit(joint)]
     return f"{form.format(*(factor * size for size in sizes))} {unit}"
 
 

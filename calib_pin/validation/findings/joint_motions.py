@@ -360,8 +360,7 @@ def refitted(fit: QuickFit, data: Observations) -> QuickFit:
 
 def _turns(case: Case, joint: int) -> bool:
     """Whether a joint turns, by its position among those of the measurements."""
-    revolute = dict(zip(case.chains.joints, case.chains.revolute, strict=True))
-    return bool(revolute.get(case.data.joints[joint], True))
+    return case.unit(case.data.joints[joint]) == "rad"
 
 
 def _rounded(angle: float) -> float:

@@ -11,8 +11,8 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.parameterizations.base import COMPONENTS
 from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp
-from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.sentences import shown, told
 
 HOUR, MINUTE = 3600.0, 60.0
 
@@ -30,21 +30,20 @@ def modeled_drift(case: Case) -> Iterator[Finding]:
         ]
         ways = np.cumsum(steps, axis=0)
         shift, turn = (np.linalg.norm(ways[:, k : k + 3], axis=1) for k in (0, 3))
-        (mm, factor), (degrees, turned) = DISPLAY["m"], DISPLAY["rad"]
         owner = "" if station == "base" else f" at station '{station}'"
-        yield Finding(
+        yield told(
             "modeled-drift",
-            "info",
-            f"the instrument{owner} has drifted by {factor * shift[-1]:.2g} {mm} and "
-            f"{turned * turn[-1]:.2g} {degrees} in {_duration(last - first)}",
+            f"the instrument{owner} has drifted by {shown(shift[-1], 'm')} and "
+            f"{shown(turn[-1], 'rad')} in {_duration(last - first)}",
             {
                 "station": station,
                 "seconds": last - first,
-                "shift": float(shift[-1]),
-                "turn": float(turn[-1]),
-                "largest_shift": float(shift.max()),
-                "largest_turn": float(turn.max()),
+                "shift": shift[-1],
+                "turn": turn[-1],
+                "largest_shift": shift.max(),
+                "largest_turn": turn.max(),
             },
+            info=True,
         )
 
 
@@ -63,14 +62,14 @@ def modeled_warm_up(case: Case) -> Iterator[Finding]:
         both = term.error.poses(q, own, cold) - term.error.poses(q, own, warm)
         moved.append(both[:, :3, 3])
     size = float(np.sqrt(np.mean(np.sum(np.concatenate(moved) ** 2, axis=1))))
-    constant, (name, factor) = thermal.warm_up_time or 0.0, DISPLAY["m"]
-    yield Finding(
+    constant = thermal.warm_up_time or 0.0
+    yield told(
         "modeled-warm-up",
-        "info",
-        f"the cold robot has its tool {factor * size:.2g} {name} (rms) from where the "
-        f"warm one has it, and covers 63 % of that in {_duration(constant)}; the "
-        "geometry is that of the warm robot",
+        f"the cold robot has its tool {shown(size, 'm')} (rms) from where the warm one "
+        f"has it, and covers 63 % of that in {_duration(constant)}; the geometry is "
+        "that of the warm robot",
         {"cold": size, "time_constant": constant},
+        info=True,
     )
 
 

@@ -26,7 +26,14 @@ from calib_pin.kinematics.spatial import Floats, from_quaternion, to_quaternion
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
 from calib_pin.measurement_models.readings import places_of, with_values
-from calib_pin.observations import BlockKey, Measurements, Observations, apart
+from calib_pin.observations import (
+    FRAMES,
+    BlockKey,
+    Frame,
+    Measurements,
+    Observations,
+    apart,
+)
 from calib_pin.setup import (
     AXES,
     HELD,
@@ -62,9 +69,6 @@ DEGREE = np.pi / 180.0
 FEWEST, TARGETS, GROUPS = 3, 20, 5
 """Fewest measurements of a target that contradict together, or points of a board, and
 most targets and groups of them that are tried; each has a frame of its own to fit."""
-
-FRAMES: tuple[Literal["station", "tool"], ...] = ("station", "tool")
-"""Frames that targets may stand in, and columns that tell them apart."""
 
 MOUNTS: dict[Literal["hand", "world"], str] = {
     "hand": "moves with the tool",
@@ -338,9 +342,7 @@ def _groups(data: Observations) -> Iterator[dict[str, str]]:
     yield {name: first[label[name]] for name in names}
 
 
-def _apart(
-    data: Observations, group: Mapping[str, str], frame: Literal["station", "tool"]
-) -> Observations:
+def _apart(data: Observations, group: Mapping[str, str], frame: Frame) -> Observations:
     """Measurements whose groups of targets have a station, or a tool, of their own."""
     return apart(data, frame, data.target.map(group.__getitem__))[0]
 

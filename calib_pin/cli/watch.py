@@ -136,7 +136,7 @@ def watch(asked: Watching, context: typer.Context) -> int:
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
         follow(job, tell, before if not asked.once else None)
     if job.fit is None:
-        notice("no result: the rows do not determine frames and instrument yet")
+        notice("no result: nothing could be fitted yet")
         return 1
     if asked.once:
         return 0

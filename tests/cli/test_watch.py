@@ -141,6 +141,15 @@ def test_options_that_do_not_go(here: Path, run, words: str):
     assert found.status == 1 and found.err.count("\n") == 1
 
 
+def test_a_file_that_cannot_be_read_gives_no_other_reason(here: Path, run):
+    text = Path("rows.csv").read_text()
+    Path("wrong.csv").write_text(text.replace("x,y", "x [parsec],y", 1))
+    os.utime("wrong.csv", (1, 1))
+    found = run("watch arm.urdf wrong.csv --setup setup.yaml --once")
+    assert found.status == 1 and "unit 'parsec'" in found.out
+    assert found.err == "calib-pin: note: no result: nothing could be fitted yet\n"
+
+
 @pytest.mark.needs("vision")
 def test_only_new_images_are_detected(tmp_path: Path, monkeypatch):
     import calib_pin.io.boards as boards

@@ -18,14 +18,20 @@ from calib_pin.io.measurements import encode_configurations
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Observations, states_sigmas
-from calib_pin.planning.criteria import Prediction, Selection
+from calib_pin.observations import Indices, Observations, states_sigmas
+from calib_pin.planning.criteria import Prediction
 from calib_pin.planning.planned_problem import TipTests, identification
+from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Aims, Candidates, Workspace, require_plannable
 from calib_pin.setup import Setup
 
 MORE = 20
 """Most further rows that are looked ahead to."""
+
+TOGETHER = 15
+"""Configurations that are planned together where no plan is left. After five random
+rows of a tracker, 20 such ones are worth 30 random ones; the best next one again and
+again takes 25 (`scripts/benchmark watch --part plan`)."""
 
 NEAR = 0.02
 """Difference of a joint up to which a planned configuration was measured [rad, m]."""
@@ -82,7 +88,8 @@ class Proposals:
     srdf: Path | None
     package_dirs: Sequence[Path]
     free: bool
-    _spread: Candidates | None = None
+    _known: tuple[Workspace, Candidates] | None = None
+    _together: tuple[Floats, Indices] | None = None
 
     def ahead(
         self, fitted: Fitted, every: Observations
@@ -93,23 +100,38 @@ class Proposals:
         be planned for, and before there is a fit, nothing is known.
         """
         left = planned(self.plan, fitted, every)
+        first = self._shown(fitted, *left[0], len(left)) if left else None
         try:
-            selection, at, names = self._selection(fitted, left)
+            search, names = self._search(fitted)
+            table = None
+            if left:
+                aim = [names.index(name) if name in names else 0 for _, name in left]
+                table = search.rows.rows(np.array([q for q, _ in left]), np.array(aim))
+            selection = search.selection(table=table)
+            errors = [selection.value]
+            for k in range(min(MORE, selection.left)):
+                selection.add(k if left else selection.best_to_add()[0])
+                errors.append(selection.value)
+            if first is None:
+                first = self._shown(fitted, *self._best(search, names, every), 0)
         except (CalibPinError, np.linalg.LinAlgError):
-            first = self._shown(fitted, *left[0], len(left)) if left else None
             return first, ()
-        errors = [selection.value]
-        for k in range(min(MORE, selection.left)):
-            selection.add(k if left else selection.best_to_add()[0])
-            errors.append(selection.value)
-        best = selection.chosen[0]
-        target = names[int(at.aim[best])]
-        return self._shown(fitted, at.q[best], target, len(left)), tuple(errors)
+        return first, tuple(errors)
 
-    def _selection(
-        self, fitted: Fitted, left: Sequence[Place]
-    ) -> tuple[Selection, Candidates, list[str]]:
-        """The candidates with all that the rows tell already, and names of targets."""
+    def _best(self, search: Search, names: list[str], every: Observations) -> Place:
+        """The best one of those that were planned together and are left, if any."""
+        q, aim = self._together or (np.zeros((0, 0)), np.zeros(0, np.intp))
+        left = _left((q, [names[k] for k in aim]), (every.q, every.target))
+        if not left:
+            found = search.run("auto")
+            q, aim = self._together = found.q, found.aim
+            left = [*range(len(q))]
+        table = search.rows.rows(q[left], aim[left])
+        best = left[search.selection(table=table).best_to_add()[0]]
+        return q[best], names[int(aim[best])]
+
+    def _search(self, fitted: Fitted) -> tuple[Search, list[str]]:
+        """A search with all that the rows tell already, and the names of targets."""
         keys, model = fitted.rows.keys, fitted.model
         require_plannable(keys)
         if model is None:
@@ -123,7 +145,7 @@ class Proposals:
         setup, none = replace(setup, learned=None), np.zeros(0)
         problem = replace(fitted.informed, setup=setup, units=none)
         aims = Aims.of(problem, keys)
-        if self._spread is None:
+        if self._known is None:
             solid, rng = None, np.random.default_rng(fitted.seed)
             if self.free:
                 solid = load_collisions(
@@ -133,19 +155,23 @@ class Proposals:
                     package_dirs=self.package_dirs,
                 )
             workspace = Workspace.create(problem, solid, 0.0, aims)
-            self._spread = workspace.candidates(SAMPLES, rng)
-            self._spread.require(1)
-        spread = at = self._spread
-        names = [aim.target for aim in aims.each]
-        if left:
-            aim = [names.index(name) if name in names else 0 for _, name in left]
-            at = Candidates(np.array([q for q, _ in left]), np.array(aim), len(left))
+            self._known = workspace, workspace.candidates(SAMPLES, rng)
+        workspace, spread = self._known
         _, rows, information = identification(problem, aims, spread, fitted.rows)
         chain_of = np.array([aim.key.chain for aim in aims.each])[spread.aim]
         tests = {name: spread.q[chain_of == name][:SAMPLES] for name in {*chain_of}}
-        tip = Prediction(TipTests.of(rows, tests).position)
-        table = rows.rows(at.q, at.aim)
-        return Selection(table, rows.nuisances, tip, information), at, names
+        search = Search(
+            rows,
+            workspace,
+            Prediction(TipTests.of(rows, tests).position),
+            information,
+            spread,
+            max(1, min(TOGETHER, len(spread.q))),
+            np.random.default_rng(fitted.seed),
+            # From random sets it ends no lower.
+            starts=0,
+        )
+        return search, [aim.target for aim in aims.each]
 
     def _shown(self, fitted: Fitted, q: Floats, target: str, left: int) -> Proposal:
         """A configuration in the names, units and signs of the measurement file."""

@@ -6,7 +6,7 @@
 
 Rows of a simulated job come one by one. `rows`: some are clean, then one is wrong, in a
 way that takes turns, then clean ones follow. `jobs`: all of them are read wrong from
-the first on; counted is the row after which the cause is named. `plan`: 18 rows where
+the first on; counted is the row after which the cause is named. `plan`: 20 rows where
 `watch` proposes them against 30 random ones, by the error of the tool point over the
 workspace against the truth.
 """
@@ -45,7 +45,7 @@ CLEAN, AFTER = 3, 3
 LARGEST = 0.1
 """Largest displacement of a wrong row [m]."""
 
-PLANNED, RANDOM = 18, 30
+PLANNED, RANDOM = 20, 30
 
 NAMED = 24
 """Most rows after which the cause of a job that is read wrong may be named."""
@@ -155,6 +155,12 @@ def _unit(rows: Rows) -> int:
     return len(rows) // rows.configurations if rows.model == "camera" else 1
 
 
+def _digits(own: np.ndarray, _: np.ndarray) -> np.ndarray:
+    """Centimeters and millimeters typed in the other order."""
+    centimeters, millimeters = (np.trunc(np.abs(own) / s) % 10 for s in (1e-2, 1e-3))
+    return own + np.sign(own) * 9e-3 * (millimeters - centimeters)
+
+
 LENGTHS = ("position", "point-distance")
 NAMES = ("camera", "point-distance", "fixed-point")
 
@@ -184,6 +190,8 @@ KINDS: Mapping[str, tuple[tuple[str, ...], Spoil]] = {
     "millimeters": (LENGTHS, _values(lambda own, _: 1e3 * own)),
     "inches": (LENGTHS, _values(lambda own, _: own / 0.0254)),
     "a digit lost": (LENGTHS, _values(lambda own, _: np.trunc(own * 10.0) / 10.0)),
+    "digits exchanged": (LENGTHS, _values(_digits)),
+    "zeros": (LENGTHS, _values(lambda own, _: 0.0 * own)),
     "reflector unseated 3 mm": (
         LENGTHS,
         _values(lambda own, _: own + 3e-3 / np.sqrt(own.shape[1])),
@@ -307,17 +315,17 @@ WHOLE = (
 """Kinds that hold for all rows of a job."""
 
 
-def _plan(number: int, model: str) -> tuple[float, float]:
+def _plan(number: int, model: str, planned_rows: int) -> tuple[float, float]:
     """Errors of rows where they were proposed, and of random ones [m]."""
     rng, job = np.random.default_rng([49, number]), _draw(number, model)
     start = max(5, -(-job.minimal // 3))
     rows = job.measured(rng, start)
     with TemporaryDirectory() as folder:
         trial = Trial(job, rows, Path(folder))
-        for k in range(start, PLANNED + 1):
+        for k in range(start, planned_rows + 1):
             trial.look(len(trial.rows))
             following = trial.watch.next
-            if k == PLANNED:
+            if k == planned_rows:
                 break
             q = None if following is None else following.q[None]
             new = job.measured(rng, 1, q)
@@ -353,6 +361,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=18)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", choices=INSTRUMENTS)
+    parser.add_argument("--planned", type=int, default=PLANNED)
     parser.add_argument("--part", choices=("rows", "jobs", "plan", "speed"))
     asked, _ = parser.parse_known_args(_words())
     models = [m for m in INSTRUMENTS if asked.only in (None, m)]
@@ -371,12 +380,15 @@ def main() -> None:
         for model in ("position", "camera"):
             if model in models:
                 pairs = np.array(
-                    [_plan(n, model) for n in numbers[: len(numbers) // 3 + 1]]
+                    [
+                        _plan(n, model, asked.planned)
+                        for n in numbers[: len(numbers) // 3 + 1]
+                    ]
                 )
                 mean = 1e3 * pairs.mean(axis=0)
                 print(
-                    f"{model}: {PLANNED} proposed {mean[0]:.4f} mm, {RANDOM} random "
-                    f"{mean[1]:.4f} mm, mean of {len(pairs)} jobs",
+                    f"{model}: {asked.planned} proposed {mean[0]:.4f} mm, "
+                    f"{RANDOM} random {mean[1]:.4f} mm, mean of {len(pairs)} jobs",
                     flush=True,
                 )
     if asked.part in (None, "speed"):

@@ -207,6 +207,22 @@ def test_the_next_configuration_is_that_of_the_plan_then_a_new_one(
     assert ((chains.lower <= q) & (q <= chains.upper)).all()
 
 
+def test_what_was_planned_together_is_measured_one_after_another(job: Job):
+    job.look(9)
+    assert job.watch.next is not None
+    first, together = job.watch.next.q, job.watch._proposals._together
+    assert together is not None and any((first == q).all() for q in together[0])
+    job.look(10)  # Elsewhere: what was planned is still to be measured.
+    assert job.watch._proposals._together is together
+    q = job.rows.q.copy()
+    q[10] = first
+    job.rows = replace(job.rows, q=q)
+    job.look(11)
+    second = job.watch.next.q
+    assert not np.allclose(first, second)
+    assert any((second == q).all() for q in together[0])
+
+
 def test_nothing_is_told_while_nothing_changes(job: Job):
     job.look(6)
     assert [*job.watch.look()] == []

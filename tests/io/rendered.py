@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +27,19 @@ def pixels(board: BoardSetup, T: Floats) -> dict[str, Floats]:
     return dict(zip(board.points, seen, strict=True))
 
 
+@cache
+def rays() -> list[Floats]:
+    """Directions of 3 x 3 rays of every pixel, each shape (pixels, 3)."""
+    parts = (np.arange(3) + 0.5) / 3.0 - 0.5
+    v, u = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
+    found = []
+    for du, dv in product(parts, parts):
+        at = np.column_stack([u.ravel() + du, v.ravel() + dv])
+        some = undistort((at - INTRINSICS[2:4]) / INTRINSICS[:2], INTRINSICS[4:])
+        found.append(np.column_stack([some, np.ones(len(some))]))
+    return found
+
+
 def rendered(
     board: BoardSetup, T: Floats, rng: np.random.Generator, noise: float, blur: float
 ) -> NDArray[np.uint8]:
@@ -36,22 +52,16 @@ def rendered(
     first = 1.0 if fewer else 0.5 if board.type == "circles" else 0.0
     offset = (first + MARGIN) * board.square
     total = np.zeros(SIZE[::-1])
-    parts = (np.arange(3) + 0.5) / 3.0 - 0.5
-    v, u = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
     R, t = T[:3, :3], T[:3, 3]
-    for du in parts:
-        for dv in parts:
-            at = np.column_stack([u.ravel() + du, v.ravel() + dv])
-            rays = undistort((at - INTRINSICS[2:4]) / INTRINSICS[:2], INTRINSICS[4:])
-            rays = np.column_stack([rays, np.ones(len(rays))])
-            local = rays @ R
-            depth = (t @ R)[2] / local[:, 2]
-            xy = depth[:, None] * local[:, :2] - (t @ R)[:2]
-            place = (xy + offset) / board.square * SCALE - 0.5
-            place = place.reshape(*SIZE[::-1], 2).astype(np.float32)
-            total += cv2.remap(
-                sheet, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderValue=160
-            )
+    for some in rays():
+        local = some @ R
+        depth = (t @ R)[2] / local[:, 2]
+        xy = depth[:, None] * local[:, :2] - (t @ R)[:2]
+        place = (xy + offset) / board.square * SCALE - 0.5
+        place = place.reshape(*SIZE[::-1], 2).astype(np.float32)
+        total += cv2.remap(
+            sheet, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderValue=160
+        )
     image = cv2.GaussianBlur(total / 9.0, (0, 0), blur)
     image = 30.0 + 0.75 * image + noise * rng.normal(size=image.shape)
     return np.clip(image.round(), 0, 255).astype(np.uint8)

@@ -240,7 +240,7 @@ def test_a_line_that_is_being_written_waits(job: Job):
 def test_a_row_that_was_just_taken_back_is_told_with_the_next_one(job: Job):
     """Who types is faster than a file settles; one that is written anew is not told."""
     job.look(6)
-    job.time = int(time.time()) + 100
+    job.time = int(time.time()) + 100_000
     assert job.look([0, 1]) == []  # Written anew: there is more to come.
     assert job.look(5) == []
     said = job.look([0, 1, 2, 3, 4, 7])

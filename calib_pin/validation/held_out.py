@@ -23,8 +23,8 @@ from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.fitted import (
     Fit,
     Posterior,
-    by_configuration,
     effect_rows,
+    noise_along,
     shared_variances,
 )
 from calib_pin.estimation.identifiability import half_covariance, visible_nuisances
@@ -103,24 +103,20 @@ def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
         labels: Group of each, shape (N,).
     """
     problem = fitted.problem
-    every = np.arange(count := len(problem.data))
+    positions = np.arange(count := len(problem.data))
     if problem.many:
         # Among so many, no group has a say, and some of them tell the errors.
-        every = np.arange(0, count, max(1, count // (FOLDS * MOST)))
-        problem = replace(problem, data=problem.data.rows(every))
-        before, after = (problem.errors(at) for at in (fitted.before, fitted.theta))
-        variance = problem.sigma**2
+        positions = positions[:: max(1, count // (FOLDS * MOST))]
+        problem = replace(problem, data=problem.data.rows(positions))
+        tables = *map(problem.errors, (fitted.before, fitted.theta)), problem.sigma**2
     else:
-        nominal, calibrated = Linear.of(fitted)
-        before, _ = press(nominal, labels)
-        after, variance = press(calibrated, labels)
+        (before, _), found = (press(robot, labels) for robot in Linear.of(fitted))
+        tables = before, *found
     # What cannot be predicted is infinitely wrong.
-    before, after = (np.where(np.isnan(e), np.inf, e) for e in (before, after))
-    first, second, spread = (
-        problem.layout.table(values, len(every))
-        for values in (before, after, fitted.unit**2 * variance)
-    )
-    return ModelErrors(every, first, second, spread)
+    before, after = (np.where(np.isnan(e), np.inf, e) for e in tables[:2])
+    flat = before, after, fitted.unit**2 * tables[2]
+    shown = (problem.layout.table(values, len(positions)) for values in flat)
+    return ModelErrors(positions, *shown)
 
 
 @serial_blas
@@ -194,7 +190,7 @@ def left_out(
             problem = learning.with_learned(model.problem, correction)
             theta = model.theta + step
         elif not problem.many:
-            deviations = _deviations(fit, robots[1], fitted, masks[k], effects)
+            deviations = _deviations(fit, robots[1], fitted, effects)
         known = Registered(replace(fit.problem, data=rows), nominal.theta)
         there = Registered(replace(problem, data=rows), theta, fitted.alone)
         given = np.flatnonzero(masks[k]), deviations
@@ -216,11 +212,13 @@ class Rest(NamedTuple):
     Attributes:
         theta: Parameter values, shape (P,).
         inner: K of `N_g^-1 = (F K) (F K)^T`, shape (k, k').
+        out: The residual rows that are left out, shape (M',); of very many none.
         alone: Positions of the parameters that only the group knows.
     """
 
     theta: Floats
     inner: Floats
+    out: NDArray[np.bool_]
     alone: tuple[int, ...] = ()
 
 
@@ -240,7 +238,7 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
         linearized one by one, one step is all there is to make.
     """
     problem, F = robot.problem, robot.factor
-    alone, fun = np.zeros(F.shape[0], bool), robot.fun
+    fun, out, alone = robot.fun, np.zeros(0, bool), np.zeros(len(F), bool)
     if problem.many:
         some = replace(problem, data=problem.data.rows(mask))
         r, jac = some.linearize(robot.theta)
@@ -277,7 +275,7 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     least, most = problem.parameters.bounds
     if ((theta < least) | (theta > most)).any():
         return None
-    return Rest(theta, inner, tuple(np.flatnonzero(alone).tolist()))
+    return Rest(theta, inner, out, tuple(np.flatnonzero(alone).tolist()))
 
 
 def _group(
@@ -296,11 +294,7 @@ def _group(
 
 
 def _deviations(
-    fit: Fit,
-    robot: Linear,
-    rest: Rest,
-    mask: NDArray[np.bool_],
-    effects: Floats | None,
+    fit: Fit, robot: Linear, rest: Rest, effects: Floats | None
 ) -> Posterior:
     """Deviations of a fit without a group of measurements, see `fitted.posterior`.
 
@@ -308,26 +302,17 @@ def _deviations(
         fit: The fit of all measurements.
         robot: Its solution.
         rest: That without the group.
-        mask: The group, shape (N,).
         effects: Effects of gears and compliance in all rows, shape (M, S).
     """
-    problem, layout, noise = fit.problem, fit.problem.layout, fit.posterior.noise
-    shared = shared_variances(problem, fit.noise, noise)
-    others = robot.columns[: len(layout.row)] @ rest.inner
-    others[mask[layout.row]] = 0.0
-    moved = robot.factor @ rest.inner
+    noise, moved = fit.posterior.noise, robot.factor @ rest.inner
+    others = np.where(rest.out[:, None], 0.0, robot.columns @ rest.inner)
     by_effects = np.zeros((len(moved), 0))
     if effects is not None:
-        by_effects = moved @ (others.T @ effects)
-    # Where their noise is not one, and repetitions have a part of it in common.
-    less = (1.0 - noise + shared)[layout.component]
-    if less.any():
-        core = np.eye(others.shape[1]) - (others.T * less) @ others
-        if shared.any():
-            core += by_configuration(problem, others, shared)
-        values, V = np.linalg.eigh(core)
-        moved = moved @ (V * np.sqrt(np.maximum(values, 0.0)))
-    return replace(fit.posterior, by_noise=fit.unit * moved, by_effects=by_effects)
+        by_effects = moved @ (others[: len(effects)].T @ effects)
+    shared = shared_variances(fit.problem, fit.noise, noise)
+    values, V = np.linalg.eigh(noise_along(fit.problem, others, noise, shared))
+    by_noise = fit.unit * moved @ (V * np.sqrt(np.maximum(values, 0.0)))
+    return replace(fit.posterior, by_noise=by_noise, by_effects=by_effects)
 
 
 def gains(
@@ -355,30 +340,29 @@ def gains(
         return ()
     joined = ModelErrors.joined(checks)
     sigma = layout.table(problem.sigma, len(problem.data))[joined.positions]
-    label = np.unique(labels[joined.positions], return_inverse=True)[1].reshape(-1)
+    label = labels[joined.positions]
     present = np.isfinite(sigma)
     # By what the fit predicts of each: a point near the plane of a camera moves by
     # hundreds of pixels for nothing, and would outweigh all others.
     larger = np.maximum(np.nan_to_num(joined.variance, posinf=0.0), sigma**2)
     unit = np.sqrt(larger, where=present, out=np.ones(sigma.shape))
-    whitened, expected = joined.after / unit, joined.variance / unit**2
+    squares = (joined.after / unit) ** 2, joined.variance / unit**2
+    # Lengths; of all, root mean square over the components: one for noise alone.
+    whole = unit * np.sqrt(present.sum(axis=1))[:, None]
     found = []
     every = (ALL, slice(None)), *((q.name, q.columns) for q in layout.quantities)
     for name, columns in every:
         here = present[:, columns]
-        rows = here.any(axis=1)
+        rows, scale = here.any(axis=1), whole if name == ALL else 1.0
         if not rows.any():
             continue
-        # Lengths; of all, root mean square over the components: one for noise alone.
-        scale = unit * np.sqrt(present.sum(axis=1))[:, None] if name == ALL else 1.0
         old, new = (
             np.linalg.norm(np.where(here, (e / scale)[:, columns], 0.0), axis=1)[rows]
             for e in (joined.before, joined.after)
         )
-        predicted, ratio = float(np.sum(expected[:, columns][here])), float("nan")
-        if predicted > 0.0:  # Otherwise all values were needed to fit.
-            square = np.sum(whitened[:, columns][here] ** 2)
-            ratio = float(np.sqrt(square / predicted))
+        square, predicted = (float(np.sum(s[:, columns][here])) for s in squares)
+        # Where it predicts nothing, all values were needed to fit.
+        ratio = float(np.sqrt(square / predicted)) if predicted > 0.0 else float("nan")
         found.append(Gain(method, name, *paired(old, new, label[rows]), ratio))
     return tuple(found)
 
@@ -391,11 +375,10 @@ def paired(
     Student's t of the mean over the labels. Where neither robot predicts a row, nothing
     is gained there; where only one does, the mean is infinite and settles it.
     """
-    rows = np.bincount(label)
     with np.errstate(invalid="ignore"):
         gain = np.nan_to_num(before - after, posinf=np.inf, neginf=-np.inf)
-        means = (np.bincount(label, gain) / np.maximum(rows, 1))[rows > 0]
-        mean, count = float(means.mean()), len(means)
+        means = of_labels(gain, label)
+    count, mean = len(means), float(means.mean())
     deviation, t = float("nan"), 0.0
     if count > 1 and np.isfinite(mean):
         deviation = float(means.std(ddof=1) / np.sqrt(count))
@@ -403,6 +386,12 @@ def paired(
         t = mean / deviation if deviation > 0.0 else float(np.copysign(np.inf, mean))
     dof = max(count - 1, 1)
     return count, mean, deviation, student_tail(t, dof), student_tail(-t, dof)
+
+
+def of_labels(values: Floats, label: NDArray[np.int64]) -> Floats:
+    """Mean of the values of each label, (N,) -> (C,)."""
+    place = np.unique(label, return_inverse=True)[1].reshape(-1)
+    return np.bincount(place, values) / np.bincount(place)
 
 
 @dataclass(frozen=True)
@@ -416,7 +405,6 @@ class HeldOut:
         gains: Paired tests on the parts, then those by the hat matrix (PRESS).
         findings: Defects of the held-out measurements.
         skipped: Reason for each skipped fold of a cross-validation.
-        apart: Whether the measurements are others than those that were fitted.
     """
 
     measurements: Observations
@@ -425,7 +413,6 @@ class HeldOut:
     gains: tuple[Gain, ...] = ()
     findings: tuple[Finding, ...] = ()
     skipped: tuple[str, ...] = ()
-    apart: bool = False
 
     @property
     def counted(self) -> tuple[ModelErrors, ...]:
@@ -458,8 +445,7 @@ def check(
         progress: Told the stage and the fraction done.
         workers: Who fits the folds of a cross-validation.
     """
-    fitted = model.fit
-    training = model.weighted(training)
+    fitted, training = model.fit, model.weighted(training)
     grouping = Grouping.of(training, fitted.problem.setup)
     problem = replace(fitted.problem, data=training)
     pressed: tuple[Gain, ...] = ()
@@ -470,19 +456,18 @@ def check(
         return HeldOut(training, gains=pressed)
     if validation is not None:
         found = _checked_on(model, training, validation, method)
-        return replace(found, gains=found.gains + pressed, apart=True)
-    masks = folds(grouping, fitted, seed)
+        return replace(found, gains=found.gains + pressed)
     if parts is None:
+        masks = folds(grouping, fitted, seed)
         validated = cross_validate(model, training, masks, seed, progress, workers)
         parts = tuple(validated)
     # A fit that fails without its fold says nothing about the robot.
     kept = tuple(part for part in parts if not part.reason)
-    held = np.zeros(len(training), bool)
-    for part in kept:
-        held[part.positions] = training.weight[part.positions] > 0.0
+    counted = [part.positions[training.weight[part.positions] > 0.0] for part in kept]
+    held = np.concatenate([np.zeros(0, np.intp), *counted])
     if training.rows(held).configurations < FEWEST_HELD_OUT:
         kept = ()
-    name = grouping.validation_name(min(len(kept), len(masks)))
+    name = grouping.validation_name(len(kept))
     every = gains(name, problem, kept, grouping.clusters) + pressed
     skipped = tuple(part.reason for part in parts if part.reason)
     return HeldOut(training, kept, name, every, skipped=skipped)
@@ -537,8 +522,8 @@ def _refitted(
         found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
     except InputError as error:
         # All other measurements of a reference may be rejected.
-        none = np.zeros((0, layout.width))
-        return ModelErrors(np.zeros(0, np.intp), none, none, none, reason=error.reason)
+        none = [np.zeros((0, layout.width))] * 3
+        return ModelErrors(np.zeros(0, np.intp), *none, reason=error.reason)
     return replace(found, reason=unusable(model.fit))
 
 
@@ -547,16 +532,19 @@ def _checked_on(
 ) -> HeldOut:
     """The check on validation measurements."""
     findings, part = list[Finding](), None
-    q = training.q[training.weight > 0.0]
-    labels = grouped(np.concatenate([q, validation.q]))
-    new = ~np.isin(labels[len(q) :], labels[: len(q)])
+    q = np.concatenate([training.q[training.weight > 0.0], validation.q])
+    old, seen = np.split(grouped(q), [len(q) - len(validation)])
+    new = ~np.isin(seen, old)
     if repeated := len(new) - int(new.sum()):
-        said = f"{repeated} of {len(new)} validation measurements repeat "
-        said += "configurations that were fitted and do not count"
-        numbers = {"repeated": float(repeated), "all": float(len(new))}
-        remedy = "validate with configurations that were not fitted"
         findings.append(
-            Finding("repeated-validation", "warning", said, numbers, remedy)
+            Finding(
+                "repeated-validation",
+                "warning",
+                f"{repeated} of {len(new)} validation measurements repeat "
+                "configurations that were fitted and do not count",
+                {"repeated": float(repeated), "all": float(len(new))},
+                "validate with configurations that were not fitted",
+            )
         )
     if new.any():
         pair = both(model, validation.rows(new))

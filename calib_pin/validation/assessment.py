@@ -342,11 +342,8 @@ def _error(
     fitted: Estimated | None,
 ) -> RobotError:
     """An identifiable error by its coefficients in the named directions, (P,)."""
-    label, unit, row = (
-        columns.labels[lead],
-        parameters[lead].unit,
-        columns.turned @ full,
-    )
+    label, unit = columns.labels[lead], parameters[lead].unit
+    row = columns.turned @ full
     terms = [(k, float(row[k])) for k in np.flatnonzero(row).tolist()]
     value, sigma, told = _estimate(Combination((*terms,), unit), parameters, fitted)
     sizes = np.array([expected_size(p.unit) for p in parameters])
@@ -428,7 +425,7 @@ def breakdown(
         tools=tuple(told.frames(1)),
         chains=tuple(told.chains()),
         blocks=tuple(told.blocks()),
-        coupled_frames=coupled_frames(model.fit, told.covariance),
+        coupled_frames=coupled_frames(model.fit, told.open),
         unknown=told.unknown(),
     )
 
@@ -655,7 +652,9 @@ def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
     return nothing, little
 
 
-def coupled_frames(fitted: Fit, covariance: Floats) -> tuple[CoupledFrames, ...]:
+def coupled_frames(
+    fitted: Fit, unknown: tuple[Floats, Floats]
+) -> tuple[CoupledFrames, ...]:
     """Frames that the measurements cannot tell apart.
 
     Linear combinations of the parameters of stations, tools and instruments that are
@@ -663,19 +662,19 @@ def coupled_frames(fitted: Fit, covariance: Floats) -> tuple[CoupledFrames, ...]
 
     Args:
         fitted: The fit.
-        covariance: Of its parameters, shape (P, P).
+        unknown: The directions that are left open, see `left_open`.
     """
     problem, parameters = fitted.problem, fitted.problem.parameters
-    nothing, little = left_open(fitted, covariance)
+    nothing, little = unknown
     limits = np.array([LIMITS.get(p.unit, 0.0) for p in parameters])
     scaled = little * (limits / parameters.scales)[:, None]
-    unknown = np.column_stack([nothing, scaled / np.linalg.norm(scaled, axis=0)])
-    nuisances = np.flatnonzero(np.abs(unknown).max(axis=1, initial=0.0) > SHARE)
+    every = np.column_stack([nothing, scaled / np.linalg.norm(scaled, axis=0)])
+    nuisances = np.flatnonzero(np.abs(every).max(axis=1, initial=0.0) > SHARE)
     if not 0 < len(nuisances) <= UNKNOWNS:
         return ()
     # Known are the sums along which nothing unknown lies.
-    count = unknown.shape[1]
-    Q, _ = np.linalg.qr(unknown[nuisances], mode="complete")
+    count = every.shape[1]
+    Q, _ = np.linalg.qr(every[nuisances], mode="complete")
     pivots, C = combinations(Q[:, count:].T, len(nuisances) - count)
     frame_of = {
         int(k): frame

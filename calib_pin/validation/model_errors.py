@@ -65,11 +65,10 @@ class ModelErrors:
     @staticmethod
     def joined(parts: Sequence[ModelErrors]) -> ModelErrors:
         """Those of all parts, one after the other."""
-        names = dict.fromkeys(name for part in parts for name in part.registered)
         arrays = ([getattr(part, name) for part in parts] for name in ARRAYS)
-        positions, before, after, variance = map(np.concatenate, arrays)
         distances = tuple(distance for part in parts for distance in part.distances)
-        return ModelErrors(positions, before, after, variance, distances, tuple(names))
+        names = dict.fromkeys(name for part in parts for name in part.registered)
+        return ModelErrors(*map(np.concatenate, arrays), distances, tuple(names))
 
     def at(self, kept: NDArray[np.generic]) -> ModelErrors:
         """Those of some of the measurements, a mask or positions within them."""

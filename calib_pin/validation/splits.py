@@ -176,8 +176,8 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
         return []
     fold = np.empty(len(order), np.int64)
     fold[order] = np.arange(len(order)) % count
-    every = (grouping.spared(fold[grouping.groups] == k) for k in range(count))
-    masks = [mask for mask in every if mask.any()]
+    parts = (grouping.spared(fold[grouping.groups] == k) for k in range(count))
+    masks = [mask for mask in parts if mask.any()]
     if fitted.problem.many:
         masks = [_few(mask, grouping.groups) for mask in masks]
     # Only what is estimated must be seen in every part.
@@ -200,10 +200,8 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
 
 def _few(mask: NDArray[np.bool_], groups: NDArray[np.int64]) -> NDArray[np.bool_]:
     """As many groups of a part as tell its errors, evenly spread, shape (N,)."""
-    own = np.flatnonzero(np.bincount(groups[mask]))
-    chosen = np.zeros(int(groups.max()) + 1, bool)
-    chosen[own[:: max(1, int(mask.sum()) // MOST)]] = True
-    return mask & chosen[groups]
+    own = np.unique(groups[mask])
+    return mask & np.isin(groups, own[:: max(1, int(mask.sum()) // MOST)])
 
 
 def _estimated(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:

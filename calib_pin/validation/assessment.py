@@ -445,7 +445,6 @@ class _Parts:
         self.problem = model.fit.problem
         likely = [one.covariance for one in likely_posteriors(model.fit)]
         self.covariance: Floats = np.mean(likely, axis=0)
-        self.known = bool(np.isfinite(self.covariance).all())
         self.open = left_open(model.fit, self.covariance)
 
     def frames(self, end: int) -> Iterator[FrameSummary]:
@@ -484,15 +483,12 @@ class _Parts:
     def blocks(self) -> Iterator[BlockSummary]:
         """The blocks."""
         apart, ranks = ties(self.problem), block_ranks(self.fit)
-        for (term, data, _, _), of_block in zip(
-            self.problem.blocks, ranks, strict=True
-        ):
-            (station, _), (tool, _) = frames_of(term)
-            names = term.key.model, term.key.chain, station.name, tool.name
-            count, errors, noise = self._of([term.key])
-            targets = tuple(filter(None, data.target.distinct))
-            known = *names, count, targets, errors, noise, *of_block, apart[term.key]
-            yield BlockSummary(*known)
+        for block, of_block in zip(self.problem.blocks, ranks, strict=True):
+            key, ((station, _), (tool, _)) = block.term.key, frames_of(block.term)
+            count, errors, noise = self._of([key])
+            targets = tuple(filter(None, block.data.target.distinct))
+            known = count, targets, errors, noise, *of_block, apart[key]
+            yield BlockSummary(key.model, key.chain, station.name, tool.name, *known)
 
     def _of(
         self, keys: Collection[BlockKey]
@@ -510,7 +506,7 @@ class _Parts:
         """Standard deviations of a frame along some motions, (6, 6)."""
         if not np.isfinite(covariance := self.covariance[np.ix_(index, index)]).all():
             return ()
-        variances = np.einsum("ki,ij,kj->k", motions, covariance, motions)
+        variances = np.diag(motions @ covariance @ motions.T)
         sigma = np.sqrt(np.maximum(variances, 0.0))
         sigma[sigma < 1e-12] = 0.0  # Rounding: it is given.
         sigma[self._unknown(index, motions)] = np.nan
@@ -519,7 +515,8 @@ class _Parts:
     def unknown(self) -> tuple[str, ...]:
         """Names of the parameters of frames and instruments that are left open."""
         parameters = self.problem.parameters
-        index = np.flatnonzero(self.problem.referred & parameters.free & self.known)
+        known = np.isfinite(self.covariance).all()
+        index = np.flatnonzero(self.problem.referred & parameters.free & known)
         open_ = index[self._unknown(index, np.eye(len(index)))]
         return tuple(parameters.names[k] for k in open_)
 
@@ -561,8 +558,7 @@ def block_ranks(fitted: Fit) -> list[tuple[int, int]]:
         rows = np.linspace(0, count - 1, few).astype(np.int64)
         sigma = block.table(problem.sigma)[rows]
         J = block.term.jacobian(fitted.theta, block.data.rows(rows), sigma)
-        scales = parameters.scales[index] * np.sqrt(count / few)
-        A = J.reshape(-1, J.shape[2]) * scales
+        A = J.reshape(-1, len(index)) * parameters.scales[index] * (count / few) ** 0.5
         U = column_space(A[:, (nuisances & (used == 1))[index]])
         columns = A @ every[index]
         return np.asarray(np.linalg.qr(columns - U @ (U.T @ columns), mode="r"))

@@ -37,6 +37,7 @@ from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.validation.findings.moved_instrument import registered_if_moved
+from calib_pin.validation.findings.sentences import told
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
@@ -377,7 +378,8 @@ def paired(
     """
     with np.errstate(invalid="ignore"):
         gain = np.nan_to_num(before - after, posinf=np.inf, neginf=-np.inf)
-        means = of_labels(gain, label)
+        label = np.unique(label, return_inverse=True)[1].reshape(-1)
+        means = np.bincount(label, gain) / np.bincount(label)
     count, mean = len(means), float(means.mean())
     deviation, t = float("nan"), 0.0
     if count > 1 and np.isfinite(mean):
@@ -386,12 +388,6 @@ def paired(
         t = mean / deviation if deviation > 0.0 else float(np.copysign(np.inf, mean))
     dof = max(count - 1, 1)
     return count, mean, deviation, student_tail(t, dof), student_tail(-t, dof)
-
-
-def of_labels(values: Floats, label: NDArray[np.int64]) -> Floats:
-    """Mean of the values of each label, (N,) -> (C,)."""
-    place = np.unique(label, return_inverse=True)[1].reshape(-1)
-    return np.bincount(place, values) / np.bincount(place)
 
 
 @dataclass(frozen=True)
@@ -536,16 +532,11 @@ def _checked_on(
     old, seen = np.split(grouped(q), [len(q) - len(validation)])
     new = ~np.isin(seen, old)
     if repeated := len(new) - int(new.sum()):
-        findings.append(
-            Finding(
-                "repeated-validation",
-                "warning",
-                f"{repeated} of {len(new)} validation measurements repeat "
-                "configurations that were fitted and do not count",
-                {"repeated": float(repeated), "all": float(len(new))},
-                "validate with configurations that were not fitted",
-            )
-        )
+        said = f"{repeated} of {len(new)} validation measurements repeat "
+        said += "configurations that were fitted and do not count"
+        remedy = "validate with configurations that were not fitted"
+        numbers = {"repeated": repeated, "all": len(new)}
+        findings.append(told("repeated-validation", said, numbers, remedy))
     if new.any():
         pair = both(model, validation.rows(new))
         part, moved = registered_if_moved(model, *pair, np.flatnonzero(new))

@@ -31,6 +31,7 @@ from calib_pin.setup import JointPrior
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings import find
 from calib_pin.validation.findings.case import Case, Others
+from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.held_out import ALL, PRESS, HeldOut
 from calib_pin.validation.model_errors import ModelErrors, quantity_errors
 from calib_pin.validation.result import Accuracy, QuantityErrors, ToolAccuracy
@@ -222,7 +223,7 @@ def too_large(name: str, unit: str, found: Accuracy) -> str:
     """Why errors of a quantity are more than a robot has; empty where they are not."""
     if not found.rms > UNEXPLAINED * expected_size(unit):
         return ""
-    size = f"{name} errors of {_shown(found.rms, unit)} rms remain"
+    size = f"{name} errors of {shown(found.rms, unit, 3)} rms remain"
     return f"{size}, far more than a robot's geometry explains"
 
 
@@ -250,8 +251,8 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
     first = grounds.gains[0]
     # Where parts are left out little may be left; PRESS leaves out one each.
     chances = [g.better for g in grounds.gains if g.quantity == first.quantity]
-    shown = first.mean > 0.0 and min(chances) < GAIN_CHANCE
-    if chance and not shown:
+    better = first.mean > 0.0 and min(chances) < GAIN_CHANCE
+    if chance and not better:
         yield from _no_gain(grounds)
     yield "untrusted", _disproved(grounds)
     gain, held = _gain(grounds)
@@ -261,18 +262,18 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
         yield "good", f"{gain} on {held}"
         return
     nominal, calibrated = workspace.nominal.position, workspace.calibrated.position
-    expected = _shown(calibrated, "m")
+    expected = shown(calibrated, "m", 3)
     if (bound := workspace.bound.position) > UNCERTAIN * calibrated:
-        expected += f" (95 %: below {_shown(bound, 'm')})"
-    expected += f" instead of {_shown(nominal, 'm')} are expected"
+        expected += f" (95 %: below {shown(bound, 'm', 3)})"
+    expected += f" instead of {shown(nominal, 'm', 3)} are expected"
     expected = f"over the workspace{chain} {expected}"
     if workspace.better >= SURE:
-        if shown:
+        if better:
             yield "good", f"{gain} on {held}; {expected}"
         if calibrated < 0.5 * nominal:
             reason = f"{held} do not confirm the correction: {gain}"
             yield "unchecked", f"{reason}; measure more configurations"
-    if chance or not shown:
+    if chance or not better:
         yield from _no_gain(grounds)
     yield (
         "untrusted",
@@ -327,7 +328,7 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
     lacks = (f for f in grounds.findings if f.code == "model-lacks")
     advice = f"measure at rest{state}, and {CHECK}"
     advice = next((f"{f.message}; {f.remedy}" for f in lacks), advice)
-    first, last = (_shown(errors, quantity.unit) for errors in (before, after))
+    first, last = (shown(errors, quantity.unit, 3) for errors in (before, after))
     return (
         f"{quantity.name} errors of {last} rms remain of {first}{times}: nothing that "
         f"was estimated explains them; {advice}"
@@ -442,7 +443,7 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
     where = f"{gain.configurations} independent held-out configurations"
     if gain.method == PRESS:
         where = f"{gain.configurations} configurations, each predicted by the others"
-    old, new = (_shown(sizes.rms, quantity.unit) for sizes in (before, after))
+    old, new = (shown(sizes.rms, quantity.unit, 3) for sizes in (before, after))
     held = after is quantity.validation_after
     if gain.method == PRESS or not held:
         of_first = (g for g in grounds.gains if g.method == gain.method)
@@ -460,7 +461,7 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
     noise = _noise(grounds, quantity)
     if noise and after.rms >= NOISY * noise:
         times = f"{after.rms / noise:.2g} times the noise"
-        where += f" ({times}, {_shown(noise, quantity.unit)})"
+        where += f" ({times}, {shown(noise, quantity.unit, 3)})"
     return found, where
 
 
@@ -469,11 +470,6 @@ def _by(grounds: Judgement, gain: Gain, sign: float = 1.0) -> str:
     units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
     unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))
     return f"{sign * factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
-
-
-def _shown(size: float, unit: str) -> str:
-    shown, factor = DISPLAY[unit]
-    return f"{factor * size:.3g} {shown}"
 
 
 def tool_accuracy(

@@ -145,11 +145,8 @@ def fitted_errors(model: FittedModel, training: Observations) -> ModelErrors:
         model: The fitted model.
         training: The measurements, those that the fit has set aside included.
     """
-    before, after = both(model, training)
-    shown, fitted = (error_table(at.problem, at.theta) for at in (before, after))
-    known = found_distances(before, after, after.problem.setup.known, fitted=True)
-    unknown = np.full(shown.shape, np.nan)
-    return ModelErrors(np.arange(len(training)), shown, fitted, unknown, known)
+    every = np.arange(len(training))
+    return errors_of_registered(model, *both(model, training), every, fitted=True)
 
 
 def errors_of_registered(
@@ -158,6 +155,7 @@ def errors_of_registered(
     after: Registered,
     positions: NDArray[np.intp],
     deviations: Posterior | None = None,
+    fitted: bool = False,
 ) -> ModelErrors:
     """Errors of measurements that both robots are registered on.
 
@@ -167,20 +165,22 @@ def errors_of_registered(
         after: The fitted model.
         positions: Positions of the measurements among all, shape (N,).
         deviations: Those of the fit that predicts; default of the model's own.
+        fitted: Whether they were fitted, so that it predicts nothing of them.
     """
     problem, theta = after.problem, after.theta
-    estimated = *after.refitted, *after.new
-    variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
-    names = problem.parameters.names
-    placed = {names[k].rsplit(".", 2)[0] for k in after.new}
+    tables = [error_table(at.problem, at.theta) for at in (before, after)]
+    spread, stated = np.full(tables[0].shape, np.nan), problem.setup.known
+    placed = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
     known = set(located_names(model.problem)) - placed
-    given = {n for (_, n), found in problem.references.items() if not found.parameters}
-    anew = [d for d in problem.setup.known if known.isdisjoint(d.between)]
-    nominal, fitted = (error_table(at.problem, at.theta) for at in (before, after))
-    spread = problem.layout.table(variance, len(problem.data))
-    lengths = found_distances(before, after, anew)
-    own = tuple(name for name in located_names(problem) if name not in known | given)
-    return ModelErrors(positions, nominal, fitted, spread, lengths, own)
+    if not fitted:
+        stated = tuple(d for d in stated if known.isdisjoint(d.between))
+        estimated = *after.refitted, *after.new
+        variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
+        spread = problem.layout.table(variance, len(problem.data))
+    lengths = found_distances(before, after, stated, fitted)
+    known |= {n for (_, n), at in problem.references.items() if not at.parameters}
+    own = tuple(name for name in located_names(problem) if name not in known)
+    return ModelErrors(positions, *tables, spread, lengths, own)
 
 
 def located_names(problem: Problem) -> tuple[str, ...]:

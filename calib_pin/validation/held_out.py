@@ -116,8 +116,8 @@ def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
     # What cannot be predicted is infinitely wrong.
     before, after = (np.where(np.isnan(e), np.inf, e) for e in tables[:2])
     flat = before, after, fitted.unit**2 * tables[2]
-    shown = (problem.layout.table(values, len(positions)) for values in flat)
-    return ModelErrors(positions, *shown)
+    before, after, variance = (problem.layout.table(f, len(positions)) for f in flat)
+    return ModelErrors(positions, before, after, variance)
 
 
 @serial_blas
@@ -518,8 +518,8 @@ def _refitted(
         found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
     except InputError as error:
         # All other measurements of a reference may be rejected.
-        none = [np.zeros((0, layout.width))] * 3
-        return ModelErrors(np.zeros(0, np.intp), *none, reason=error.reason)
+        none = np.zeros((0, layout.width))
+        return ModelErrors(np.zeros(0, np.intp), none, none, none, reason=error.reason)
     return replace(found, reason=unusable(model.fit))
 
 

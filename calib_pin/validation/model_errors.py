@@ -68,7 +68,8 @@ class ModelErrors:
         arrays = ([getattr(part, name) for part in parts] for name in ARRAYS)
         distances = tuple(distance for part in parts for distance in part.distances)
         names = dict.fromkeys(name for part in parts for name in part.registered)
-        return ModelErrors(*map(np.concatenate, arrays), distances, tuple(names))
+        positions, before, after, variance = map(np.concatenate, arrays)
+        return ModelErrors(positions, before, after, variance, distances, tuple(names))
 
     def at(self, kept: NDArray[np.generic]) -> ModelErrors:
         """Those of some of the measurements, a mask or positions within them."""
@@ -168,8 +169,8 @@ def errors_of_registered(
         fitted: Whether they were fitted, so that it predicts nothing of them.
     """
     problem, theta = after.problem, after.theta
-    tables = [error_table(at.problem, at.theta) for at in (before, after)]
-    spread, stated = np.full(tables[0].shape, np.nan), problem.setup.known
+    old, new = (error_table(at.problem, at.theta) for at in (before, after))
+    spread, stated = np.full(new.shape, np.nan), problem.setup.known
     placed = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
     known = set(located_names(model.problem)) - placed
     if not fitted:
@@ -180,7 +181,7 @@ def errors_of_registered(
     lengths = found_distances(before, after, stated, fitted)
     known |= {n for (_, n), at in problem.references.items() if not at.parameters}
     own = tuple(name for name in located_names(problem) if name not in known)
-    return ModelErrors(positions, *tables, spread, lengths, own)
+    return ModelErrors(positions, old, new, spread, lengths, own)
 
 
 def located_names(problem: Problem) -> tuple[str, ...]:

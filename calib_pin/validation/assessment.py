@@ -1,4 +1,4 @@
-"""What a fit knows: by parameters, by errors of the robot, and part by part."""
+"""Knowledge of a fit: by parameters, by errors of the robot, and part by part."""
 
 from __future__ import annotations
 

@@ -35,6 +35,7 @@ from calib_pin.observations import AT, Measurements, Observations, states_sigmas
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.assessment import (
+    breakdown,
     estimates,
     fitted_ranks,
     leverages,
@@ -46,13 +47,13 @@ from calib_pin.validation.findings.calibrations import older_calibration
 from calib_pin.validation.findings.case import Others
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.joint_errors import encoder_steps
-from calib_pin.validation.judgement import (
-    Judgement,
-    judge,
+from calib_pin.validation.judgement import Judgement, judge, unexplained
+from calib_pin.validation.model_errors import (
+    ModelErrors,
+    fitted_errors,
     quantity_errors,
-    unexplained,
+    registered,
 )
-from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import USES, select_model
 from calib_pin.validation.result import (
     CalibrationResult,
@@ -66,7 +67,6 @@ from calib_pin.validation.result import (
     Validation,
 )
 from calib_pin.validation.robot_state import started
-from calib_pin.validation.shared import breakdown
 from calib_pin.validation.splits import FOLDS, split
 from calib_pin.workers import SERIAL, Workers
 

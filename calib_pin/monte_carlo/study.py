@@ -143,11 +143,9 @@ def _sizes(parameters: ParameterSet, asked: MonteCarloSetup) -> Floats:
     moved = parameters.free & ~parameters.nuisance
     sizes = np.where(moved, parameters.scales, 0.0)
     for pattern, size in asked.errors.items():
-        found = matching(pattern, parameters.names)
-        if not found:
-            raise OptionError(
-                f"no parameter matches '{pattern}'{nearest(pattern, parameters.names)}"
-            )
+        if not (found := matching(pattern, parameters.names)):
+            like = nearest(pattern, parameters.names)
+            raise OptionError(f"no parameter matches '{pattern}'{like}")
         sizes[found] = np.where(moved[found], size, 0.0)
     return sizes
 
@@ -167,18 +165,15 @@ def try_robot(study: Study, robot: int) -> tuple[Trial, ...]:
     theta = np.where(loaded, np.abs(theta), theta)
     trials = []
     for count in study.counts:
-        trial = Trial(robot, count)
+        trial, rng = Trial(robot, count), study.stream(robot, PREDICTED, count)
         try:
             model = _fitted(study, theta, robot, count)
         except InputError as error:
             trials.append(replace(trial, reason=str(error)))
             continue
-        rng = study.stream(robot, PREDICTED, count)
-        compared = [
-            _compared(study, theta, model, term, rng, trial)
-            for term in model.problem.by_chain.values()
-        ]
-        trials.append(max(compared, key=lambda one: one.position))
+        terms = model.problem.by_chain.values()
+        each = [_compared(study, theta, model, term, rng, trial) for term in terms]
+        trials.append(max(each, key=lambda one: one.position))
     return tuple(trials)
 
 
@@ -216,8 +211,8 @@ def _compared(
     term = replace(term, error=term.error.carrying(heaviest))
     # The same configurations for all, so that robots can be compared.
     q = term.error.chain.random_configurations(TESTS, np.random.default_rng(study.seed))
-    A = true.error.poses(q, true.values(theta)[0])
-    nominal = true.error.poses(q, 0.0 * true.values(theta)[0])
+    errors = true.values(theta)[0]
+    A, nominal = (true.error.poses(q, values) for values in (errors, 0.0 * errors))
     calibrated = term.error.poses(q, term.values(model.theta)[0])
     before, _ = apart(A, absorbed(A, nominal)[0])
     position, orientation = apart(A, absorbed(A, calibrated)[0])

@@ -15,6 +15,9 @@ from calib_pin.setup import LimitSetup
 LEVELS = (0.05, 0.5, 0.95)
 """Levels of the quantiles that are told."""
 
+QUANTITIES = "nominal", "position", "position_share", "orientation", "orientation_share"
+"""Errors of a trial whose quantiles are told."""
+
 Quantiles = tuple[float, float, float]
 
 
@@ -66,6 +69,7 @@ def outlooks(trials: Iterable[Trial], limit: LimitSetup) -> tuple[Outlook, ...]:
 
 def _outlook(trials: Sequence[Trial], limit: LimitSetup) -> Outlook:
     done = [trial for trial in trials if not trial.reason]
+    quantiles = {n: _quantiles([getattr(t, n) for t in done]) for n in QUANTITIES}
     known = [trial for trial in done if math.isfinite(trial.bound)]
     covered = sum(trial.position <= trial.bound for trial in known)
     ratios = [(trial.position / trial.expected) ** 2 for trial in known]
@@ -75,11 +79,7 @@ def _outlook(trials: Sequence[Trial], limit: LimitSetup) -> Outlook:
         configurations=trials[0].configurations,
         robots=len(trials),
         failed=len(trials) - len(done),
-        nominal=_quantiles([trial.nominal for trial in done]),
-        position=_quantiles([trial.position for trial in done]),
-        position_share=_quantiles([trial.position_share for trial in done]),
-        orientation=_quantiles([trial.orientation for trial in done]),
-        orientation_share=_quantiles([trial.orientation_share for trial in done]),
+        **quantiles,
         coverage=share_interval(covered, len(known)),
         honesty=math.sqrt(float(np.mean(ratios))) if ratios else math.nan,
         # A robot that cannot be calibrated does not meet its limit.
@@ -88,15 +88,12 @@ def _outlook(trials: Sequence[Trial], limit: LimitSetup) -> Outlook:
 
 
 def _within(trial: Trial, limit: LimitSetup) -> bool:
-    pairs = (
-        (trial.position_share, limit.position),
-        (trial.orientation_share, limit.orientation),
-    )
+    sizes = trial.position_share, trial.orientation_share
+    limits = limit.position, limit.orientation
+    pairs = zip(sizes, limits, strict=True)
     return all(allowed is None or size <= allowed for size, allowed in pairs)
 
 
 def _quantiles(values: Sequence[float]) -> Quantiles:
-    if not values:
-        return math.nan, math.nan, math.nan
-    low, middle, high = np.quantile(values, LEVELS).tolist()
+    low, middle, high = np.quantile(values or [math.nan], LEVELS).tolist()
     return low, middle, high

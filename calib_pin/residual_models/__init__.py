@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
-import numpy as np
-
-from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     LearnedCorrection,
     Linearized,
@@ -37,20 +35,16 @@ Fitter = Callable[..., ResidualModel]
 
 # The members bring scipy, which takes as long to load as Pinocchio; most calibrations
 # learn nothing.
-def _fit_network(
-    rows: TrainingRows, rng: np.random.Generator, *, progress: Progress | None = None
-) -> ResidualModel:
+def _fit_network(*given: Any, **options: Any) -> ResidualModel:
     from calib_pin.residual_models.network import fit_network
 
-    return fit_network(rows, rng, progress=progress)
+    return fit_network(*given, **options)
 
 
-def _fit_gaussian_process(
-    rows: TrainingRows, rng: np.random.Generator, *, progress: Progress | None = None
-) -> ResidualModel:
+def _fit_gaussian_process(*given: Any, **options: Any) -> ResidualModel:
     from calib_pin.residual_models.gaussian_process import fit_gaussian_process
 
-    return fit_gaussian_process(rows, rng, progress=progress)
+    return fit_gaussian_process(*given, **options)
 
 
 RESIDUAL_MODELS: Mapping[str, Fitter] = {

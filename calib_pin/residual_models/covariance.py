@@ -21,7 +21,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from itertools import count
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky
@@ -31,7 +32,7 @@ from scipy.optimize import Bounds, minimize
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import Space
-from calib_pin.residual_models.documents import checked, numbers
+from calib_pin.residual_models.documents import Array
 from calib_pin.residual_models.region import PIECE
 
 BOUNDS = {
@@ -93,18 +94,12 @@ class Covariance:
         noise: Variance of the whitened residuals beside all that.
     """
 
-    own: Floats
-    short: Floats
-    all: Floats
-    long: Floats
-    kinds: Floats
-    noise: float
-
-    @property
-    def total(self) -> Floats:
-        """Variances of the components, shape (m,)."""
-        parts = [each for each in (self.own, self.all) if len(each)]
-        return np.asarray(sum(parts))
+    own: Annotated[Floats, Array("own", positive=True, empty=True)]
+    short: Annotated[Floats, Array("own", positive=True, empty=True)]
+    all: Annotated[Floats, Array("all", positive=True, empty=True)]
+    long: Annotated[Floats, Array("long", positive=True, empty=True)]
+    kinds: Annotated[Floats, Array("kinds", positive=True, empty=True)]
+    noise: Annotated[float, Array(positive=True)]
 
     def scaled(self, factor: float) -> Covariance:
         """The same with all variances times a number."""
@@ -125,26 +120,24 @@ class Covariance:
         """Covariance of each component, shape (A, B) each."""
         owns = self.own_correlations(a, b)
         smooth = _correlation(a, b, self.long) if len(self.all) else np.zeros(())
-        for j in range(len(self.total)):
+        for j in range(max(len(self.own), len(self.all))):
             result = self.all[j] * smooth if len(self.all) else smooth
             yield result + self.own[j] * next(owns) if len(self.own) else result
 
-    def between(self, angle: Floats, A: Floats, at: Floats, B: Floats) -> Floats:
-        """Covariance of what depends on corrections here and there, (N d, K e).
+    def of_residuals(self, angle: Floats, A: Floats) -> Floats:
+        """Covariance of residuals that depend on corrections, shape (N d, N d).
 
         Args:
-            angle: Angles here, shape (N, n) [rad].
+            angle: Angles, shape (N, n) [rad].
             A: Derivative by the corrections, shape (N, d, m).
-            at: Angles there, shape (K, n) [rad].
-            B: Derivative by the corrections, shape (K, e, m).
         """
-        (rows, d, _), (others, e, _) = A.shape, B.shape
-        result = np.zeros((d, e, rows, others))
-        for j, values in enumerate(self.components(angle, at)):
-            right = np.ascontiguousarray(B[:, :, j].T)[:, None]
+        rows, d, _ = A.shape
+        result = np.zeros((d, d, rows, rows))
+        for j, values in enumerate(self.components(angle, angle)):
+            right = np.ascontiguousarray(A[:, :, j].T)[:, None]
             for part, left in zip(result, A[:, :, j].T, strict=True):
                 part += left[:, None] * values * right
-        return result.transpose(2, 0, 3, 1).reshape(rows * d, others * e)
+        return result.transpose(2, 0, 3, 1).reshape(rows * d, rows * d)
 
     def predict(self, at: Floats, angle: Floats, weights: Floats) -> Floats:
         """Sums of the covariances with training angles, shape (K, m).
@@ -161,31 +154,17 @@ class Covariance:
                 result[piece, j] = values @ weights[:, j]
         return result
 
-    @staticmethod
-    def restore(document: object, joints: int, components: int) -> Covariance:
-        """The covariance of a document; only joints have a function of their own.
+    def require(self, joints: int, components: int) -> None:
+        """Refuse what is no covariance of corrections, of joints or of the tip.
 
         Raises:
-            ValueError: If it is not one.
+            ValueError: If it is none.
         """
-        parts = checked(document, "covariance")
-
-        def positive(key: str, count: int | None) -> Floats:
-            return numbers(parts, key, (count,), positive=True, empty=True)
-
-        own, each = positive("own", None), positive("all", None)
-        if len(own) not in (0, components) or (len(own) and components != joints):
-            raise ValueError(f"'own' has {len(own)} numbers, not {components}")
-        if len(each) not in (0, components) or not (len(own) or len(each)):
-            raise ValueError(f"'all' has {len(each)} numbers, not {components}")
-        return Covariance(
-            own=own,
-            short=positive("short", len(own)),
-            all=each,
-            long=positive("long", joints * bool(len(each))),
-            kinds=positive("kinds", None),
-            noise=float(numbers(parts, "noise", (), positive=True)),
-        )
+        own, each, long = len(self.own), len(self.all), len(self.long)
+        fits = own in (0, components) and each in (0, components) and own + each > 0
+        fits &= not own or components == joints
+        if not fits or long != joints * bool(each):
+            raise ValueError(f"'covariance' is not of {components} corrections")
 
 
 def _correlation(a: Floats, b: Floats, length: Floats) -> Floats:
@@ -229,7 +208,7 @@ class Likelihood:
         By the logarithms of own, short, all, long, kinds and noise in this order.
         """
         y, (K, *kinds) = self.target.reshape(-1), self._squares
-        K = K + covariance.between(self.angle, self.A, self.angle, self.A)
+        K = K + covariance.of_residuals(self.angle, self.A)
         for size, each in zip(covariance.kinds, kinds, strict=True):
             K += size * each
         K[np.diag_indices_from(K)] += covariance.noise + JITTER
@@ -290,7 +269,7 @@ def most_likely(data: Likelihood, form: Form, progress: Progress | None) -> Cova
     counts += [len(data.kinds), 1]
     lower, upper = np.log(np.repeat(list(limits.values()), counts, axis=0)).T
     first = np.log(np.repeat(list(starts.values()), counts))
-    done = 0
+    steps = count(1)
 
     def at(x: Floats) -> Covariance:
         own, short, each, long, kinds, noise = np.split(
@@ -301,11 +280,9 @@ def most_likely(data: Likelihood, form: Form, progress: Progress | None) -> Cova
     def cost(x: Floats) -> tuple[float, Floats]:
         return data(at(x))
 
-    def count(xk: Floats) -> None:
-        nonlocal done
-        done += 1
+    def tell(xk: Floats) -> None:
         if progress is not None:
-            progress(done / STEPS)
+            progress(next(steps) / STEPS)
 
     found = minimize(
         cost,
@@ -313,7 +290,7 @@ def most_likely(data: Likelihood, form: Form, progress: Progress | None) -> Cova
         jac=True,
         method="L-BFGS-B",
         bounds=Bounds(lower, upper),
-        callback=count,
+        callback=tell,
         options={"maxiter": STEPS},
     )
     return at(found.x)

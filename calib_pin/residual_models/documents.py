@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -15,6 +15,61 @@ LARGEST = 1e12
 
 MOST = 4_000_000
 """Most numbers in one array of a document."""
+
+
+MADE: Mapping[Any, Callable[[Floats], Any]] = {float: float, tuple[float, float]: tuple}
+"""Values of numbers that are no arrays, by their type."""
+
+_Part = TypeVar("_Part")
+
+
+@dataclass(frozen=True)
+class Array:
+    """An array of numbers in a document, as the annotation of a field.
+
+    Attributes:
+        shape: Its shape, by numbers and by names of sizes.
+        positive: Whether all numbers must be larger than zero.
+        empty: Whether there may be none.
+    """
+
+    shape: str = ""
+    positive: bool = False
+    empty: bool = False
+
+
+def restored(
+    kind: type[_Part],
+    document: object,
+    what: str,
+    sizes: Mapping[str, int],
+    **known: object,
+) -> _Part:
+    """A dataclass of a document, by the annotations of its fields.
+
+    Args:
+        kind: The dataclass; its fields are dataclasses, or have an `Array`.
+        document: The document.
+        what: Name of the document.
+        sizes: Known sizes by name; the first array of another one tells it.
+        known: Values that are known.
+
+    Raises:
+        ValueError: If it is not one.
+    """
+    parts, sizes = checked(document, what), dict(sizes)
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        if is_dataclass(hint):
+            known[name] = restored(hint, parts.get(name), name, sizes)  # type: ignore[arg-type]
+        elif get_origin(hint) is Annotated:
+            made, array = get_args(hint)
+            names = array.shape.split()
+            shape = tuple(int(k) if k.isdigit() else sizes.get(k) for k in names)
+            allowed = {"positive": array.positive, "empty": array.empty}
+            found = numbers(parts, name, shape, **allowed)
+            sizes |= zip(names, found.shape, strict=True)
+            known[name] = MADE.get(made, np.asarray)(found)
+    return kind(**known)
 
 
 def written(part: object) -> Any:
@@ -77,9 +132,6 @@ def numbers(
         raise ValueError(f"'{key}' is not an array of numbers") from None
     if found.dtype.kind not in "iuf" and found.size:
         raise ValueError(f"'{key}' is not an array of numbers")
-    if empty and 0 in shape and found.size == 0:
-        # Lists cannot tell how long the rows of nothing are.
-        return np.zeros([length or 0 for length in shape])
     fits = found.ndim == len(shape) and all(
         want is None or have == want
         for have, want in zip(found.shape, shape, strict=True)

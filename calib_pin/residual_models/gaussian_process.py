@@ -18,12 +18,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, ClassVar, cast, get_args
+from typing import Annotated, Any, ClassVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_solve, cholesky
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.kinematics.spatial import Floats, times
@@ -44,11 +43,8 @@ from calib_pin.residual_models.covariance import (
     most_likely,
     symmetric_inverse,
 )
-from calib_pin.residual_models.documents import checked, numbers, stated, written
-from calib_pin.residual_models.region import PIECE, TrainedRegion
-
-LOADED = 6_000
-"""Most residual components in a document; their covariance must fit the memory."""
+from calib_pin.residual_models.documents import Array, restored, stated, written
+from calib_pin.residual_models.region import TrainedRegion
 
 FEWEST = 5
 """Configurations per joint without which lengths are guesses."""
@@ -65,84 +61,30 @@ class GaussianProcess:
         covariance: Covariance of the corrections in their units, and the noise.
         unit: Correction that counts as one, shape (m,) [rad, m].
         q: Training configurations, shape (N, n) [rad, m].
-        A: Derivative of whitened residuals by corrections in units, shape (N, d, m).
-        absorbed: Residuals by amounts of variance one that make up the shift, shape
-            (N d, k).
-        released: Shift per amount, shape (P, k).
         weights: Weight of each configuration in each component, shape (N, m).
         held_out: Root mean square of the whitened residuals of groups of measurements,
             before, and predicted from all the others.
     """
 
     region: TrainedRegion
-    shift: Floats
+    shift: Annotated[Floats, Array("P", empty=True)]
     space: Space
     covariance: Covariance
-    unit: Floats
-    q: Floats
-    A: Floats
-    absorbed: Floats
-    released: Floats
-    weights: Floats
-    held_out: tuple[float, float]
+    unit: Annotated[Floats, Array("m", positive=True)]
+    q: Annotated[Floats, Array("N n")]
+    weights: Annotated[Floats, Array("N m")]
+    held_out: Annotated[tuple[float, float], Array("2")]
     name: ClassVar[str] = "gaussian-process"
 
     @serial_blas
     def __call__(self, q: Floats) -> Floats:
         """Corrections at joint positions, (N, m) [rad, m]."""
-        at = self.region.angles(q)
-        return self.covariance.predict(at, self._angle, self.weights) * self.unit
+        at, known = self.region.angles(q), self.region.angles(self.q)
+        return self.covariance.predict(at, known, self.weights) * self.unit
 
     def weight(self, q: Floats) -> Floats:
         """Weight of the correction: one, for it knows how far it holds, (N,)."""
         return np.ones(len(q))
-
-    @serial_blas
-    def deviation(
-        self,
-        q: Floats,
-        by_correction: Floats | None = None,
-        by_shift: Floats | None = None,
-    ) -> Floats:
-        """Standard deviations, see `ResidualModel.deviation`."""
-        if by_correction is None:
-            by_correction = np.tile(np.eye(len(self.unit)), (len(q), 1, 1))
-        A = by_correction * self.unit
-        G = np.zeros((*A.shape[:2], len(self.shift))) if by_shift is None else by_shift
-        G = G @ self.released
-        variance = (A**2).dot(self.covariance.total) + (G**2).sum(axis=2)
-        for start in range(0, len(q), PIECE):
-            piece = slice(start, start + PIECE)
-            at = self.region.angles(q[piece])
-            together = self.covariance.between(self._angle, self.A, at, A[piece])
-            by_shift = np.tensordot(self.absorbed, G[piece], (1, 2))
-            together += by_shift.reshape(together.shape)
-            known = solve_triangular(self.factor, together, lower=True)
-            variance[piece] -= (known**2).sum(axis=0).reshape(variance[piece].shape)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-    @cached_property
-    def _angle(self) -> Floats:
-        return self.region.angles(self.q)
-
-    @cached_property
-    def factor(self) -> Floats:
-        """Cholesky factor of the covariance of all residuals, shape (N d, N d)."""
-        K = self.covariance.between(self._angle, self.A, self._angle, self.A)
-        K += self.absorbed @ self.absorbed.T
-        K[np.diag_indices_from(K)] += self.covariance.noise
-        return np.asarray(cholesky(K, lower=True, overwrite_a=True))
-
-    def given(self, alpha: Floats, about: Floats) -> GaussianProcess:
-        """The process by residuals times their inverse covariance.
-
-        Args:
-            alpha: These, shape (N d,).
-            about: Value of the shift about which the fit stands, shape (P,).
-        """
-        weights = np.einsum("ndm,nd->nm", self.A, alpha.reshape(self.A.shape[:2]))
-        shift = self.released @ (alpha @ self.absorbed) - about
-        return replace(self, weights=weights, shift=shift)
 
     @serial_blas
     def left_out(
@@ -153,15 +95,15 @@ class GaussianProcess:
     ) -> list[GaussianProcess]:
         """In closed form, see the module and `ResidualModel.left_out`."""
         chosen = evenly(len(rows.q), len(self.q))
-        few, about = rows.some(chosen), rows.shift.about
-        whole, alpha = conditioned(self, few, self(few.q), self.shift)
-        inverse = symmetric_inverse(whole.factor)
+        few = rows.some(chosen)
+        whole = Conditioned.of(self, few, self(few.q), self.shift)
+        inverse, alpha = symmetric_inverse(whole.factor), whole.alpha
         result = []
         for mask in masks:
-            g = np.repeat(mask[chosen], self.A.shape[1])
+            g = np.repeat(mask[chosen], rows.values)
             block = np.linalg.solve(inverse[np.ix_(g, g)], alpha[g])
             others = np.where(g, 0.0, alpha - inverse[:, g] @ block)
-            result.append(whole.given(others, about))
+            result.append(whole.given(others))
         return result
 
     def document(self) -> dict[str, Any]:
@@ -170,37 +112,72 @@ class GaussianProcess:
 
     @staticmethod
     def restore(document: Mapping[str, Any], joints: int) -> GaussianProcess:
-        """The process of a document; its factor is computed when it is needed.
+        """The process of a document.
 
         Raises:
             ValueError: If it is not one.
         """
-        parts = checked(document, "gaussian-process")
-        space = cast(Space, stated(parts, "space", get_args(Space)))
-        m = joints if space == "joint" else 6
-        q = numbers(parts, "q", (None, joints))
-        A = numbers(parts, "A", (len(q), None, m))
-        components = len(q) * A.shape[1]
-        if components > LOADED:
-            raise ValueError(f"'A' has {components} rows, more than {LOADED}")
-        shift = numbers(parts, "shift", (None,), empty=True)
-        columns = numbers(parts, "absorbed", (components, None), empty=True)
-        before, after = numbers(parts, "held_out", (2,))
-        return GaussianProcess(
-            region=TrainedRegion.restore(parts.get("region"), joints),
-            shift=shift,
-            space=space,
-            covariance=Covariance.restore(parts.get("covariance"), joints, m),
-            unit=numbers(parts, "unit", (m,), positive=True),
-            q=q,
-            A=A,
-            absorbed=columns,
-            released=numbers(
-                parts, "released", (len(shift), columns.shape[1]), empty=True
-            ),
-            weights=numbers(parts, "weights", (len(q), m)),
-            held_out=(float(before), float(after)),
-        )
+        space = cast(Space, stated(document, "space", get_args(Space)))
+        sizes = {"n": joints, "m": joints if space == "joint" else 6}
+        found = restored(GaussianProcess, document, "process", sizes, space=space)
+        found.covariance.require(joints, sizes["m"])
+        return found
+
+
+@dataclass(frozen=True)
+class Conditioned:
+    """A process with the covariance of measurements that it is given.
+
+    Attributes:
+        process: The process.
+        A: Derivative of whitened residuals by corrections in units, shape (N, d, m).
+        absorbed: Residuals by amounts of variance one that make up the shift, shape
+            (N d, k).
+        released: Shift per amount, shape (P, k).
+        about: Value of the shift about which the fit stands, shape (P,).
+        factor: Cholesky factor of the covariance of the residuals, shape (N d, N d).
+        alpha: These times their inverse covariance, shape (N d,).
+    """
+
+    process: GaussianProcess
+    A: Floats
+    absorbed: Floats
+    released: Floats
+    about: Floats
+    factor: Floats
+    alpha: Floats
+
+    @staticmethod
+    def of(
+        process: GaussianProcess, rows: TrainingRows, f: Floats, shift: Floats
+    ) -> Conditioned:
+        """A process given measurements, linearized about corrections and a shift.
+
+        Args:
+            process: Its covariance and what else does not depend on them.
+            rows: The measurements.
+            f: The corrections, shape (N, m) [rad, m].
+            shift: The shift, shape (P,).
+        """
+        at, known = rows.evaluate(process.space)(f, shift), rows.shift
+        base = at.residual - times(at.by_correction, f) - at.by_shift @ shift
+        square = process.held_out[0] ** 2 or 1.0  # Of nothing, any variance will do.
+        released = known.root(at.by_shift, square, process.covariance.kinds)
+        absorbed = at.by_shift.reshape(base.size, len(known)) @ released
+        A = at.by_correction * process.unit
+        K = process.covariance.of_residuals(process.region.angles(rows.q), A)
+        K += absorbed @ absorbed.T
+        K[np.diag_indices_from(K)] += process.covariance.noise
+        factor = np.asarray(cholesky(K, lower=True, overwrite_a=True))
+        target = (at.by_shift @ known.about - base).reshape(-1)
+        found, alpha = replace(process, q=rows.q), cho_solve((factor, True), target)
+        return Conditioned(found, A, absorbed, released, known.about, factor, alpha)
+
+    def given(self, alpha: Floats) -> GaussianProcess:
+        """The process by residuals times their inverse covariance, shape (N d,)."""
+        weights = np.einsum("ndm,nd->nm", self.A, alpha.reshape(self.A.shape[:2]))
+        shift = self.released @ (alpha @ self.absorbed) - self.about
+        return replace(self.process, weights=weights, shift=shift)
 
 
 @dataclass(frozen=True)
@@ -281,50 +258,16 @@ def _searched(
         [columns @ kind for kind in known.kinds],
     )
     covariance = most_likely(data, form, portion(progress, 0.0, 0.7))
-    none = np.zeros((0, 0))
     return GaussianProcess(
+        space=form.space,
         region=region,
         shift=np.zeros(rows.shifts),
-        space=form.space,
         covariance=covariance,
         unit=unit,
         q=rows.q,
-        A=none,
-        absorbed=none,
-        released=none,
         weights=np.zeros((len(rows.q), len(kinds))),
         held_out=(size, 0.0),
     )
-
-
-def conditioned(
-    process: GaussianProcess, rows: TrainingRows, f: Floats, shift: Floats
-) -> tuple[GaussianProcess, Floats]:
-    """A process given measurements, linearized about corrections and a shift.
-
-    Args:
-        process: Its covariance and what else does not depend on them.
-        rows: The measurements.
-        f: The corrections, shape (N, m) [rad, m].
-        shift: The shift, shape (P,).
-
-    Returns:
-        The process, and the residuals times their inverse covariance, shape (N d,).
-    """
-    at, known = rows.evaluate(process.space)(f, shift), rows.shift
-    base = at.residual - times(at.by_correction, f) - at.by_shift @ shift
-    square = process.held_out[0] ** 2 or 1.0  # Of nothing, any variance will do.
-    released = known.root(at.by_shift, square, process.covariance.kinds)
-    result = replace(
-        process,
-        q=rows.q,
-        A=at.by_correction * process.unit,
-        absorbed=at.by_shift.reshape(base.size, len(known)) @ released,
-        released=released,
-    )
-    target = (at.by_shift @ known.about - base).reshape(-1)
-    alpha = cho_solve((result.factor, True), target)
-    return result.given(alpha, known.about), alpha
 
 
 def _given_all(
@@ -338,21 +281,20 @@ def _given_all(
     """
     process = draft
     for _ in range(2):
-        process, alpha = conditioned(process, rows, process(rows.q), process.shift)
-    predicted = _of_groups(process.factor, alpha, rows.groups)
+        known = Conditioned.of(process, rows, process(rows.q), process.shift)
+        process = known.given(known.alpha)
+    predicted = _of_groups(known.factor, known.alpha, rows.groups)
     # All variances times one number predict the same, but less surely: few
     # measurements chose them, and all of them tell how large they are.
-    surprise = float(predicted @ alpha) / len(alpha) or 1.0
-    predicted = predicted.reshape(process.A.shape[:2])
+    surprise = float(predicted @ known.alpha) / len(predicted) or 1.0
     before, kept = rows.plain(process.space).residual, 1.0
+    predicted = predicted.reshape(before.shape)
     if not convincing(before, predicted):
         predicted, kept = before, 0.0
     found = replace(
         process,
         shift=kept * process.shift,
         covariance=process.covariance.scaled(surprise),
-        absorbed=process.absorbed * np.sqrt(surprise),
-        released=process.released * np.sqrt(surprise),
         weights=kept * process.weights / surprise,
         held_out=(root_mean_square(before), root_mean_square(predicted)),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from calib_pin.residual_models.base import (
     correction_unit,
     root_mean_square,
 )
-from calib_pin.residual_models.documents import checked, numbers, written
+from calib_pin.residual_models.documents import Array, restored, written
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 from calib_pin.residual_models.training import Member
 from calib_pin.residual_models.units import Inputs, Weights, combined, series
@@ -73,11 +73,11 @@ class Network:
     """
 
     region: TrainedRegion
-    shift: Floats
-    factors: Floats
-    outputs: Floats
-    series: Floats
-    held_out: tuple[float, float]
+    shift: Annotated[Floats, Array("P", empty=True)]
+    factors: Annotated[Floats, Array("K H n 3")]
+    outputs: Annotated[Floats, Array("K H n 2")]
+    series: Annotated[Floats, Array("K n 2 M", empty=True)]
+    held_out: Annotated[tuple[float, float], Array("2")]
     name: ClassVar[str] = "network"
     space: ClassVar[Space] = "joint"
 
@@ -128,18 +128,7 @@ class Network:
         Raises:
             ValueError: If it is not one.
         """
-        parts = checked(document, "network")
-        factors = numbers(parts, "factors", (None, None, joints, 3))
-        members, units = factors.shape[:2]
-        before, after = numbers(parts, "held_out", (2,))
-        return Network(
-            region=TrainedRegion.restore(parts.get("region"), joints),
-            shift=numbers(parts, "shift", (None,), empty=True),
-            factors=factors,
-            outputs=numbers(parts, "outputs", (members, units, joints, 2)),
-            series=numbers(parts, "series", (members, joints, 2, None), empty=True),
-            held_out=(float(before), float(after)),
-        )
+        return restored(Network, document, "network", {"n": joints})
 
 
 @serial_blas

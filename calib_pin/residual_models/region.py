@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.residual_models.documents import checked, numbers
+from calib_pin.residual_models.documents import Array
 
 ANCHORS = 1000
 """Training configurations that a region remembers; more do not change its shape."""
@@ -32,9 +33,9 @@ class Angles:
             joint that turns, which has none.
     """
 
-    center: Floats
-    rate: Floats
-    farthest: Floats
+    center: Annotated[Floats, Array("n")]
+    rate: Annotated[Floats, Array("n", positive=True)]
+    farthest: Annotated[Floats, Array("n")]
 
     @staticmethod
     def of(q: Floats, revolute: NDArray[np.bool_]) -> Angles:
@@ -64,20 +65,6 @@ class Angles:
         angle = self(q)
         return np.concatenate([np.sin(angle), np.cos(angle)], axis=1)
 
-    @staticmethod
-    def restore(document: object, joints: int) -> Angles:
-        """The angles of a document.
-
-        Raises:
-            ValueError: If it is not one.
-        """
-        parts = checked(document, "angles")
-        return Angles(
-            center=numbers(parts, "center", (joints,)),
-            rate=numbers(parts, "rate", (joints,), positive=True),
-            farthest=np.abs(numbers(parts, "farthest", (joints,))),
-        )
-
 
 @dataclass(frozen=True)
 class TrainedRegion:
@@ -97,11 +84,11 @@ class TrainedRegion:
     """
 
     angles: Angles
-    anchors: Floats
-    reach: float
-    middle: Floats
-    half: Floats
-    fade: Floats
+    anchors: Annotated[Floats, Array("K n")]
+    reach: Annotated[float, Array(positive=True)]
+    middle: Annotated[Floats, Array("n")]
+    half: Annotated[Floats, Array("n", positive=True)]
+    fade: Annotated[Floats, Array("n", positive=True)]
 
     @staticmethod
     def of(
@@ -152,23 +139,6 @@ class TrainedRegion:
     @cached_property
     def _points(self) -> Floats:
         return self.angles.points(self.anchors)
-
-    @staticmethod
-    def restore(document: object, joints: int) -> TrainedRegion:
-        """The region of a document.
-
-        Raises:
-            ValueError: If it is not one.
-        """
-        parts = checked(document, "region")
-        return TrainedRegion(
-            angles=Angles.restore(parts.get("angles"), joints),
-            anchors=numbers(parts, "anchors", (None, joints)),
-            reach=float(numbers(parts, "reach", (), positive=True)),
-            middle=numbers(parts, "middle", (joints,)),
-            half=numbers(parts, "half", (joints,), positive=True),
-            fade=numbers(parts, "fade", (joints,), positive=True),
-        )
 
 
 def _squares(a: Floats, b: Floats) -> Floats:

@@ -23,8 +23,8 @@ from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.fitted import (
     Fit,
     Posterior,
-    by_configuration,
     effect_rows,
+    noise_along,
     shared_variances,
 )
 from calib_pin.estimation.identifiability import half_covariance, visible_nuisances
@@ -37,6 +37,7 @@ from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.validation.findings.moved_instrument import registered_if_moved
+from calib_pin.validation.findings.sentences import told
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
@@ -103,24 +104,20 @@ def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
         labels: Group of each, shape (N,).
     """
     problem = fitted.problem
-    every = np.arange(count := len(problem.data))
+    positions = np.arange(count := len(problem.data))
     if problem.many:
         # Among so many, no group has a say, and some of them tell the errors.
-        every = np.arange(0, count, max(1, count // (FOLDS * MOST)))
-        problem = replace(problem, data=problem.data.rows(every))
-        before, after = (problem.errors(at) for at in (fitted.before, fitted.theta))
-        variance = problem.sigma**2
+        positions = positions[:: max(1, count // (FOLDS * MOST))]
+        problem = replace(problem, data=problem.data.rows(positions))
+        tables = *map(problem.errors, (fitted.before, fitted.theta)), problem.sigma**2
     else:
-        nominal, calibrated = Linear.of(fitted)
-        before, _ = press(nominal, labels)
-        after, variance = press(calibrated, labels)
+        (before, _), found = (press(robot, labels) for robot in Linear.of(fitted))
+        tables = before, *found
     # What cannot be predicted is infinitely wrong.
-    before, after = (np.where(np.isnan(e), np.inf, e) for e in (before, after))
-    first, second, spread = (
-        problem.layout.table(values, len(every))
-        for values in (before, after, fitted.unit**2 * variance)
-    )
-    return ModelErrors(every, first, second, spread)
+    before, after = (np.where(np.isnan(e), np.inf, e) for e in tables[:2])
+    flat = before, after, fitted.unit**2 * tables[2]
+    before, after, variance = (problem.layout.table(f, len(positions)) for f in flat)
+    return ModelErrors(positions, before, after, variance)
 
 
 @serial_blas
@@ -194,7 +191,7 @@ def left_out(
             problem = learning.with_learned(model.problem, correction)
             theta = model.theta + step
         elif not problem.many:
-            deviations = _deviations(fit, robots[1], fitted, masks[k], effects)
+            deviations = _deviations(fit, robots[1], fitted, effects)
         known = Registered(replace(fit.problem, data=rows), nominal.theta)
         there = Registered(replace(problem, data=rows), theta, fitted.alone)
         given = np.flatnonzero(masks[k]), deviations
@@ -216,11 +213,13 @@ class Rest(NamedTuple):
     Attributes:
         theta: Parameter values, shape (P,).
         inner: K of `N_g^-1 = (F K) (F K)^T`, shape (k, k').
+        out: The residual rows that are left out, shape (M',); of very many none.
         alone: Positions of the parameters that only the group knows.
     """
 
     theta: Floats
     inner: Floats
+    out: NDArray[np.bool_]
     alone: tuple[int, ...] = ()
 
 
@@ -240,7 +239,7 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
         linearized one by one, one step is all there is to make.
     """
     problem, F = robot.problem, robot.factor
-    alone, fun = np.zeros(F.shape[0], bool), robot.fun
+    fun, out, alone = robot.fun, np.zeros(0, bool), np.zeros(len(F), bool)
     if problem.many:
         some = replace(problem, data=problem.data.rows(mask))
         r, jac = some.linearize(robot.theta)
@@ -277,7 +276,7 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     least, most = problem.parameters.bounds
     if ((theta < least) | (theta > most)).any():
         return None
-    return Rest(theta, inner, tuple(np.flatnonzero(alone).tolist()))
+    return Rest(theta, inner, out, tuple(np.flatnonzero(alone).tolist()))
 
 
 def _group(
@@ -296,11 +295,7 @@ def _group(
 
 
 def _deviations(
-    fit: Fit,
-    robot: Linear,
-    rest: Rest,
-    mask: NDArray[np.bool_],
-    effects: Floats | None,
+    fit: Fit, robot: Linear, rest: Rest, effects: Floats | None
 ) -> Posterior:
     """Deviations of a fit without a group of measurements, see `fitted.posterior`.
 
@@ -308,26 +303,17 @@ def _deviations(
         fit: The fit of all measurements.
         robot: Its solution.
         rest: That without the group.
-        mask: The group, shape (N,).
         effects: Effects of gears and compliance in all rows, shape (M, S).
     """
-    problem, layout, noise = fit.problem, fit.problem.layout, fit.posterior.noise
-    shared = shared_variances(problem, fit.noise, noise)
-    others = robot.columns[: len(layout.row)] @ rest.inner
-    others[mask[layout.row]] = 0.0
-    moved = robot.factor @ rest.inner
+    noise, moved = fit.posterior.noise, robot.factor @ rest.inner
+    others = np.where(rest.out[:, None], 0.0, robot.columns @ rest.inner)
     by_effects = np.zeros((len(moved), 0))
     if effects is not None:
-        by_effects = moved @ (others.T @ effects)
-    # Where their noise is not one, and repetitions have a part of it in common.
-    less = (1.0 - noise + shared)[layout.component]
-    if less.any():
-        core = np.eye(others.shape[1]) - (others.T * less) @ others
-        if shared.any():
-            core += by_configuration(problem, others, shared)
-        values, V = np.linalg.eigh(core)
-        moved = moved @ (V * np.sqrt(np.maximum(values, 0.0)))
-    return replace(fit.posterior, by_noise=fit.unit * moved, by_effects=by_effects)
+        by_effects = moved @ (others[: len(effects)].T @ effects)
+    shared = shared_variances(fit.problem, fit.noise, noise)
+    values, V = np.linalg.eigh(noise_along(fit.problem, others, noise, shared))
+    by_noise = fit.unit * moved @ (V * np.sqrt(np.maximum(values, 0.0)))
+    return replace(fit.posterior, by_noise=by_noise, by_effects=by_effects)
 
 
 def gains(
@@ -355,30 +341,29 @@ def gains(
         return ()
     joined = ModelErrors.joined(checks)
     sigma = layout.table(problem.sigma, len(problem.data))[joined.positions]
-    label = np.unique(labels[joined.positions], return_inverse=True)[1].reshape(-1)
+    label = labels[joined.positions]
     present = np.isfinite(sigma)
     # By what the fit predicts of each: a point near the plane of a camera moves by
     # hundreds of pixels for nothing, and would outweigh all others.
     larger = np.maximum(np.nan_to_num(joined.variance, posinf=0.0), sigma**2)
     unit = np.sqrt(larger, where=present, out=np.ones(sigma.shape))
-    whitened, expected = joined.after / unit, joined.variance / unit**2
+    squares = (joined.after / unit) ** 2, joined.variance / unit**2
+    # Lengths; of all, root mean square over the components: one for noise alone.
+    whole = unit * np.sqrt(present.sum(axis=1))[:, None]
     found = []
     every = (ALL, slice(None)), *((q.name, q.columns) for q in layout.quantities)
     for name, columns in every:
         here = present[:, columns]
-        rows = here.any(axis=1)
+        rows, scale = here.any(axis=1), whole if name == ALL else 1.0
         if not rows.any():
             continue
-        # Lengths; of all, root mean square over the components: one for noise alone.
-        scale = unit * np.sqrt(present.sum(axis=1))[:, None] if name == ALL else 1.0
         old, new = (
             np.linalg.norm(np.where(here, (e / scale)[:, columns], 0.0), axis=1)[rows]
             for e in (joined.before, joined.after)
         )
-        predicted, ratio = float(np.sum(expected[:, columns][here])), float("nan")
-        if predicted > 0.0:  # Otherwise all values were needed to fit.
-            square = np.sum(whitened[:, columns][here] ** 2)
-            ratio = float(np.sqrt(square / predicted))
+        square, predicted = (float(np.sum(s[:, columns][here])) for s in squares)
+        # Where it predicts nothing, all values were needed to fit.
+        ratio = float(np.sqrt(square / predicted)) if predicted > 0.0 else float("nan")
         found.append(Gain(method, name, *paired(old, new, label[rows]), ratio))
     return tuple(found)
 
@@ -391,11 +376,11 @@ def paired(
     Student's t of the mean over the labels. Where neither robot predicts a row, nothing
     is gained there; where only one does, the mean is infinite and settles it.
     """
-    rows = np.bincount(label)
     with np.errstate(invalid="ignore"):
         gain = np.nan_to_num(before - after, posinf=np.inf, neginf=-np.inf)
-        means = (np.bincount(label, gain) / np.maximum(rows, 1))[rows > 0]
-        mean, count = float(means.mean()), len(means)
+        label = np.unique(label, return_inverse=True)[1].reshape(-1)
+        means = np.bincount(label, gain) / np.bincount(label)
+    count, mean = len(means), float(means.mean())
     deviation, t = float("nan"), 0.0
     if count > 1 and np.isfinite(mean):
         deviation = float(means.std(ddof=1) / np.sqrt(count))
@@ -416,7 +401,6 @@ class HeldOut:
         gains: Paired tests on the parts, then those by the hat matrix (PRESS).
         findings: Defects of the held-out measurements.
         skipped: Reason for each skipped fold of a cross-validation.
-        apart: Whether the measurements are others than those that were fitted.
     """
 
     measurements: Observations
@@ -425,7 +409,6 @@ class HeldOut:
     gains: tuple[Gain, ...] = ()
     findings: tuple[Finding, ...] = ()
     skipped: tuple[str, ...] = ()
-    apart: bool = False
 
     @property
     def counted(self) -> tuple[ModelErrors, ...]:
@@ -458,8 +441,7 @@ def check(
         progress: Told the stage and the fraction done.
         workers: Who fits the folds of a cross-validation.
     """
-    fitted = model.fit
-    training = model.weighted(training)
+    fitted, training = model.fit, model.weighted(training)
     grouping = Grouping.of(training, fitted.problem.setup)
     problem = replace(fitted.problem, data=training)
     pressed: tuple[Gain, ...] = ()
@@ -470,19 +452,18 @@ def check(
         return HeldOut(training, gains=pressed)
     if validation is not None:
         found = _checked_on(model, training, validation, method)
-        return replace(found, gains=found.gains + pressed, apart=True)
-    masks = folds(grouping, fitted, seed)
+        return replace(found, gains=found.gains + pressed)
     if parts is None:
+        masks = folds(grouping, fitted, seed)
         validated = cross_validate(model, training, masks, seed, progress, workers)
         parts = tuple(validated)
     # A fit that fails without its fold says nothing about the robot.
     kept = tuple(part for part in parts if not part.reason)
-    held = np.zeros(len(training), bool)
-    for part in kept:
-        held[part.positions] = training.weight[part.positions] > 0.0
+    counted = [part.positions[training.weight[part.positions] > 0.0] for part in kept]
+    held = np.concatenate([np.zeros(0, np.intp), *counted])
     if training.rows(held).configurations < FEWEST_HELD_OUT:
         kept = ()
-    name = grouping.validation_name(min(len(kept), len(masks)))
+    name = grouping.validation_name(len(kept))
     every = gains(name, problem, kept, grouping.clusters) + pressed
     skipped = tuple(part.reason for part in parts if part.reason)
     return HeldOut(training, kept, name, every, skipped=skipped)
@@ -547,17 +528,15 @@ def _checked_on(
 ) -> HeldOut:
     """The check on validation measurements."""
     findings, part = list[Finding](), None
-    q = training.q[training.weight > 0.0]
-    labels = grouped(np.concatenate([q, validation.q]))
-    new = ~np.isin(labels[len(q) :], labels[: len(q)])
+    q = np.concatenate([training.q[training.weight > 0.0], validation.q])
+    old, seen = np.split(grouped(q), [len(q) - len(validation)])
+    new = ~np.isin(seen, old)
     if repeated := len(new) - int(new.sum()):
         said = f"{repeated} of {len(new)} validation measurements repeat "
         said += "configurations that were fitted and do not count"
-        numbers = {"repeated": float(repeated), "all": float(len(new))}
         remedy = "validate with configurations that were not fitted"
-        findings.append(
-            Finding("repeated-validation", "warning", said, numbers, remedy)
-        )
+        numbers = {"repeated": repeated, "all": len(new)}
+        findings.append(told("repeated-validation", said, numbers, remedy))
     if new.any():
         pair = both(model, validation.rows(new))
         part, moved = registered_if_moved(model, *pair, np.flatnonzero(new))

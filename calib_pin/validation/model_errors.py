@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,15 +12,23 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, Posterior
-from calib_pin.estimation.problem import Problem, alike, distinct_values, error_table
+from calib_pin.estimation.identifiability import column_space
+from calib_pin.estimation.problem import (
+    PIECE,
+    Problem,
+    alike,
+    distinct_values,
+    error_table,
+)
 from calib_pin.estimation.registration import extended
 from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Observations
 from calib_pin.setup import DistanceSetup
-from calib_pin.validation.result import FoundDistance
+from calib_pin.validation.result import Accuracy, FoundDistance, QuantityErrors
 
 ARRAYS = ("positions", "before", "after", "variance")
 """Those that have a row for each measurement."""
@@ -57,10 +65,10 @@ class ModelErrors:
     @staticmethod
     def joined(parts: Sequence[ModelErrors]) -> ModelErrors:
         """Those of all parts, one after the other."""
-        names = dict.fromkeys(name for part in parts for name in part.registered)
         arrays = ([getattr(part, name) for part in parts] for name in ARRAYS)
-        positions, before, after, variance = map(np.concatenate, arrays)
         distances = tuple(distance for part in parts for distance in part.distances)
+        names = dict.fromkeys(name for part in parts for name in part.registered)
+        positions, before, after, variance = map(np.concatenate, arrays)
         return ModelErrors(positions, before, after, variance, distances, tuple(names))
 
     def at(self, kept: NDArray[np.generic]) -> ModelErrors:
@@ -76,6 +84,13 @@ class ModelErrors:
         distances = tuple(anew.get(d.between, d) for d in self.distances)
         return replace(self, distances=distances, **arrays)
 
+    def accuracy(self, quantity: Quantity) -> tuple[Accuracy | None, Accuracy | None]:
+        """Accuracy of a quantity before and after; None where none has it."""
+        before, after = (quantity.errors(e) for e in (self.before, self.after))
+        if not len(after):
+            return None, None
+        return Accuracy.of(before), Accuracy.of(after)
+
     def counted(self, weight: Floats) -> ModelErrors:
         """Those that are not set aside; all of them where no other is left.
 
@@ -85,6 +100,24 @@ class ModelErrors:
         """
         kept = weight[self.positions] > 0.0
         return self if kept.all() or not kept.any() else self.at(kept)
+
+
+def quantity_errors(
+    quantities: Iterable[Quantity], fitted: ModelErrors, *held_out: ModelErrors
+) -> tuple[QuantityErrors, ...]:
+    """Accuracy before and after, of fitted and of parts of held-out measurements.
+
+    Of the quantities that fitted measurements have.
+    """
+    # Of mixed measurements, those held out may all be of another model.
+    joined = [ModelErrors.joined(held_out)] if held_out else []
+    parts, found = (fitted, *joined), list[QuantityErrors]()
+    for quantity in quantities:
+        (before, after), *held = (part.accuracy(quantity) for part in parts)
+        if before is not None and after is not None:
+            own = before, after, *(held[0] if held else (None, None))
+            found.append(QuantityErrors(quantity.name, quantity.unit, *own))
+    return tuple(found)
 
 
 @serial_blas
@@ -113,11 +146,8 @@ def fitted_errors(model: FittedModel, training: Observations) -> ModelErrors:
         model: The fitted model.
         training: The measurements, those that the fit has set aside included.
     """
-    before, after = both(model, training)
-    shown, fitted = (error_table(at.problem, at.theta) for at in (before, after))
-    known = found_distances(before, after, after.problem.setup.known, fitted=True)
-    unknown = np.full(shown.shape, np.nan)
-    return ModelErrors(np.arange(len(training)), shown, fitted, unknown, known)
+    every = np.arange(len(training))
+    return errors_of_registered(model, *both(model, training), every, fitted=True)
 
 
 def errors_of_registered(
@@ -126,6 +156,7 @@ def errors_of_registered(
     after: Registered,
     positions: NDArray[np.intp],
     deviations: Posterior | None = None,
+    fitted: bool = False,
 ) -> ModelErrors:
     """Errors of measurements that both robots are registered on.
 
@@ -135,20 +166,22 @@ def errors_of_registered(
         after: The fitted model.
         positions: Positions of the measurements among all, shape (N,).
         deviations: Those of the fit that predicts; default of the model's own.
+        fitted: Whether they were fitted, so that it predicts nothing of them.
     """
     problem, theta = after.problem, after.theta
-    estimated = *after.refitted, *after.new
-    variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
-    names = problem.parameters.names
-    placed = {names[k].rsplit(".", 2)[0] for k in after.new}
+    old, new = (error_table(at.problem, at.theta) for at in (before, after))
+    spread, stated = np.full(new.shape, np.nan), problem.setup.known
+    placed = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
     known = set(located_names(model.problem)) - placed
-    given = {n for (_, n), found in problem.references.items() if not found.parameters}
-    anew = [d for d in problem.setup.known if known.isdisjoint(d.between)]
-    nominal, fitted = (error_table(at.problem, at.theta) for at in (before, after))
-    spread = problem.layout.table(variance, len(problem.data))
-    lengths = found_distances(before, after, anew)
-    own = tuple(name for name in located_names(problem) if name not in known | given)
-    return ModelErrors(positions, nominal, fitted, spread, lengths, own)
+    if not fitted:
+        stated = tuple(d for d in stated if known.isdisjoint(d.between))
+        estimated = *after.refitted, *after.new
+        variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
+        spread = problem.layout.table(variance, len(problem.data))
+    lengths = found_distances(before, after, stated, fitted)
+    known |= {n for (_, n), at in problem.references.items() if not at.parameters}
+    own = tuple(name for name in located_names(problem) if name not in known)
+    return ModelErrors(positions, old, new, spread, lengths, own)
 
 
 def located_names(problem: Problem) -> tuple[str, ...]:
@@ -273,10 +306,6 @@ def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> 
         raise InputError(reason, column=column)
 
 
-ENTRIES = 4_000_000
-"""Entries of a Jacobian that are looked at together."""
-
-
 @serial_blas
 def predicted_variance(
     fitted: Fit,
@@ -338,39 +367,29 @@ def _predicted_parts(
 
     Shapes (M',) and (M', k); arguments as for `predicted_variance`.
     """
-    sigma = problem.sigma
-    names, of_fit = problem.parameters.names, fitted.problem.parameters.names
+    names, scales = problem.parameters.names, problem.parameters.scales
+    of_fit, new = fitted.problem.parameters.names, list(estimated)
     # What is new there has no covariance: it was estimated from these.
     own = [k for k, name in enumerate(names) if name in of_fit]
     moved = np.column_stack([deviations.by_noise, deviations.by_effects])
     factor = np.zeros((len(theta), moved.shape[1]))
     factor[own] = moved[[of_fit.index(names[k]) for k in own]]
-    factor[list(estimated)] = 0.0
-    layout, count = problem.layout, len(problem.data)
-    noises = deviations.noise[alike(layout, fitted.problem.layout)]
-    variances = fitted.unit**2 * noises[layout.component]
-    step = max(1, ENTRIES * count // max(1, len(sigma) * len(theta)))
-    if len(estimated):  # The estimate couples all of them.
-        step = max(count, 1)
-    for start in range(0, count, step):
-        rows = np.arange(start, min(start + step, count))
-        part = slice(*np.searchsorted(layout.row, (start, start + step)).tolist())
-        some = replace(problem, data=problem.data.rows(rows))
-        J = some.linearize_rows(theta)[1][: part.stop - part.start]
-        uncertain, noise = J @ factor, variances[part]
+    factor[new] = 0.0
+    noises = deviations.noise[alike(problem.layout, fitted.problem.layout)]
+    every = np.arange(len(problem.data))
+    # An estimate couples all of them.
+    step = max(len(every), 1) if new else PIECE
+    for start in range(0, len(every), step):
+        some = replace(problem, data=problem.data.rows(every[start : start + step]))
+        component = some.layout.component
+        J = some.linearize_rows(theta)[1][: len(component)]
+        uncertain, noise = J @ factor, fitted.unit**2 * noises[component]
         if deviations.systematic is not None:
             # The fit has absorbed a part of what gears and compliance do there.
             there = deviations.systematic.rows(some, theta)
             uncertain[:, -there.shape[1] :] -= there
-        if len(estimated):
-            K = _range(J[:, list(estimated)])
+        if new:
+            K = column_space(J[:, new] * scales[new])
             uncertain = uncertain - K @ (K.T @ uncertain)
             noise = noise * (1.0 - np.sum(K**2, axis=1))
         yield noise, uncertain
-
-
-def _range(A: Floats) -> Floats:
-    """Orthonormal basis of columns, rounding left out."""
-    lengths = np.linalg.norm(A, axis=0)
-    U, s, _ = np.linalg.svd(A / np.where(lengths > 0.0, lengths, 1.0), False)
-    return np.asarray(U[:, s > 1e-10 * s.max(initial=0.0)])

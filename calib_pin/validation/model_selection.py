@@ -40,7 +40,6 @@ from calib_pin.parameterizations.transmission import MotorRipple, Transmission
 from calib_pin.parameters import matching
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import RESIDUAL_MODELS
-from calib_pin.residual_models.base import root_mean_square
 from calib_pin.setup import Setup
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import ModelErrors
@@ -142,8 +141,7 @@ def select_model(
     geometric = geometric or Setup.parameters
     _require_patterns(chains, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
-    given = chains, measurements, setup, seed, progress, workers, use
-    candidates = _Candidates(*given)
+    candidates = _Candidates(chains, measurements, setup, seed, progress, workers, use)
     offset = candidates.add("joint offset", (OFFSETS,))
     if not offset.sizes:
         raise OptionError(f"no model can be selected: {offset.candidate.reason}")
@@ -238,21 +236,20 @@ def scored(
 
     Of a cluster of which all is set aside the size is NaN.
     """
-    measurements, layout = grouping.measurements, model.problem.layout
-    weight = measurements.weight
-    counted = ModelErrors.joined([part.counted(weight) for part in parts])
-    there = replace(model.problem, data=measurements)
-    sigma = layout.table(there.given_sigma, len(measurements))[counted.positions]
-    size = np.sqrt(np.nanmean((counted.after / sigma) ** 2, axis=1))
-    label, kept = grouping.clusters[counted.positions], weight[counted.positions] > 0.0
-    count = int(grouping.clusters.max(initial=-1)) + 1
+    rows, layout = grouping.measurements, model.problem.layout
+    errors = ModelErrors.joined([part.counted(rows.weight) for part in parts])
+    sigma = replace(model.problem, data=rows).given_sigma
+    sigma = layout.table(sigma, len(rows))[errors.positions]
+    size = np.sqrt(np.nanmean((errors.after / sigma) ** 2, axis=1))
+    kept = rows.weight[errors.positions] > 0.0
+    label, count = grouping.clusters, int(grouping.clusters.max(initial=-1)) + 1
+    label = label[errors.positions][kept]
     with np.errstate(invalid="ignore"):
-        totals = np.bincount(label[kept], size[kept], count)
-        sizes: Floats = totals / np.bincount(label[kept], minlength=count)
-    lengths = [(q, q.errors(counted.after)) for q in layout.quantities]
-    told = ((q, float(e.mean()), root_mean_square(e)) for q, e in lengths)
-    errors = tuple(QuantityError(q.name, q.unit, mean, rms) for q, mean, rms in told)
-    return sizes, HeldOutErrors(errors, *_mean(sizes))
+        totals = np.bincount(label, size[kept], count)
+        sizes: Floats = totals / np.bincount(label, minlength=count)
+    told = ((q, errors.accuracy(q)[1]) for q in layout.quantities)
+    found = (QuantityError(q.name, q.unit, a.mean, a.rms) for q, a in told if a)
+    return sizes, HeldOutErrors(tuple(found), *_mean(sizes))
 
 
 @dataclass
@@ -285,14 +282,11 @@ class _Candidates:
         share = (1.0 - self.done) * (QUICK if learned is None else SLOW)
         tell = portion(named(self.progress, name), self.done, share)
         self.done += share
-        blank = Candidate(name, parameters, learned)
+        candidate = Candidate(name, parameters, learned)
         try:
-            found = self._judge(blank, tell)
+            found = self._judge(candidate, extends, tell)
         except InputError as error:
-            found = Judged(replace(blank, reason=error.reason))
-        if found.sizes:
-            better = all(helps(found.sizes, below.sizes, self.use) for below in extends)
-            found = replace(found, candidate=replace(found.candidate, helps=better))
+            found = Judged(replace(candidate, reason=error.reason))
         self.judged.append(found)
         return found
 
@@ -316,9 +310,6 @@ class _Candidates:
             every = (*base.candidate.parameters, *ordered)
             tried[added] = self.add(f"+ {' + '.join(ordered)}", every, extends=below)
 
-        for kind in kinds:
-            judge(frozenset({kind}))
-        judge(frozenset(TOGETHER).intersection(kinds))
         current, best = None, frozenset[str]()
         while current != best:
             current = best
@@ -327,16 +318,19 @@ class _Candidates:
                 rest = {k for k in current if of_names[k] != of_names[kind]}
                 judge(frozenset(rest))
                 judge(frozenset(rest | {kind}))
-            found = {key: one for key, one in tried.items() if one.candidate.helps}
-            scores = {key: mean_score(one, self.use) for key, one in found.items()}
+            judge(frozenset(TOGETHER).intersection(kinds))
+            found = ((k, one) for k, one in tried.items() if one.candidate.helps)
+            scores = {key: mean_score(one, self.use) for key, one in found}
             best = min(scores, key=scores.__getitem__, default=best)
 
-    def _judge(self, candidate: Candidate, progress: Progress | None) -> Judged:
+    def _judge(
+        self, candidate: Candidate, extends: Iterable[Judged], tell: Progress | None
+    ) -> Judged:
         """Fit a candidate to all measurements, and leave parts of them out."""
         stated = self.chains, self.measurements
         setup = replace(self.setup, learned=candidate.learned)
         setup = with_parameters(*stated, setup, candidate.parameters)
-        model = fit_model(*stated, setup, self.seed, progress)
+        model = fit_model(*stated, setup, self.seed, tell)
         measurements = model.weighted(self.measurements)
         grouping, given = Grouping.of(measurements, setup), (model, measurements)
         masks = folds(grouping, model.fit, self.seed)
@@ -348,11 +342,12 @@ class _Candidates:
             for some in (masks, regions(grouping, self.seed))
         )
         away = tuple(part for part in away if not part.reason and len(part.positions))
-        found = [scored(grouping, model, parts) for parts in (near, away) if parts]
-        sizes, (errors, *others) = zip(*found, strict=True)
-        elsewhere = others[0] if others else None
-        known = vars(errors) | {"rank": model.fit.rank, "away": elsewhere}
-        return Judged(replace(candidate, **known), model, near, sizes)
+        scores = [scored(grouping, model, parts) for parts in (near, away) if parts]
+        sizes, (errors, *others) = zip(*scores, strict=True)
+        better = all(helps(sizes, below.sizes, self.use) for below in extends)
+        found = vars(errors) | {"away": others[0] if others else None}
+        candidate = replace(candidate, rank=model.fit.rank, helps=better, **found)
+        return Judged(candidate, model, near, sizes)
 
 
 def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:

@@ -176,8 +176,8 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
         return []
     fold = np.empty(len(order), np.int64)
     fold[order] = np.arange(len(order)) % count
-    every = (grouping.spared(fold[grouping.groups] == k) for k in range(count))
-    masks = [mask for mask in every if mask.any()]
+    parts = (grouping.spared(fold[grouping.groups] == k) for k in range(count))
+    masks = [mask for mask in parts if mask.any()]
     if fitted.problem.many:
         masks = [_few(mask, grouping.groups) for mask in masks]
     # Only what is estimated must be seen in every part.
@@ -200,10 +200,8 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
 
 def _few(mask: NDArray[np.bool_], groups: NDArray[np.int64]) -> NDArray[np.bool_]:
     """As many groups of a part as tell its errors, evenly spread, shape (N,)."""
-    own = np.flatnonzero(np.bincount(groups[mask]))
-    chosen = np.zeros(int(groups.max()) + 1, bool)
-    chosen[own[:: max(1, int(mask.sum()) // MOST)]] = True
-    return mask & chosen[groups]
+    own = np.unique(groups[mask])
+    return mask & np.isin(groups, own[:: max(1, int(mask.sum()) // MOST)])
 
 
 def _estimated(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
@@ -397,20 +395,27 @@ def split(
     if validation is not None and holdout is not None:
         raise OptionError("give validation measurements or a holdout, not both")
     training, left = fitted_and_held_out(measurements)
-    reason = "no {} is left to fit: all are for validation"
-    _require_fitted(training, left, reason, column="set")
+    method, why = "set", "no {} is left to fit: all are for validation"
     if validation is not None:
         if len(validation) == 0:
             raise InputError("there are no measurements to validate with")
-        reason = "these cannot be checked: no {} is fitted"
-        _require_fitted(training, validation, reason)
-        return training, validation, "file"
-    if holdout is None:
-        return training, left if len(left) else None, "set"
-    mask = _held_out(training, setup, holdout, seed)
-    kept, left = training.rows(~mask), training.rows(mask)
-    _require_fitted(kept, left, "no {} is left to fit: the holdout took all")
-    return kept, left, "holdout"
+        left, method = validation, "file"
+        why = "these cannot be checked: no {} is fitted"
+    elif holdout is not None:
+        mask = _held_out(training, setup, holdout, seed)
+        training, left, method = training.rows(~mask), training.rows(mask), "holdout"
+        why = "no {} is left to fit: the holdout took all"
+    # Only the station of the instrument may be another one.
+    fitted = {key._replace(station="") for key in training.keys}
+    for block in left.blocks:
+        model, chain, _, tool = block.key
+        if len(block) and block.key._replace(station="") not in fitted:
+            kind = f"'{model}' measurement"
+            kind += f" of the chain '{chain}'" if chain else ""
+            kind += f" with the tool '{tool}'" if tool else ""
+            column = "set" if method == "set" else None
+            raise block.error(0, why.format(kind), column=column)
+    return training, left if len(left) else None, method
 
 
 def _held_out(
@@ -444,29 +449,3 @@ def _held_out(
         allowed = f"at least {FEWEST_HELD_OUT} configurations, {least:.2g} here"
         raise OptionError(reason, value=holdout, allowed=allowed)
     return mask
-
-
-def _require_fitted(
-    training: Observations, left: Observations, why: str, column: str | None = None
-) -> None:
-    """Refuse validation measurements of a kind of which there is none to fit.
-
-    Only the station of the instrument may be another one.
-
-    Args:
-        training: The measurements to fit.
-        left: Those to validate with.
-        why: The reason, with braces where the kind belongs.
-        column: The column that says so.
-
-    Raises:
-        InputError: If there are such.
-    """
-    fitted = {key._replace(station="") for key in training.keys}
-    for block in left.blocks:
-        model, chain, _, tool = block.key
-        if len(block) and block.key._replace(station="") not in fitted:
-            kind = f"'{model}' measurement"
-            kind += f" of the chain '{chain}'" if chain else ""
-            kind += f" with the tool '{tool}'" if tool else ""
-            raise block.error(0, why.format(kind), column=column)

@@ -38,10 +38,6 @@ LEAST = 1e-4
 AHEAD = 8
 """Batches of every worker that are sent, or wait for an earlier result."""
 
-ENDGAME = 3
-"""Parts for every worker, at least, into which the rest of the items is cut, so that
-none works on while all others have nothing to do."""
-
 LIBRARIES = ("BLIS", "MKL", "NUMBA", "OMP", "OPENBLAS")
 """Libraries that read a number of threads when they are loaded."""
 
@@ -120,10 +116,9 @@ class Workers:
                     break
             else:
                 return
-        rest = len(items) - place if isinstance(items, Sequence) else inf
         payload = pickle.dumps((work, shared), pickle.HIGHEST_PROTOCOL)
         with self.sharing(sha256(payload).digest(), payload) as submit:
-            yield from _Flow(self, submit, lost, place, rest).results(todo)
+            yield from _Flow(self, submit, lost, place).results(todo)
 
 
 SERIAL = Workers()
@@ -139,7 +134,6 @@ class _Flow:
         submit: Sends them a batch.
         lost: Result of an item over which workers died twice.
         place: Number of items whose results were given.
-        rest: Number of items that were not sent, where it is known.
         done: Number of items whose time is known; at first, one that is a batch.
         seconds: Time that these took together.
         sent: Batches whose results were not taken, with their items.
@@ -149,7 +143,6 @@ class _Flow:
     submit: Submit
     lost: Callable[[Any], Any] | None
     place: int
-    rest: float
     done: int = 1
     seconds: float = SECONDS
     sent: deque[tuple[Future[Done], Sequence[Any]]] = field(default_factory=deque)
@@ -159,7 +152,6 @@ class _Flow:
         batches = iter(lambda: list(islice(items, self._size())), [])
         try:
             for batch in batches:
-                self.rest -= len(batch)
                 self.sent.append((self.submit(batch), batch))
                 if len(self.sent) == AHEAD * self.workers.count:
                     yield from self._taken(*self.sent.popleft())
@@ -171,8 +163,7 @@ class _Flow:
 
     def _size(self) -> int:
         """Items of a batch that takes about a second."""
-        size = SECONDS / max(self.seconds / self.done, LEAST)
-        return max(int(min(size, self.rest / (ENDGAME * self.workers.count))), 1)
+        return max(int(SECONDS / max(self.seconds / self.done, LEAST)), 1)
 
     def _taken(
         self, future: Future[Done], items: Sequence[Any], alone: bool = False

@@ -53,9 +53,9 @@ class Cluster(Workers, AbstractContextManager["Cluster"]):
                 logging.getLogger(name).setLevel(logging.CRITICAL)
         found: dict[str, Any] = {"address": address, "timeout": PATIENCE}
         if address == "local":
-            found = {"n_workers": cores(), "threads_per_worker": 1}
-            found["dashboard_address"] = "127.0.0.1:0"
-        if address.endswith(".json"):
+            own = {"n_workers": cores(), "threads_per_worker": 1}
+            found = {**own, "dashboard_address": "127.0.0.1:0"}
+        elif address.endswith(".json"):
             try:
                 stated = json.loads(Path(address).read_bytes())
                 found["address"] = str(stated["address"])

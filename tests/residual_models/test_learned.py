@@ -14,9 +14,9 @@ from calib_pin.errors import InputError
 from calib_pin.residual_models import ResidualModel, TrainingRows, restore
 from calib_pin.residual_models.covariance import FORMS
 from calib_pin.residual_models.gaussian_process import (
+    Conditioned,
     GaussianProcess,
     GaussianProcessOptions,
-    conditioned,
     fit_gaussian_process,
 )
 from calib_pin.residual_models.network import NetworkOptions, fit_network
@@ -59,22 +59,6 @@ def test_learns_through_the_kinematics(study: Arm, learned: ResidualModel) -> No
     np.testing.assert_allclose(learned.shift, 1.0, atol=0.5)
 
 
-def test_deviation_is_of_the_size_of_the_errors(
-    study: Arm, learned: ResidualModel
-) -> None:
-    """Errors of shift and correction cancel; only together they tell the pose's."""
-    if not isinstance(learned, GaussianProcess):
-        return  # A network does not know it.
-    rows = study(shifts=3).rows(200, 0.0, 5)
-    at = rows.by_joint(learned(rows.q), learned.shift)
-    deviation = learned.deviation(rows.q, at.by_correction, at.by_shift)
-    assert 0.25 < np.sqrt((at.residual**2).mean() / (deviation**2).mean()) < 4.0
-    # One component at a time is what stands without a derivative.
-    one = np.tile(np.eye(6)[[2]], (200, 1, 1))
-    alone, every = learned.deviation(rows.q, one), learned.deviation(rows.q)
-    np.testing.assert_allclose(alone[:, 0], every[:, 2], rtol=1e-6)
-
-
 def test_where_nothing_was_learned(study: Arm, learned: ResidualModel) -> None:
     """A network ends at its region; a process holds, and counts what is outside."""
     q = study().rows(40, NOISE, 3).q
@@ -92,8 +76,6 @@ def test_takes_the_tip_where_that_predicts_better(study: Arm) -> None:
     # Positions say nothing of the tool's orientation.
     q = arm.error.chain.random_configurations(300, np.random.default_rng(5))
     assert np.abs(tip(q)[:, 3:]).max() < 1e-9
-    pull = (tip(q) - arm.xi(q))[:, :3] / tip.deviation(q)[:, :3]
-    assert 0.4 < pull.std() < 2.0
     fresh = (arm.errors(tip) ** 2).mean() / 3.0 + NOISE**2
     assert tip.held_out[1] == pytest.approx(np.sqrt(fresh) / 1e-4, rel=0.5)
 
@@ -131,7 +113,8 @@ def test_left_out_rows_of_a_process_have_no_part(study: Arm) -> None:
     (found,) = whole.left_out(rows, [mask], np.random.default_rng(0))
     kept = np.flatnonzero(~mask)
     some, f, z = rows.some(kept), whole(rows.q)[kept], whole.shift
-    expected, _ = conditioned(whole, some, f, z)
+    known = Conditioned.of(whole, some, f, z)
+    expected = known.given(known.alpha)
     q = study().rows(20, NOISE, 3).q
     # The noise makes up for a condition of the covariance of some 1e8.
     size = np.abs(whole(q)).max()

@@ -98,12 +98,11 @@ def test_an_error_comes_at_the_place_of_its_item():
         next(found)
 
 
-def test_batches_grow_to_a_second_and_shrink_at_the_end():
+def test_batches_grow_to_a_second():
     fake = Fake(1, 0.01)
     list(fake.map(double, 1, [0] * 3000))
     assert fake.sizes[0] == 1
     assert 80 < max(fake.sizes) <= 100
-    assert fake.sizes[-1] == 1  # Nobody waits for the last batch.
     slow = Fake(1, 5.0)
     list(slow.map(double, 1, range(10)))
     assert slow.sizes == [1] * 10

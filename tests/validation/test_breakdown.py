@@ -16,7 +16,7 @@ from calib_pin.estimation.identifiability import WEAK, projected
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
-from calib_pin.validation.shared import block_ranks, ties
+from calib_pin.validation.assessment import block_ranks, ties
 
 
 @pytest.fixture(scope="module")

@@ -79,6 +79,9 @@ DEGREES = (2, 4)
 
 ELSEWHERE = "the station is not where it was at the calibration; --register fits it"
 
+ENDS = ("", "_low", "_high")
+"""Endings of the columns of an interval."""
+
 NOW = "calibrated"
 """The robot that is tested, of a calibration."""
 
@@ -432,6 +435,17 @@ def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
     return Interval(found, found / float(high), found / float(low))
 
 
+def limits(limit: LimitSetup) -> dict[str, tuple[float, str]]:
+    """The limits that are stated, and their units, by quantity."""
+    every = {
+        "AP": (limit.position, "m"),
+        "RP": (limit.repeatability, "m"),
+        "AD": (limit.distance, "m"),
+        "orientation": (limit.orientation, "rad"),
+    }
+    return {name: (most, unit) for name, (most, unit) in every.items() if most}
+
+
 def judged(
     test: Acceptance, limit: LimitSetup
 ) -> Iterator[tuple[str, str, Interval, float, str]]:
@@ -441,16 +455,14 @@ def judged(
     nothing is in doubt, and fails where all of it is above.
     """
     found = measured(test)
-    allowed = limit.position, limit.repeatability, limit.distance, limit.orientation
-    for name, most in zip(("AP", "RP", "AD", "orientation"), allowed, strict=True):
-        if most is None:
-            continue
-        unit, status = "rad" if name == "orientation" else "m", "undecided"
+    for name, (most, unit) in limits(limit).items():
         interval = worst(found[name][0]) if name in found else UNTESTABLE
         if interval.high <= most and not test.doubts:
             status = "pass"
         elif interval.low > most and not test.moved:
             status = "fail"
+        else:
+            status = "undecided"
         yield name, status, interval, most, unit
 
 
@@ -499,18 +511,13 @@ class Tested:
 
     def table(self) -> dict[str, Sequence[object]]:
         """A table by robot and pose, in SI units."""
-        poses = [(name, pose) for name, t in self.tests.items() for pose in t.poses]
-        found: dict[str, Sequence[object]] = {
-            "robot": [name for name, _ in poses],
-            "pose": [pose.pose for _, pose in poses],
-            "visits": [pose.visits for _, pose in poses],
-        }
-        for title, of in (("AP", "accuracy"), ("RP", "repeatability")):
-            ends = zip(*(getattr(pose, of) for _, pose in poses), strict=True)
-            for end, values in zip(("", "_low", "_high"), ends, strict=True):
-                found[f"{title}{end} [m]"] = values
-        known = (pose.directions for _, pose in poses)
-        return found | {"vAP [m]": ["" if size is None else size for size in known]}
+        columns = [f"{of}{end} [m]" for of in ("AP", "RP") for end in ENDS]
+        rows = []
+        for name, p in ((name, p) for name, t in self.tests.items() for p in t.poses):
+            ways = "" if p.directions is None else p.directions
+            rows.append((name, p.pose, p.visits, *p.accuracy, *p.repeatability, ways))
+        titles = ("robot", "pose", "visits", *columns, "vAP [m]")
+        return dict(zip(titles, zip(*rows, strict=True), strict=True))
 
 
 @serial_blas

@@ -81,10 +81,7 @@ def _poses(
         numbers = [pose.pose for pose in test.poses]
         # Robots stand beside each other, or their intervals would hide each other.
         places = np.array(numbers) + 0.24 * (k - 0.5 * (len(tests) - 1))
-        found = [of(pose) for pose in test.poses]
-        value, low, high = (
-            factor * np.array([(i.value, i.low, i.high) for i in found]).T
-        )
+        value, low, high = factor * np.array([of(pose) for pose in test.poses]).T
         bars = [np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)]
         axes.errorbar(places, value, bars, **ROBOTS[name][1], capsize=2.5)
         shown += [value, low, high]
@@ -97,14 +94,13 @@ def _poses(
     if len(numbers) <= FEW:
         axes.set_xticks(numbers, [f"P{number}" for number in numbers], fontsize=8)
     axes.grid(visible=False, axis="x")
-    everything = np.concatenate(shown)
-    everything = everything[np.isfinite(everything)]
-    positive = everything[everything > 0.0]
+    found = np.concatenate(shown)
+    positive = found[np.isfinite(found) & (found > 0.0)]
     if len(positive) and positive.max() > 20.0 * positive.min():
         log_axis(axes, "y", positive)
     else:
         axes.locator_params(axis="y", nbins=6)
-        axes.set_ylim(0.0, 1.12 * float(everything.max(initial=0.0)) or 1.0)
+        axes.set_ylim(0.0, 1.12 * float(positive.max(initial=0.0)) or 1.0)
 
 
 def accuracy_by_configurations(
@@ -156,8 +152,4 @@ def accuracy_by_configurations(
             "95 % intervals; dotted: 95 % of the robots."
         )
     key(figure, entries)
-    return Drawn(
-        "Accuracy against number of configurations",
-        text,
-        figure,
-    )
+    return Drawn("Accuracy against number of configurations", text, figure)

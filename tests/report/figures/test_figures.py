@@ -13,9 +13,7 @@ import pytest
 from calib_pin.report.figures import NAMES, Drawn
 from calib_pin.report.figures import drawn as draw_all
 from calib_pin.report.figures.canvas import COLORS, GROUPS
-from calib_pin.report.figures.errors import (
-    residuals_by_joint,
-)
+from calib_pin.report.figures.errors import residuals_by_joint
 from calib_pin.report.figures.robot_errors import robot_errors
 from calib_pin.validation.result import CalibrationResult
 from tests.report.results import solve, with_errors, without

@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, repeat
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,9 +196,8 @@ class Acceptance:
 def acceptance(
     attained: Floats,
     commanded: Floats,
-    group: Indices,
+    number: Indices,
     angles: Floats | None = None,
-    numbers: Indices | None = None,
     cycles: Indices | None = None,
     frames: FrameErrors | None = None,
 ) -> Acceptance:
@@ -207,11 +206,9 @@ def acceptance(
     Args:
         attained: Measured positions, shape (N, 3) [m].
         commanded: Commanded ones, shape (N, 3) [m].
-        group: Pose of each visit, shape (N,), any numbers.
+        number: Number of the pose of each visit, shape (N,).
         angles: Deviations of the orientation about the axes of the tool, shape (N, 3)
             [rad]; None where none was measured.
-        numbers: Number of the pose of each visit, shape (N,), another for each pose; by
-            default in the order of the first visits, from 1.
         cycles: Cycle of each visit, shape (N,), another for each visit of a pose; by
             default as their order tells, see `cycles_in_order`.
         frames: How far commanded poses may be off; default not at all.
@@ -219,8 +216,8 @@ def acceptance(
     Raises:
         InputError: If no pose was visited often enough.
     """
-    pose, first = ranked(group)
-    called = pose[first] + 1 if numbers is None else numbers[first]
+    pose, first = ranked(number)
+    called = number[first]
     cycles = cycles_in_order(pose) if cycles is None else cycles
     errors = np.hstack([attained - commanded, *([] if angles is None else [angles])])
     frames = frames or FrameErrors(np.zeros((*errors.shape, 0)))
@@ -242,9 +239,9 @@ def acceptance(
         else:
             accuracy = _mean_length(place, effects[:3], frames.dof, rng)
         positions = accuracy, means[:3], repeatability(place, rng)
+        angled = turns, tuple(map(_three_sigma, own.T[3:]))
         ways = _directions(place, before[visits[k]])
-        found = *positions, turns, tuple(map(_three_sigma, own.T[3:])), ways
-        poses.append(PoseTest(int(called[k]), len(own), *found))
+        poses.append(PoseTest(int(called[k]), len(own), *positions, *angled, ways))
     for k, m in combinations(kept, 2):
         turns_of = cycles[visits[k]], cycles[visits[m]]
         _, a, b = np.intersect1d(*turns_of, return_indices=True)
@@ -384,8 +381,7 @@ def _mean_length(
 def _of_mean(deviations: Floats, rng: np.random.Generator) -> Floats:
     """Simulated errors of the mean of visits, shape (DRAWS, 3)."""
     n = len(deviations)
-    noise = rng.standard_normal((DRAWS, 3)) @ _root(np.cov(deviations.T) / n).T
-    return np.asarray(noise / _chi(n - 1, rng))
+    return np.asarray(_scatter(np.cov(deviations.T) / n, DRAWS, rng) / _chi(n - 1, rng))
 
 
 def _chi(dof: float, rng: np.random.Generator) -> Floats:
@@ -394,10 +390,9 @@ def _chi(dof: float, rng: np.random.Generator) -> Floats:
     return np.sqrt(rng.chisquare(dof, (DRAWS, 1)) / dof)
 
 
-def _root(C: Floats) -> Floats:
-    """A square root of a covariance that may be singular."""
-    s, V = np.linalg.eigh(C)
-    return np.asarray(V * np.sqrt(np.maximum(s, 0.0)))
+def _scatter(C: Floats, shape: int | tuple[int, int], rng: np.random.Generator) -> Any:
+    """Normal deviations of a covariance (3, 3) that may be singular, (*shape, 3)."""
+    return rng.multivariate_normal(np.zeros(3), C, shape, "ignore", method="eigh")
 
 
 def _length(m: Floats, noise: Floats) -> Interval:
@@ -425,10 +420,10 @@ def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
     n, found = len(deviations), _sizes(deviations)[1]
     if not found > 0.0:
         return Interval(0.0, 0.0, 0.0)
-    L = _root(np.cov(deviations.T))
-    lengths = np.linalg.norm(rng.standard_normal((20 * DRAWS, 3)) @ L.T, axis=1)
+    C = np.cov(deviations.T)
+    lengths = np.linalg.norm(_scatter(C, 20 * DRAWS, rng), axis=1)
     true = float(lengths.mean() + 3.0 * lengths.std())
-    tests = rng.standard_normal((DRAWS, n, 3)) @ L.T
+    tests = _scatter(C, (DRAWS, n), rng)
     away = np.linalg.norm(tests - tests.mean(axis=1, keepdims=True), axis=2)
     ratios = (away.mean(axis=1) + 3.0 * away.std(axis=1, ddof=1)) / true
     low, high = np.quantile(ratios, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
@@ -576,7 +571,7 @@ def tested(
         errors = error_table(there.problem, there.theta)
         effects = _derivatives(there.problem, there.theta) @ fit.known
         angles = -errors[:, 3:6] if errors.shape[1] > 3 else None
-        visited = group, angles, number[good], cycle[good]
+        visited = number[good], angles, cycle[good]
         off = FrameErrors(effects, fit.dof or np.inf, fitted)
         test = acceptance(x, x + errors[:, :3], *visited, off)
         said = *doubts, *more

@@ -24,7 +24,7 @@ C = np.array([1.0, 0.1, 0.0])
 
 
 def test_a_pose_by_hand():
-    test = acceptance(X, np.tile(C, (4, 1)), np.zeros(4, int))
+    test = acceptance(X, np.tile(C, (4, 1)), np.ones(4, int))
     (pose,) = test.poses
     assert (pose.pose, pose.visits, pose.directions) == (1, 4, None)
     # The mean is (1.1, 0.15, 0.1).
@@ -41,7 +41,7 @@ def test_a_distance_by_hand():
     attained[1::2] += [[2.0, 0.0, 0.0], [2.1, 0.0, 0.0], [2.0, 0.0, 0.0], [2.3, 0, 0]]
     commanded = np.tile([C, C + np.array([2.0, 0.0, 0.0])], (4, 1))
     (pair,) = acceptance(attained, commanded, np.tile([7, 3], 4)).distances
-    assert (pair.poses, pair.cycles, pair.commanded) == ((1, 2), 4, 2.0)
+    assert (pair.poses, pair.cycles, pair.commanded) == ((3, 7), 4, 2.0)
     assert pair.accuracy.value == pytest.approx(0.1)
     assert pair.repeatability.value == pytest.approx(3 * np.sqrt(0.06 / 3))
 
@@ -72,7 +72,7 @@ def test_poses_need_visits():
     with pytest.raises(InputError, match="3"):
         acceptance(X, X, np.array([0, 0, 1, 1]))
     kept = acceptance(X, np.tile(C, (4, 1)), np.array([0, 0, 1, 0]))
-    assert [pose.pose for pose in kept.poses] == [1]
+    assert [pose.pose for pose in kept.poses] == [0]
 
 
 def test_limits_are_judged_by_the_worst_pose():
@@ -91,8 +91,7 @@ def test_limits_are_judged_by_the_worst_pose():
 
 def test_poses_have_the_numbers_of_the_file() -> None:
     x = np.repeat([0.0, 1.0, 3.0], 3)[:, None] * np.array([1.0, 0.0, 0.0])
-    group, numbers = np.repeat([0, 1, 2], 3), np.repeat([5, 2, 1], 3)
-    test = acceptance(x, np.zeros((9, 3)), group, numbers=numbers)
+    test = acceptance(x, np.zeros((9, 3)), np.repeat([5, 2, 1], 3))
     assert [pose.pose for pose in test.poses] == [1, 2, 5]
     assert [pose.accuracy.value for pose in test.poses] == [3.0, 1.0, 0.0]
     assert {pair.poses for pair in test.distances} == {(1, 2), (1, 5), (2, 5)}

@@ -67,9 +67,9 @@ def taken(result: CalibrationResult) -> Facts:
     measured = f"{len(result.fitted)} measurements"
     if aside := int((result.fitted.rows.weight == 0.0).sum()):
         measured += f", {aside} of them set aside"
+    which = HELD_OUT.get(result.validation.method, FOLDS)
     checked = "none: nothing but the fitted measurements is known"
     if held_out is not None:
-        which = HELD_OUT.get(result.validation.method, FOLDS)
         checked = f"{len(held_out)} measurements: {which}"
     entries = [
         ("robot", chain_words(system)),
@@ -164,10 +164,9 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
         for kind, names in owners.items()
     ]
     yield f"Registered for both (nominal and calibrated): {', '.join(told)}."
-    if result.validation.located:
-        names = ", ".join(result.validation.located)
-        if len(result.validation.located) > 2 * LISTED_OWNERS:
-            names = f"{len(result.validation.located)} of them"
+    if located := result.validation.located:
+        few = len(located) <= 2 * LISTED_OWNERS
+        names = ", ".join(located) if few else f"{len(located)} of them"
         yield f"Estimated from the validation measurements: {names}."
     if skipped := result.validation.skipped:
         folds = "fold was" if len(skipped) == 1 else "folds were"

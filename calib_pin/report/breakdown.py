@@ -86,9 +86,8 @@ def told(found: Breakdown, *, details: bool = True) -> Iterator[Block]:
     """
     for chain in found.chains:
         if chain.still:
-            of_chain = f" of chain {chain.name}" if chain.name else ""
-            joints = f"joint{'s' if len(chain.still) > 1 else ''} "
-            joints += f"{', '.join(chain.still)}{of_chain}"
+            joints = f"joint{'s' * (len(chain.still) > 1)} {', '.join(chain.still)}"
+            joints += f" of chain {chain.name}" * bool(chain.name)
             yield note(f"No measurement moves {joints}: held at nominal.")
     if details and len(found.blocks) > 1:
         yield from _blocks(found)
@@ -125,6 +124,9 @@ def _blocks(found: Breakdown) -> Iterator[Block]:
 
 
 # --- where frames and cameras are ---------------------------------------------------
+
+INTRINSIC = ("focal", "center", "distortion")
+"""Keys of the numbers of a camera in a setup."""
 
 DIGITS = 9
 """Decimals of lines to be copied [m, rad]: beyond any measurement."""
@@ -197,9 +199,7 @@ def _lines(
         (camera,) = cameras.values()
         lines["camera"] = {
             "mount": camera.mount,
-            "focal": _rounded(camera.focal),
-            "center": _rounded(camera.center),
-            "distortion": _rounded(camera.distortion),
+            **{name: _rounded(getattr(camera, name)) for name in INTRINSIC},
             **({} if camera.size is None else {"size": [*camera.size]}),
         }
     return lines

@@ -150,11 +150,9 @@ def _tables(found: Compensation, chain: Chain) -> Iterator[Table]:
     yield table(title, ("", "commands|word", *titles, UNIT), rows, grouped=1)
     drives = JointColumns.of(chain)
     sizes = np.abs(drives.values(found.corrections + drives.offsets))
+    columns = zip(drives.joints, drives.revolute, sizes.T, strict=True)
     rows = [
-        (name, *_sizes(column, "rad" if revolute else "m"))
-        for name, revolute, column in zip(
-            drives.joints, drives.revolute, sizes.T, strict=True
-        )
+        (name, *_sizes(own, "rad" if turns else "m")) for name, turns, own in columns
     ]
     if len(sizes):
         yield table("Joint corrections", ("", "mean", "max", UNIT), rows)

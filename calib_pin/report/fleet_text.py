@@ -89,18 +89,16 @@ def _more(found: Sequence[object], most: int, file: str) -> Iterator[Line]:
 def _common(population: Population, most: int) -> Iterator[Block]:
     """Errors that the robots of a type have in common."""
     name, robots = population.evidences[0].robot.name, len(population.evidences)
-    errors = [error for error in common_errors(population) if error.significant]
-    errors.sort(key=lambda error: error.chance)
+    clear = (error for error in common_errors(population) if error.significant)
+    errors = sorted(clear, key=lambda error: error.chance)
     said = f"{robots} robots '{name}' are the prior of the next one of their type"
     if not errors:
         yield Line(f"{said}; they have no error in common that shows.")
         return
     yield Line(f"{said}.")
-    yield table(
-        f"Errors that robots '{name}' have in common",
-        ("error", "mean", *ESTIMATE[1:]),
-        [(e.name, *estimate(e.mean, e.sigma, e.unit)) for e in errors[:most]],
-    )
+    rows = [(e.name, *estimate(e.mean, e.sigma, e.unit)) for e in errors[:most]]
+    title = f"Errors that robots '{name}' have in common"
+    yield table(title, ("error", "mean", *ESTIMATE[1:]), rows)
     yield from _more(errors, most, "fleet.json")
 
 

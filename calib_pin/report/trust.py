@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 
@@ -212,9 +213,7 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
     entries = [("chi-square", f"{number(found.chi2)} with {found.dof} dof")]
     if found.dof > 0:
         low, high = chi2_interval(found.dof)
-        where = "inside"
-        if not low <= found.chi2 <= high:
-            where = "below" if found.chi2 < low else "above"
+        where = ("below", "inside", "above")[bisect((low, high), found.chi2)]
         interval = f"{number(low)} ... {number(high)}"
         entries.append(("", f"{where} its 95 % interval {interval}"))
         sigmas = "stated" if found.stated_sigma else "assumed"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from calib_pin.report.figures.canvas import (
 )
 from calib_pin.report.tables import unit_of
 from calib_pin.setup import LimitSetup
-from calib_pin.validation.acceptance import Acceptance, Interval, PoseTest
+from calib_pin.validation.acceptance import Acceptance
 
 FEW = 12
 """Poses up to which each is named: names of more lie over each other."""
@@ -50,30 +50,23 @@ def poses_tested(
     figure, (row,) = panels(1, 2, 2.5, gap=0.8)
     unit = unit_of("m")[0]
     place = "point of the path" if path else "pose"
-    _poses(row[0], tests, lambda pose: pose.accuracy, limit.position)
-    _poses(row[1], tests, lambda pose: pose.repeatability, limit.repeatability)
-    for axes, name in zip(row, ("AP", "RP"), strict=True):
-        axes.set_ylabel(f"{name} [{unit}]")
-        axes.set_xlabel(place)
+    limits = {"accuracy": limit.position, "repeatability": limit.repeatability}
+    for axes, name, of in zip(row, ("AP", "RP"), limits, strict=True):
+        _poses(axes, tests, of, limits[of])
+        axes.set(xlabel=place, ylabel=f"{name} [{unit}]")
     entries = dict(ROBOTS[name] for name in tests)
     if limit.position is not None or limit.repeatability is not None:
         entries["limit"] = LIMIT
     key(figure, entries)
     worst = "; the worst are AT and RT" if path else ""
-    return Drawn(
-        f"Accuracy and repeatability by {place}",
-        f"AP and RP of every {place} with 95 % intervals{worst}."
-        + " A limit is met where all of an interval lies below it."
-        * ("limit" in entries),
-        figure,
-    )
+    said = f"AP and RP of every {place} with 95 % intervals{worst}."
+    if "limit" in entries:
+        said += " A limit is met where all of an interval lies below it."
+    return Drawn(f"Accuracy and repeatability by {place}", said, figure)
 
 
 def _poses(
-    axes: Axes,
-    tests: Mapping[str, Acceptance],
-    of: Callable[[PoseTest], Interval],
-    limit: float | None,
+    axes: Axes, tests: Mapping[str, Acceptance], of: str, limit: float | None
 ) -> None:
     _, factor = unit_of("m")
     shown = []
@@ -81,7 +74,9 @@ def _poses(
         numbers = [pose.pose for pose in test.poses]
         # Robots stand beside each other, or their intervals would hide each other.
         places = np.array(numbers) + 0.24 * (k - 0.5 * (len(tests) - 1))
-        value, low, high = factor * np.array([of(pose) for pose in test.poses]).T
+        value, low, high = (
+            factor * np.array([getattr(pose, of) for pose in test.poses]).T
+        )
         bars = [np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)]
         axes.errorbar(places, value, bars, **ROBOTS[name][1], capsize=2.5)
         shown += [value, low, high]

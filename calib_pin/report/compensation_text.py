@@ -151,9 +151,7 @@ def _tables(found: Compensation, chain: Chain) -> Iterator[Table]:
     drives = JointColumns.of(chain)
     sizes = np.abs(drives.values(found.corrections + drives.offsets))
     columns = zip(drives.joints, drives.revolute, sizes.T, strict=True)
-    rows = [
-        (name, *_sizes(own, "rad" if turns else "m")) for name, turns, own in columns
-    ]
+    rows = [(name, *_sizes(x, "rad" if turns else "m")) for name, turns, x in columns]
     if len(sizes):
         yield table("Joint corrections", ("", "mean", "max", UNIT), rows)
 

@@ -195,9 +195,8 @@ class Acceptance:
 
 def acceptance(
     attained: Floats,
-    commanded: Floats,
+    deviations: Floats,
     number: Indices,
-    angles: Floats | None = None,
     cycles: Indices | None = None,
     frames: FrameErrors | None = None,
 ) -> Acceptance:
@@ -205,10 +204,9 @@ def acceptance(
 
     Args:
         attained: Measured positions, shape (N, 3) [m].
-        commanded: Commanded ones, shape (N, 3) [m].
+        deviations: These minus the commanded ones [m], and where orientations are
+            measured their deviations about the axes of the tool [rad], shape (N, D).
         number: Number of the pose of each visit, shape (N,).
-        angles: Deviations of the orientation about the axes of the tool, shape (N, 3)
-            [rad]; None where none was measured.
         cycles: Cycle of each visit, shape (N,), another for each visit of a pose; by
             default as their order tells, see `cycles_in_order`.
         frames: How far commanded poses may be off; default not at all.
@@ -219,8 +217,7 @@ def acceptance(
     pose, first = ranked(number)
     called = number[first]
     cycles = cycles_in_order(pose) if cycles is None else cycles
-    errors = np.hstack([attained - commanded, *([] if angles is None else [angles])])
-    frames = frames or FrameErrors(np.zeros((*errors.shape, 0)))
+    frames = frames or FrameErrors(np.zeros((*deviations.shape, 0)))
     visits = [np.flatnonzero(pose == k) for k in range(len(first))]
     kept = [k for k in np.argsort(called) if len(visits[k]) >= LEAST]
     if not kept:
@@ -231,7 +228,7 @@ def acceptance(
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
     for k in kept:
-        own, effects = errors[visits[k]], frames.effects[first[k]]
+        own, effects = deviations[visits[k]], frames.effects[first[k]]
         means = tuple(map(_mean, own.T, effects, repeat(frames.dof)))
         place, accuracy, turns = own[:, :3], UNTESTABLE, means[3:]
         if frames.fitted:
@@ -242,6 +239,7 @@ def acceptance(
         angled = turns, tuple(map(_three_sigma, own.T[3:]))
         ways = _directions(place, before[visits[k]])
         poses.append(PoseTest(int(called[k]), len(own), *positions, *angled, ways))
+    commanded = attained - deviations[:, :3]
     for k, m in combinations(kept, 2):
         turns_of = cycles[visits[k]], cycles[visits[m]]
         _, a, b = np.intersect1d(*turns_of, return_indices=True)
@@ -255,11 +253,11 @@ def acceptance(
         accuracy = _mean(D - D_c, apart[0] @ effect / (D_c[0] or 1.0), frames.dof)
         pair = (int(called[k]), int(called[m])), len(D), float(D_c.mean())
         distances.append(DistanceTest(*pair, accuracy, _three_sigma(D)))
-    deviations = [errors[visits[k], :3] for k in kept]
-    test = Acceptance(tuple(poses), tuple(distances), _drift(deviations))
+    places = [deviations[visits[k], :3] for k in kept]
+    test = Acceptance(tuple(poses), tuple(distances), _drift(places))
     if not frames.fitted:
         return test
-    bound, said = _bound(deviations, frames.effects[first[kept], :3], rng)
+    bound, said = _bound(places, frames.effects[first[kept], :3], rng)
     return replace(test, bound=bound, untestable=f"{frames.fitted}, {said}")
 
 
@@ -568,12 +566,10 @@ def tested(
     tests = {}
     for name, fit in frames.items():
         there = model_errors.registered(fit.problem, fit.theta, visits)
-        errors = error_table(there.problem, there.theta)
+        deviations = -error_table(there.problem, there.theta)
         effects = _derivatives(there.problem, there.theta) @ fit.known
-        angles = -errors[:, 3:6] if errors.shape[1] > 3 else None
-        visited = number[good], angles, cycle[good]
         off = FrameErrors(effects, fit.dof or np.inf, fitted)
-        test = acceptance(x, x + errors[:, :3], *visited, off)
+        test = acceptance(x, deviations, number[good], cycle[good], off)
         said = *doubts, *more
         tests[name] = replace(test, moved=moved is not None, doubts=said)
     name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name

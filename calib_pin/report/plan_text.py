@@ -95,7 +95,7 @@ def _steps(plan: Plan) -> Table:
 def _chosen_steps(plan: Plan) -> list[Step]:
     """Some of the steps, more closely where there are few configurations."""
     counts = [step.count for step in plan.steps]
-    wanted = np.geomspace(max(counts[0], 1), counts[-1], SHOWN).round()
+    wanted = np.geomspace(max(counts[0], 1), counts[-1], SHOWN - 2).round()
     kept = {0, counts.index(len(plan.q)), *np.searchsorted(counts, wanted).tolist()}
     return [plan.steps[k] for k in sorted(kept)]
 

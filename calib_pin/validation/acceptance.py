@@ -51,9 +51,9 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations
 from calib_pin.setup import LimitSetup, Setup
-from calib_pin.units import DISPLAY
 from calib_pin.validation import model_errors
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.result import CalibrationResult
 
 MODELS = ("position", "pose")
@@ -304,10 +304,9 @@ def _bound(
     noise = np.column_stack([_of_mean(own, rng) for own in deviations])
     found = _length(d - U @ (U.T @ d), noise - noise @ U @ U.T)
     low, rms = found.low / len(motions) ** 0.5, found.value * (3.0 / left) ** 0.5
-    return Interval(np.nan, low, np.inf), (
-        f"{said}; AP is at least {told(low)}, and {told(rms)} rms if the fit took the "
-        "same from all directions"
-    )
+    said += f"; AP is at least {shown(low, 'm', 3)}, and {shown(rms, 'm', 3)} rms if "
+    said += "the fit took the same from all directions"
+    return Interval(np.nan, low, np.inf), said
 
 
 def _directions(deviations: Floats, before: Indices) -> float | None:
@@ -481,12 +480,6 @@ def _away(interval: Interval) -> Interval:
 def worst(intervals: Sequence[Interval]) -> Interval:
     """The largest value, and the largest ends: those that decide."""
     return Interval(*map(max, zip(*intervals, strict=True)))
-
-
-def told(length: float) -> str:
-    """A length in the unit in which people read it, in a sentence."""
-    unit, factor = DISPLAY["m"]
-    return f"{factor * length:.3g} {unit}"
 
 
 @dataclass(frozen=True)
@@ -671,7 +664,7 @@ def _misplaced(
         near, own = min(away, key=away.__getitem__), away[number[k]]
         # A tenth of the distance from its own pose is at the other one.
         other = f", where P{near} is" if away[near] < 0.1 * own else ""
-        said = f"{told(own)} from the other visits of its pose{other}"
+        said = f"{shown(own, 'm', 3)} from the other visits of its pose{other}"
         yield f"{places[k]} is left out: {said}"
 
 
@@ -768,8 +761,9 @@ def _misfit(calibration: CalibrationResult, fit: FrameFit) -> tuple[str, bool]:
     squares = np.maximum(np.linalg.eigvalsh(left @ S @ left), 0.0)
     draws = np.random.default_rng(0).standard_normal((DRAWS, len(d))) ** 2 @ squares
     found = float(np.sum((left @ d) ** 2))
-    sizes = [told((square / len(first)) ** 0.5) for square in (found, squares.sum())]
-    said = f"the misfit of the station is {sizes[0]} where {sizes[1]} is expected"
+    sizes = np.sqrt(np.array([found, squares.sum()]) / len(first))
+    here, there = (shown(size, "m", 3) for size in sizes)
+    said = f"the misfit of the station is {here} where {there} is expected"
     return said, float(np.mean(draws >= found)) < CHANCE
 
 

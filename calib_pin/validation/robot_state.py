@@ -167,6 +167,11 @@ class RobotState:
         )
 
     @property
+    def sigmas(self) -> dict[str, float]:
+        """The noise by quantity, see `NoiseSize.sigma`."""
+        return {one.quantity: one.sigma for one in self.noise}
+
+    @property
     def robot(self) -> NDArray[np.bool_]:
         """The estimated parameters that are errors of the robot, shape (P,)."""
         return self.free & ~self.system.given.nuisance
@@ -413,8 +418,7 @@ def started(
         raise OptionError(reason, allowed=allowed)
     require_usable(chains, setup, start)
     older = RobotState.of(start, process_noise)
-    known = {one.quantity: one.sigma for one in older.noise}
-    stated = replace(setup, prior={}, noise={**known, **setup.noise})
+    stated = replace(setup, prior={}, noise=older.sigmas | dict(setup.noise))
     problem = make_problem(chains, data.sample(SOME), stated)
     robot = problem.parameters.free & ~problem.parameters.nuisance
     # About frames and instrument that suit the older robot.
@@ -454,8 +458,7 @@ def expected_setup(
     effects = [(drift.size, directions[drift.name]) for drift in state.drifts]
     # Which joint was hit, if one was, must show as well.
     effects += [(SELDOM**0.5, c.directions) for c in sudden if c.kind == "offset"]
-    known = {one.quantity: one.sigma for one in state.noise}
-    return replace(setup, prior=state.prior(effects, known))
+    return replace(setup, prior=state.prior(effects, state.sigmas))
 
 
 def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> None:
@@ -558,7 +561,7 @@ class Innovations:
         for k in (int(k) for own in frames.values() for k in own):
             scale = expected_size(given[k].unit)
             given[k] = replace(given[k], nuisance=False, scale=scale)
-        units = _factors(problem, older.noise)
+        units = _factors(problem, older.sigmas)
         problem = replace(problem, given=ParameterSet(tuple(given)), units=units)
         self.parameters, known = (
             problem.parameters,
@@ -645,7 +648,7 @@ class Innovations:
         # Beside what all have shown, as much more as these show by chance.
         more = max(found.square / len(first.values), 1.0) ** 0.5
         more *= next(c.size for c in found.causes if c.name == NOISE)
-        grown = {one.quantity: more * one.sigma for one in state.noise}
+        grown = {name: more * sigma for name, sigma in state.sigmas.items()}
         step = RecalibrationStep(*made, *values, float(still))
         return step, state.prior(effects, grown)
 
@@ -703,13 +706,12 @@ class Innovations:
         return Jump(change.name, change.kind, *sizes, *words)
 
 
-def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:
+def _factors(problem: Problem, sigmas: Mapping[str, float]) -> Floats:
     """Noise of every quantity by what is stated now, where it is known to be larger.
 
     What a robot does that no parameter describes is there whatever the instrument
     states.
     """
-    sigmas = {one.quantity: one.sigma for one in noise}
     found = np.ones(len(problem.layout.components))
     for k, component in enumerate(problem.layout.components):
         own = problem.given_sigma[problem.layout.of_components[k]]

@@ -13,7 +13,7 @@ import pinocchio as pin
 import calib_pin.validation.acceptance as tested
 from calib_pin.control.acceptance_poses import ORDER, AcceptancePoses
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.report.blocks import Block, Cell, Line, Table, Tone, note, table
+from calib_pin.report.blocks import Block, Line, Table, Tone, note, table
 from calib_pin.report.tables import UNIT, amount, quantity, unit_of
 from calib_pin.setup import LimitSetup
 
@@ -44,16 +44,15 @@ def acceptance_report(
         about: The robot, the poses and the frame, in a sentence.
         path: Whether the poses are points of a path: AT and RT are their worst.
     """
-    *_, (_, last) = found.items()
+    *_, last = found.values()
     yield from limit_lines(last, limit, path=path)
     yield from doubt_lines(last)
     yield Line(about)
     if path:
-        worsts = {
-            name: [tested.worst(tested.measured(test)[key][0]) for key in PATH]
-            for name, test in found.items()
-        }
-        rows = [(name, str(len(found[name].poses)), *worsts[name]) for name in found]
+        rows = []
+        for name, test in found.items():
+            worsts = (tested.worst(tested.measured(test)[key][0]) for key in PATH)
+            rows.append((name, str(len(test.poses)), *worsts))
         yield _table("Path", ("", "points", "AT", "95 %", "RT", "95 %"), rows)
         yield note(
             "AT and RT: AP and RP of the worst point; the 95 % intervals are those of "
@@ -76,23 +75,16 @@ def acceptance_report(
     )
     if last.poses[0].angles:
         turned = [
-            (f"P{p.pose}" if axis == "x" else "", axis, mean, sigma)
+            (f"P{p.pose}", *cells)
             for p in last.poses
-            for axis, mean, sigma in zip(
-                "xyz", p.angles, p.angle_repeatability, strict=True
-            )
+            for cells in zip("xyz", p.angles, p.angle_repeatability, strict=True)
         ]
         angles = ("pose", "about", "mean", "95 %", "3 sigma", "95 %")
         yield _table("Orientations", angles, turned, "rad")
     if last.distances:
         pairs = sorted(last.distances, key=lambda d: -abs(d.accuracy.value))
         apart = [
-            (
-                "-".join(f"P{k}" for k in p.poses),
-                p.commanded,
-                p.accuracy,
-                p.repeatability,
-            )
+            ("P{}-P{}".format(*p.poses), p.commanded, p.accuracy, p.repeatability)
             for p in pairs[:SHOWN]
         ]
         lengths = ("poses|word", "distance", "AD", "95 %", "RD", "95 %")
@@ -112,14 +104,14 @@ def _table(
 
     def cells(item: object) -> Sequence[object]:
         if isinstance(item, tested.Interval):
-            return cells_of(item, unit)
+            return [quantity(item.value, unit), ends(item, unit)]
         if item is None or isinstance(item, float):
             return [quantity(nan if item is None else item, unit)]
         return [item]
 
     shown = unit_of(unit)[0]
     lines = [[*chain.from_iterable(map(cells, row)), shown] for row in rows]
-    return table(title, (*titles, UNIT), lines)
+    return table(title, (*titles, UNIT), lines, grouped=1)
 
 
 def limit_lines(
@@ -144,11 +136,6 @@ def doubt_lines(test: tested.Acceptance) -> Iterator[Line]:
         yield Line(f"No PASS: {doubt.rstrip('.')}.", "bad")
 
 
-def cells_of(interval: tested.Interval, unit: str) -> tuple[Cell, str]:
-    """A value, a dash where there is none, and its interval."""
-    return quantity(interval.value, unit), ends(interval, unit)
-
-
 def ends(interval: tested.Interval, unit: str) -> str:
     """Both ends of an interval, in the unit in which people read it."""
     low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
@@ -162,11 +149,7 @@ PAUSE = 5.0
 
 
 def acceptance_schedule(
-    found: AcceptancePoses,
-    robot: str,
-    cycles: int,
-    speeds: Floats | None,
-    command: str,
+    found: AcceptancePoses, robot: str, cycles: int, speeds: Floats | None, command: str
 ) -> str:
     """The poses and what to do on the day, in lines of ASCII.
 

@@ -51,12 +51,9 @@ def subject(result: CalibrationResult) -> Line:
     if solver.history:
         search = f"; {solver.name}, {solver.evaluations} evaluations"
         search += f" ({solver.evaluator})"
-    told = [
-        f"{len(names)} {kind}s"
-        for kind, names in scopes(result.model).items()
-        if len(names) > 1
-    ]
-    places = f" ({', '.join(told)})" if told else ""
+    counts = {kind: len(names) for kind, names in scopes(result.model).items()}
+    told = ", ".join(f"{count} {kind}s" for kind, count in counts.items() if count > 1)
+    places = f" ({told})" if told else ""
     measured = counted(len(result.fitted), "measurement")
     return note(
         f"{chain_words(result.model)}; {model_words(result.model)}{places}, {measured} "
@@ -70,9 +67,9 @@ def taken(result: CalibrationResult) -> Facts:
     measured = f"{len(result.fitted)} measurements"
     if aside := int((result.fitted.rows.weight == 0.0).sum()):
         measured += f", {aside} of them set aside"
+    which = HELD_OUT.get(result.validation.method, FOLDS)
     checked = "none: nothing but the fitted measurements is known"
     if held_out is not None:
-        which = HELD_OUT.get(result.validation.method, FOLDS)
         checked = f"{len(held_out)} measurements: {which}"
     entries = [
         ("robot", chain_words(system)),
@@ -167,10 +164,9 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
         for kind, names in owners.items()
     ]
     yield f"Registered for both (nominal and calibrated): {', '.join(told)}."
-    if result.validation.located:
-        names = ", ".join(result.validation.located)
-        if len(result.validation.located) > 2 * LISTED_OWNERS:
-            names = f"{len(result.validation.located)} of them"
+    if located := result.validation.located:
+        few = len(located) <= 2 * LISTED_OWNERS
+        names = ", ".join(located) if few else f"{len(located)} of them"
         yield f"Estimated from the validation measurements: {names}."
     if skipped := result.validation.skipped:
         folds = "fold was" if len(skipped) == 1 else "folds were"
@@ -187,13 +183,12 @@ def moves(result: CalibrationResult) -> Iterator[Block]:
     corrections = {} if geometry is None else geometry.urdf_corrections()
     if not corrections:
         return
-    shifts = {j: float(np.linalg.norm(M.translation)) for j, M in corrections.items()}
-    turns = {
-        j: float(np.linalg.norm(pin.log3(M.rotation))) for j, M in corrections.items()
-    }
+    names, poses = zip(*corrections.items(), strict=True)
+    vectors = [(M.translation, pin.log3(M.rotation)) for M in poses]
+    norms = np.linalg.norm(vectors, axis=2).T
     parts = [
-        f"{amount(max(sizes.values()), unit)} ({max(sizes, key=sizes.__getitem__)})"
-        for sizes, unit in ((shifts, "m"), (turns, "rad"))
+        f"{amount(float(size.max()), unit)} ({names[size.argmax()]})"
+        for size, unit in zip(norms, ("m", "rad"), strict=True)
     ]
     yield note(f"Largest correction of a joint origin: {', '.join(parts)}.")
 
@@ -218,8 +213,7 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
         return
     means = []
     for error in result.urdf.errors:
-        found = error.validation_after or error.after
-        means.append(f"{error.name} {amount(found.mean, error.unit)}")
+        means.append(f"{error.name} {amount(error.shown[1].mean, error.unit)}")
     which = "fitted" if result.validation.method == "none" else "validation"
     yield note(
         f"{said}It holds the best geometry without: mean error on {which} "
@@ -240,8 +234,7 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
     yield table("Accuracy", ("", "measurements", *SIZES), rows)
     how = "Nothing was fitted to these measurements."
     if evaluation.registered:
-        how = "Unknown frames and instrument parameters were registered on these "
-        how += "measurements."
+        how = "Unknown frames and instrument parameters were registered on these rows."
     if evaluation.located:
         how = (
             "New to the calibration, estimated from these measurements: "
@@ -277,29 +270,17 @@ def recalibrated(result: CalibrationResult, *, details: bool = True) -> Iterator
     )
     if not details:
         return
-    yield Facts(
-        "Drift from one calibration to the next, standard deviation",
-        [
-            (drift.name, f"{amount(drift.size, 'm')} or {amount(drift.size, 'rad')}")
-            for drift in found.last.drifts
-        ],
-    )
-    first = max(len(found.steps) - STEPS, 0)
-    yield table(
-        "Calibrations since the first one",
-        (
-            *("", "began with that of|word", "measurements"),
-            *("chi-square", "dof", "changed|remark"),
-        ),
-        [
-            (
-                place,
-                step.created[:10] or step.start or "-",
-                step.measurements,
-                Cell(number(step.chi2), step.chi2),
-                step.dof,
-                ", ".join(jump.name or "the whole robot" for jump in step.jumps) or "-",
-            )
-            for place, step in enumerate(found.steps[first:], first + 1)
-        ],
-    )
+    drifts = [
+        (drift.name, f"{amount(drift.size, 'm')} or {amount(drift.size, 'rad')}")
+        for drift in found.last.drifts
+    ]
+    yield Facts("Drift from one calibration to the next, standard deviation", drifts)
+    rows, first = [], max(len(found.steps) - STEPS, 0)
+    for place, step in enumerate(found.steps[first:], first + 1):
+        begun = step.created[:10] or step.start or "-"
+        numbers = step.measurements, Cell(number(step.chi2), step.chi2), step.dof
+        jumps = ", ".join(jump.name or "the whole robot" for jump in step.jumps)
+        rows.append((place, begun, *numbers, jumps or "-"))
+    titles = "began with that of|word", "measurements", "chi-square", "dof"
+    title = "Calibrations since the first one"
+    yield table(title, ("", *titles, "changed|remark"), rows)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, cast
 
 Tone = Literal["plain", "good", "bad", "strong", "note"]
@@ -134,6 +135,7 @@ def table(
     titles: Iterable[str],
     rows: Iterable[Iterable[object]],
     emphasized: Sequence[int] = (),
+    grouped: int = 0,
 ) -> Table:
     """A table of cells, words and counts.
 
@@ -143,12 +145,20 @@ def table(
             one: `unit|word`. Usually the first column has names, the others numbers.
         rows: The rows.
         emphasized: Positions of the rows that stand out.
+        grouped: Leading columns of which a cell is left empty where it and those before
+            it are as in the row above.
     """
     columns: list[Column] = []
     for head, _, kind in (name.partition("|") for name in titles):
         usual: Kind = "number" if columns else "name"
         columns.append(Column(head, cast("Kind", kind) or usual))
-    return Table(title, columns, [[*map(_cell, row)] for row in rows], emphasized)
+    cells = [[*map(_cell, row)] for row in rows]
+    for above, row in reversed([*pairwise(cells)]):
+        for k in range(grouped):
+            if row[k] != above[k]:
+                break
+            row[k] = Cell("")
+    return Table(title, columns, cells, emphasized)
 
 
 def _cell(content: object) -> Cell:

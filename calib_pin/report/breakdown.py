@@ -59,18 +59,17 @@ def parts(found: Breakdown) -> Iterator[Block]:
     ]
     rows: list[tuple[object, ...]] = []
     for label, of, noise in members:
-        first: tuple[str | int, ...] = (label, of.measurements)
         for error in of.errors:
             own = [n for n in noise if _plain(n.quantity) == _plain(error.name)]
             # Of a tool that several stations look at there is no single noise.
             size = own[0].estimate if len(own) == 1 else math.nan
             numbers = error.before.rms, error.after.rms, size
-            rows.append((*first, error.name, *measures(error.unit, *numbers)))
-            first = "", ""
+            cells = measures(error.unit, *numbers)
+            rows.append((label, of.measurements, error.name, *cells))
     if rows:
         titles = ("", "measurements", QUANTITY, "nominal", "calibrated", "noise", UNIT)
         title = "Stations, tools and chains (rms of fitted measurements)"
-        yield table(title, titles, rows)
+        yield table(title, titles, rows, grouped=2)
 
 
 def _plain(name: str) -> str:
@@ -87,9 +86,8 @@ def told(found: Breakdown, *, details: bool = True) -> Iterator[Block]:
     """
     for chain in found.chains:
         if chain.still:
-            of_chain = f" of chain {chain.name}" if chain.name else ""
-            joints = f"joint{'s' if len(chain.still) > 1 else ''} "
-            joints += f"{', '.join(chain.still)}{of_chain}"
+            joints = f"joint{'s' * (len(chain.still) > 1)} {', '.join(chain.still)}"
+            joints += f" of chain {chain.name}" * bool(chain.name)
             yield note(f"No measurement moves {joints}: held at nominal.")
     if details and len(found.blocks) > 1:
         yield from _blocks(found)
@@ -105,16 +103,14 @@ def _blocks(found: Breakdown) -> Iterator[Block]:
     """Rank that each block adds, and the frames that hang together through it."""
     keys = [(b.model, b.chain, b.station, b.tool) for b in found.blocks]
     names = block_names(keys)
-    rows = []
-    for name, block in zip(names, found.blocks, strict=True):
-        first: tuple[str | int, ...] = (name, block.measurements)
-        ranks: tuple[str | int, ...] = (block.rank, block.added)
-        for error in block.errors:
-            numbers = measures(error.unit, error.after.rms)
-            rows.append((*first, error.name, *numbers, *ranks))
-            first = ranks = "", ""
-    titles = ("", "measurements", QUANTITY, "rms", UNIT, "rank", "added")
-    yield table("Blocks of measurements", titles, rows)
+    rows = [
+        (name, block.measurements, block.rank, block.added, error.name, *numbers)
+        for name, block in zip(names, found.blocks, strict=True)
+        for error in block.errors
+        for numbers in [measures(error.unit, error.after.rms)]
+    ]
+    titles = ("", "measurements", "rank", "added", QUANTITY, "rms", UNIT)
+    yield table("Blocks of measurements", titles, rows, grouped=4)
     yield note(
         "Rank: errors of the robot that the measurements of a block identify by "
         "themselves. Added: those that the others do not identify without them."
@@ -128,6 +124,9 @@ def _blocks(found: Breakdown) -> Iterator[Block]:
 
 
 # --- where frames and cameras are ---------------------------------------------------
+
+INTRINSIC = ("focal", "center", "distortion")
+"""Keys of the numbers of a camera in a setup."""
 
 DIGITS = 9
 """Decimals of lines to be copied [m, rad]: beyond any measurement."""
@@ -147,9 +146,8 @@ def frame_blocks(result: CalibrationResult, *, lines: bool = True) -> Iterator[B
         return
     if stations or tools:
         yield _frames(stations, tools)
-        of_stations = f"of {_link(stations)} in the measurement frame of a station"
-        of_tools = f"of a tool on {_link(tools)}"
-        of = [of_stations] * bool(stations) + [of_tools] * bool(tools)
+        of = [f"of {_link(stations)} in the measurement frame of a station"]
+        of = of * bool(stations) + [f"of a tool on {_link(tools)}"] * bool(tools)
         yield note(
             f"Pose {', and '.join(of)}, with standard deviations; rotations are roll, "
             "pitch and yaw, their deviations those about x, y and z."
@@ -201,9 +199,7 @@ def _lines(
         (camera,) = cameras.values()
         lines["camera"] = {
             "mount": camera.mount,
-            "focal": _rounded(camera.focal),
-            "center": _rounded(camera.center),
-            "distortion": _rounded(camera.distortion),
+            **{name: _rounded(getattr(camera, name)) for name in INTRINSIC},
             **({} if camera.size is None else {"size": [*camera.size]}),
         }
     return lines

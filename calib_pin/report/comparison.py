@@ -51,9 +51,9 @@ def _verdict(found: compared.Comparison) -> Line:
         return Line(f"{_cause(found)} {beyond}", "bad")
     within = f"{apart} rms{_where(found)} where noise explains {noise}."
     if found.changed and found.described:
-        leading = found.differences[0]
-        terms = leading.terms
-        name = f"a combination with {terms[0][0]}" if terms else leading.name
+        leading, name = found.differences[0], found.differences[0].name
+        if leading.terms:
+            name = f"a combination with {leading.terms[0].parameter}"
         far = tables.amount(leading.change, leading.unit)
         return Line(
             f"The robot changed, but not visibly at the tool point: {name} by {far}, "
@@ -95,14 +95,10 @@ def _doubts(found: compared.Comparison) -> Iterator[str]:
             "The nominal robots differ: only the tool points are compared, not the "
             "parameters, which refer to different robots."
         )
-    if found.same_rows and found.identical:
-        yield "Both fit the same measurements in the same way."
-    elif found.same_rows:
-        yield (
-            "Both fit the same measurements: not the robot but the fit changed, and "
-            "their noise is not independent."
-        )
     if found.same_rows:
+        changed = ": not the robot but the fit changed, and their noise is not "
+        how = " in the same way" if found.identical else f"{changed}independent"
+        yield f"Both fit the same measurements{how}."
         return
     if found.same_nominal and not found.same_parameters:
         yield (
@@ -126,13 +122,10 @@ def _doubts(found: compared.Comparison) -> Iterator[str]:
 
 def _origin(record: CalibrationResult) -> str:
     setup = record.model.setup
-    kinds = [*setup.parameters, *([setup.learned] if setup.learned else [])]
+    kinds = " + ".join(filter(None, (*setup.parameters, setup.learned)))
     created, file = record.provenance.created, record.provenance.file
-    day = f"; {created[:10]}" if created else ""
-    return (
-        f"{file}: {model_words(record.model)}, {len(record.fitted)} measurements, "
-        f"{' + '.join(kinds)}{day}"
-    )
+    how = f"{model_words(record.model)}, {len(record.fitted)} measurements"
+    return f"{file}: {how}, {kinds}{created and f'; {created[:10]}'}"
 
 
 INSIGNIFICANT = 0.01
@@ -166,13 +159,8 @@ def _how(found: compared.Comparison) -> Iterator[str]:
     """Sentences on what the differences refer to."""
     absorbed = found.drift.absorbed
     yield f"{len(found.drift.q)} random configurations within the joint limits."
-    if absorbed:
-        yield (
-            f"A displacement of {' and '.join(absorbed)} between A and B is removed "
-            "by a fit: it is no drift of the robot."
-        )
-    else:
-        yield "Base and tool are known."
+    of = f"A displacement of {' and '.join(absorbed)} between A and B is removed by a "
+    yield f"{of}fit: it is no drift." if absorbed else "Base and tool are known."
     if not found.drift.oriented:
         yield "The measurements contain no orientations."
     if any(d.of_tool and d.shift > FAR for d in found.displacements):
@@ -184,13 +172,7 @@ def _how(found: compared.Comparison) -> Iterator[str]:
         return
     ends = "" if len(absorbed) == 2 else ", base and tool included"
     yield f"The noise is that of both calibrations{ends}."
-    statuses = {
-        p.status
-        for record in (found.first, found.second)
-        for p in record.parameters
-        if p.name in compared.robot_parameters(record)
-    }
-    if "weak" in statuses:
+    if found.first.identifiability.weak or found.second.identifiability.weak:
         yield "It excludes weakly observable directions, which were held at nominal."
 
 
@@ -198,39 +180,20 @@ def _farthest(found: compared.Comparison) -> Facts:
     drift, chain = found.drift, found.first.model.of(found.chain).chain
     position = drift.farthest
     x, y, z = (f"{1e3 * value:.1f}" for value in drift.points[position])
-    angles = []
-    for value, turns in zip(drift.q[position], chain.revolute, strict=True):
-        unit, factor = tables.unit_of("rad" if turns else "m")
-        angles.append(f"{factor * value:.1f} {unit}")
+    units = [tables.unit_of("rad" if turns else "m") for turns in chain.revolute]
+    q = zip(drift.q[position], units, strict=True)
+    angles = ", ".join(f"{factor * value:.1f} {unit}" for value, (unit, factor) in q)
     largest = tables.amount(drift.drift[position], "m")
-    return Facts(
-        f"Largest difference{_where(found)}: {largest}",
-        [
-            ("tool point", f"at {x}, {y}, {z} mm in {chain.base}"),
-            ("joints", f"at {', '.join(angles)}"),
-        ],
-    )
+    facts = {"tool point": f"at {x}, {y}, {z} mm in {chain.base}"}
+    facts["joints"] = f"at {angles}"
+    return Facts(f"Largest difference{_where(found)}: {largest}", [*facts.items()])
 
 
-def _frames(found: compared.Comparison) -> Iterator[Block]:
+def _frames(found: compared.Comparison) -> Iterator[Facts]:
     """The displacements of base and tool, which are no drift of the robot."""
     entries = [(d.frame, _displaced(d)) for d in found.displacements]
     if entries:
         yield Facts("Displaced in B, which is no drift of the robot", entries)
-    parts = [
-        f"{tables.amount(d.motion, 'm')} by the "
-        f"{'tool' if d.of_tool else 'instrument'} ({d.frame})"
-        for d in found.displacements
-        if math.isfinite(d.motion)
-    ]
-    if not parts:
-        return
-    parts.append(f"{tables.amount(found.drift.position.rms, 'm')} by the robot")
-    noise = ""
-    if found.drift.explained is not None:
-        size = tables.amount(found.drift.explained[0], "m")
-        noise = f", where noise explains {size}"
-    yield note(f"Measured tool points moved {', '.join(parts)}{noise}.")
 
 
 def _displaced(moved: compared.Displacement) -> str:
@@ -244,6 +207,8 @@ def _displaced(moved: compared.Displacement) -> str:
         for size, unit, sigma in both
     )
     words += f", relative to the {'tip link' if moved.of_tool else 'instrument'}"
+    if math.isfinite(moved.motion):
+        words += f"; it moves the tool points by {tables.amount(moved.motion, 'm')}"
     return words + ("; no more than noise" if moved.chance > INSIGNIFICANT else "")
 
 
@@ -252,21 +217,15 @@ def parameter_changes(found: compared.Comparison) -> Iterator[Block]:
     if not found.same_nominal:
         return
     if found.moved:
-        rows = [
-            (
-                moved.name,
-                *tables.estimate(moved.change, moved.sigma, moved.unit)[:2],
-                Cell(f"{moved.significance:.1f}", moved.significance),
-                tables.unit_of(moved.unit)[0],
-            )
-            for moved in found.moved
-        ]
-        many = f"{compared.BOUND:.0f} standard deviations"
-        yield table(
-            f"Parameters and combinations that differ by more than {many}",
-            ("", "B - A", "std. dev.", "ratio", tables.UNIT),
-            rows,
-        )
+        rows = []
+        for moved in found.moved:
+            *sizes, unit = tables.estimate(moved.change, moved.sigma, moved.unit)
+            ratio = Cell(f"{moved.significance:.1f}", moved.significance)
+            rows.append((moved.name, *sizes, ratio, unit))
+        title = "Parameters and combinations that differ by more than "
+        title += f"{compared.BOUND:.0f} standard deviations"
+        titles = ("", "B - A", "std. dev.", "ratio", tables.UNIT)
+        yield table(title, titles, rows)
     yield note(" ".join(_counted(found)))
     for label, names in zip("AB", found.alone, strict=True):
         yield from tables.listed(f"identifiable in {label} only", names)
@@ -275,14 +234,11 @@ def parameter_changes(found: compared.Comparison) -> Iterator[Block]:
 def _counted(found: compared.Comparison) -> Iterator[str]:
     """Sentences on how many agree, and what is not compared."""
     if found.differences:
-        both, agree = (
-            _numbers([d for d in found.differences if d.significance <= bound])
-            for bound in (math.inf, compared.BOUND)
-        )
+        agree = [d for d in found.differences if d not in found.moved]
         yield (
-            f"Both identify {both} of the robot; {agree} agree within "
-            f"{compared.BOUND:.0f} standard deviations of the difference. By chance, "
-            "one in 370 does not."
+            f"Both identify {_numbers(found.differences)} of the robot; "
+            f"{_numbers(agree)} agree within {compared.BOUND:.0f} standard deviations "
+            "of the difference. By chance, one in 370 does not."
         )
     else:
         yield "No parameter and no combination of the robot is identified by both."
@@ -291,10 +247,8 @@ def _counted(found: compared.Comparison) -> Iterator[str]:
     if any(found.sums_alone):
         first, second = found.sums_alone
         yield f"{first} combinations are identified in A only, {second} in B only."
-    if any(
-        len(record.groups) > len(compared.robot_groups(record))
-        for record in (found.first, found.second)
-    ):
+    both = found.first, found.second
+    if any(len(one.groups) > len(compared.robot_groups(one)) for one in both):
         yield "Combinations with terms of base, tool or instrument are left out."
 
 
@@ -306,20 +260,16 @@ def _numbers(differences: Sequence[compared.Difference]) -> str:
 def accuracies(found: compared.Comparison) -> Iterator[Block]:
     """Accuracy of both beside each other, and how it was validated."""
     pair = (("A", found.first), ("B", found.second))
-    errors = {
-        (error.name, error.unit): None for _, record in pair for error in record.errors
-    }
-    rows = []
-    for name, unit in errors:
-        shown = name
-        for which, stage in (("fitted", "after"), ("validation", "validation_after")):
-            for label, record in pair:
-                for error in record.errors:
-                    size_of = getattr(error, stage)
-                    if (error.name, error.unit) == (name, unit) and size_of:
-                        rows.append((shown, which, label, *tables.sizes(size_of, unit)))
-                        shown = which = ""
-    yield table("Accuracy", ("", "measurements|word", "of|word", *tables.SIZES), rows)
+    rows = [
+        (error.name, which, label, *tables.sizes(after, error.unit))
+        for label, record in pair
+        for error in record.errors
+        for which, (_, after) in error.stages.items()
+    ]
+    names = [name for name, *_ in rows]
+    rows.sort(key=lambda row: (names.index(row[0]), row[1]))
+    titles = ("", "measurements|word", "of|word", *tables.SIZES)
+    yield table("Accuracy", titles, rows, grouped=2)
     said = ", ".join(f"{label} {record.validation.method}" for label, record in pair)
     if not found.same_rows:
         said += ". The measurements differ: the numbers are not strictly comparable"

@@ -20,12 +20,7 @@ SHOWN = 12
 
 
 def compensation_report(
-    found: Compensation,
-    chain: Chain,
-    *,
-    motion: bool,
-    file: str,
-    lines: Sequence[int],
+    found: Compensation, chain: Chain, *, motion: bool, file: str, lines: Sequence[int]
 ) -> Iterator[Block]:
     """The targets reached, the errors that remain, and the targets out of reach.
 
@@ -42,8 +37,8 @@ def compensation_report(
     numbers = np.asarray(lines)
     if reached:
         yield from _tables(found, chain)
-        at_limit = numbers[found.reached & found.at_limit]
-        yield from _at(at_limit, "A joint is at its limit in {}.", "plain")
+        at = numbers[found.reached & found.at_limit]
+        yield from _at(at, "A joint is at its limit in {}.", "plain")
         yield from _at(
             numbers[found.reached & found.outside],
             "Outside the region in which the learned correction was trained, where it "
@@ -147,17 +142,16 @@ def _tables(found: Compensation, chain: Chain) -> Iterator[Table]:
     for name, unit, before, after in stages[: 2 if found.oriented else 1]:
         pair = (found.reached & np.isfinite(before), found.reached & np.isfinite(after))
         rows.append((name, "nominal", *_sizes(before[pair[0]], unit)))
-        rows.append(("", "compensated", *_sizes(after[pair[1]], unit)))
-    title = "Distance from the targets, by the calibrated model"
-    yield table(title, ("", "commands|word", "mean", "max", UNIT), rows)
+        rows.append((name, "compensated", *_sizes(after[pair[1]], unit)))
+    title, titles = (
+        "Distance from the targets, by the calibrated model",
+        ("mean", "max"),
+    )
+    yield table(title, ("", "commands|word", *titles, UNIT), rows, grouped=1)
     drives = JointColumns.of(chain)
     sizes = np.abs(drives.values(found.corrections + drives.offsets))
-    rows = [
-        (name, *_sizes(column, "rad" if revolute else "m"))
-        for name, revolute, column in zip(
-            drives.joints, drives.revolute, sizes.T, strict=True
-        )
-    ]
+    columns = zip(drives.joints, drives.revolute, sizes.T, strict=True)
+    rows = [(name, *_sizes(x, "rad" if turns else "m")) for name, turns, x in columns]
     if len(sizes):
         yield table("Joint corrections", ("", "mean", "max", UNIT), rows)
 

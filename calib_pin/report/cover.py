@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -10,21 +11,15 @@ from pathlib import Path
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.kinematics.robot import Robot
-from calib_pin.report.acceptance_text import (
-    PATH,
-    TONES,
-    doubt_lines,
-    ends,
-    limit_lines,
-)
+from calib_pin.report.acceptance_text import PATH, TONES, doubt_lines, ends, limit_lines
 from calib_pin.report.accuracy import degrees
-from calib_pin.report.blocks import Line, Table, Tone, note, table
+from calib_pin.report.blocks import Cell, Line, Table, Tone, note, table
 from calib_pin.report.figures import Drawn
-from calib_pin.report.tables import UNIT, amount, quantity, unit_of
+from calib_pin.report.tables import UNIT, amount, measures
 from calib_pin.report.tiles import Tile, tiles
 from calib_pin.report.trust import verdict
 from calib_pin.setup import LimitSetup, ReportSetup
-from calib_pin.validation.acceptance import Acceptance, judged, measured, worst
+from calib_pin.validation.acceptance import Acceptance, judged, limits, measured, worst
 from calib_pin.validation.result import CalibrationResult
 
 CERTIFIED = (
@@ -113,44 +108,36 @@ def acceptance_cover(
         path: Whether the poses are points of a path.
         figure: The picture.
     """
-    *_, (_, last) = found.items()
-    results = {name: (s, allowed) for name, s, _, allowed, _ in judged(last, limit)}
-    statuses = {status for status, _ in results.values()}
-    status = next((s for s in SAID if s in statuses), "")
+    *_, last = found.values()
+    results = {name: status for name, status, *_ in judged(last, limit)}
+    status = next((s for s in SAID if s in results.values()), "")
     said, doubts = [*limit_lines(last, limit, path=path)], [*doubt_lines(last)]
     if not doubts or status == "fail":
         said.insert(0, Line(SAID[status]))
     names = PATH if path else {}
-    rows = []
+    rows, stated = [], limits(limit)
     # The worst of each quantity by robot, with its limit.
     for key, (intervals, unit) in measured(last).items():
-        worsts = (worst(measured(t)[key][0]).value for t in found.values())
-        own, allowed = results.get(key, ("", None))
-        rows.append(
-            (
-                QUANTITIES[names.get(key, key)],
-                *(quantity(value, unit) for value in worsts),
-                ends(worst(intervals), unit),
-                "-" if allowed is None else quantity(allowed, unit),
-                unit_of(unit)[0],
-                own.upper(),
-            )
-        )
+        worsts = [worst(measured(t)[key][0]).value for t in found.values()]
+        allowed, _ = stated.get(key, (math.nan, unit))
+        *cells, most, shown = measures(unit, *worsts, allowed)
+        cells += [Cell(ends(worst(intervals), unit)), most, shown]
+        status_of = results.get(key, "").upper()
+        rows.append((QUANTITIES[names.get(key, key)], *cells, status_of))
     robots = (ROBOTS.get(name, "found") for name in found)
     titles = ("", *robots, "95 %", "limit", UNIT, "status|word")
-    conditions = [
-        *(("instrument", entries.instrument), ("temperature", degrees(entries))),
-        *(("load", entries.load), ("speed", entries.speed)),
-    ]
     # The standard asks for them.
-    conditions = [(name, words or "not stated") for name, words in conditions]
+    conditions = _conditions(entries, load=entries.load, speed=entries.speed)
     return Cover(
         title="Acceptance test",
         status=status.upper() or "NO LIMIT STATED",
         tone=TONES.get(status, "strong"),
         said=[*said, *doubts],
         robot=robot.name,
-        facts=[*_facts(robot, entries, limit, names), *conditions],
+        facts=[
+            *_facts(robot, entries, limit, names),
+            *((name, words or "not stated") for name, words in conditions.items()),
+        ],
         figures=[] if figure is None else [figure],
         entries=entries,
         numbers=table("Results", titles, rows),
@@ -177,11 +164,7 @@ def calibration_cover(
         tone=line.tone,
         said=said,
         robot=robot.name,
-        facts=[
-            *_facts(robot, entries, limit, {}),
-            ("instrument", entries.instrument),
-            ("temperature", degrees(entries)),
-        ],
+        facts=[*_facts(robot, entries, limit, {}), *_conditions(entries).items()],
         figures=[figures[name] for name in PICTURES if name in figures],
         entries=entries,
         headline=[*tiles(result)],
@@ -192,23 +175,23 @@ def _facts(
     robot: Robot, entries: ReportSetup, limit: LimitSetup, names: Mapping[str, str]
 ) -> list[tuple[str, str]]:
     """The facts; quantities of the limits of a test may have other names."""
-    limits = [
-        f"{names.get(name, name)} {amount(allowed, unit)}"
-        for name, allowed, unit in (
-            ("AP", limit.position, "m"),
-            ("RP", limit.repeatability, "m"),
-            ("AD", limit.distance, "m"),
-            ("orientation", limit.orientation, "rad"),
-        )
-        if allowed is not None
-    ]
+    stated = (
+        f"{names.get(name, name)} {amount(most, unit)}"
+        for name, (most, unit) in limits(limit).items()
+    )
     return [
         ("robot", robot.name),
         ("serial number", entries.serial_number),
         ("file", Path(robot.file).name or robot.file),
         ("SHA-256", hashlib.sha256(robot.source).hexdigest()),
-        ("limit", ", ".join(limits) or "no limit was stated"),
+        ("limit", ", ".join(stated) or "no limit was stated"),
         ("date", entries.date or ""),
         ("customer", entries.customer),
         ("operator", entries.operator),
     ]
+
+
+def _conditions(entries: ReportSetup, **more: str) -> dict[str, str]:
+    """The conditions of the measurements; empty where they are not stated."""
+    known = {"instrument": entries.instrument, "temperature": degrees(entries)}
+    return known | more

@@ -72,9 +72,9 @@ def fleet_report(
             "Joints that differ from those of other robots by more than chance",
             ("job", "joint|word", "spreads"),
             [
-                (row.job, row.joint.name, Cell(f"{spreads:+.1f}", spreads))
+                (row.job, name, Cell(f"{spreads:+.1f}", spreads))
                 for row in apart[:most]
-                for spreads in [row.joint.spreads]
+                for name, spreads, _ in [row.joint]
             ],
         )
     for population in types:
@@ -89,18 +89,16 @@ def _more(found: Sequence[object], most: int, file: str) -> Iterator[Line]:
 def _common(population: Population, most: int) -> Iterator[Block]:
     """Errors that the robots of a type have in common."""
     name, robots = population.evidences[0].robot.name, len(population.evidences)
-    errors = [error for error in common_errors(population) if error.significant]
-    errors.sort(key=lambda error: error.chance)
+    clear = (error for error in common_errors(population) if error.significant)
+    errors = sorted(clear, key=lambda error: error.chance)
     said = f"{robots} robots '{name}' are the prior of the next one of their type"
     if not errors:
         yield Line(f"{said}; they have no error in common that shows.")
         return
     yield Line(f"{said}.")
-    yield table(
-        f"Errors that robots '{name}' have in common",
-        ("error", "mean", *ESTIMATE[1:]),
-        [(e.name, *estimate(e.mean, e.sigma, e.unit)) for e in errors[:most]],
-    )
+    rows = [(e.name, *estimate(e.mean, e.sigma, e.unit)) for e in errors[:most]]
+    title = f"Errors that robots '{name}' have in common"
+    yield table(title, ("error", "mean", *ESTIMATE[1:]), rows)
     yield from _more(errors, most, "fleet.json")
 
 
@@ -112,13 +110,13 @@ def _accuracy(rows: Sequence[FleetRow]) -> Iterator[Table]:
         for robot in ("nominal", "calibrated") if own else ():
             sizes = np.array([getattr(row, robot) for row in own])
             found = np.quantile(sizes, LEVELS).tolist()
-            label = name if robot == "nominal" else ""
-            cells.append((label, robot, *measures(own[0].unit, *found)))
+            cells.append((name, robot, *measures(own[0].unit, *found)))
     if cells:
         yield table(
             "Errors of trusted calibrations (rms of a robot, held-out measurements)",
             ("", "robot|word", "5 %", "median", "95 %", UNIT),
             cells,
+            grouped=1,
         )
 
 
@@ -167,39 +165,25 @@ def outlook_report(
         ],
     )
     titles = ("nominal", "5 %", "median", "95 %", "within, 95 % of workspace", UNIT)
-    rows = [
-        (
-            str(one.configurations),
-            *measures("m", one.nominal[1], *one.position, one.position_share[2]),
-        )
-        for one in found
-    ]
+    errors, trust = list[tuple[object, ...]](), list[tuple[object, ...]]()
+    for one in found:
+        count, known = str(one.configurations), math.isfinite(one.honesty)
+        sizes = one.nominal[1], *one.position, one.position_share[2]
+        honesty = Cell(f"{one.honesty:.2f}", one.honesty) if known else "-"
+        errors.append((count, *measures("m", *sizes)))
+        trust.append((count, *_share(one.coverage), honesty, *_share(one.met)))
     configurations = "configurations|word"
     title = "Position error over the workspace (rms of a robot)"
-    yield table(title, (configurations, *titles), rows)
-    yield table(
-        "Trust",
-        (configurations, "covered", "95 %", "actual/expected", "limit met", "95 %"),
-        [
-            (
-                str(one.configurations),
-                *_share(one.coverage),
-                Cell(f"{one.honesty:.2f}", one.honesty)
-                if math.isfinite(one.honesty)
-                else "-",
-                *_share(one.met),
-            )
-            for one in found
-        ],
-    )
+    yield table(title, (configurations, *titles), errors)
+    shares = "covered", "95 %", "actual/expected", "limit met", "95 %"
+    yield table("Trust", (configurations, *shares), trust)
     yield note(
         "Covered: robots within the bound that their own calibration states with 95 % "
-        "confidence. Actual/expected: 1 where calibrations say how accurate they "
-        "are."
+        "confidence. Actual/expected: 1 where calibrations say how accurate they are."
     )
     if any(one.failed for one in found):
-        rows = [(str(one.configurations), str(one.failed)) for one in found]
-        yield table("Not calibrated", (configurations, "robots"), rows)
+        failed = [(str(one.configurations), str(one.failed)) for one in found]
+        yield table("Not calibrated", (configurations, "robots"), failed)
 
 
 def _decision(found: Sequence[Outlook], limit: LimitSetup) -> Line:

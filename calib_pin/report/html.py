@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
@@ -19,10 +20,7 @@ from markupsafe import Markup
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.files import write_atomically
-from calib_pin.io.results import (
-    calibration_document,
-    read_written,
-)
+from calib_pin.io.results import calibration_document, read_written
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
 from calib_pin.report.accuracy import subject
@@ -57,16 +55,12 @@ def html_report(
     tones, doubtful = ("bad", "strong"), result.verdict not in TRUSTED
     urgent = [b for b in found if isinstance(b, Line) and b.tone in tones][:FIRST]
     codes = [b for b in found if isinstance(b, Code) and doubtful]
-    told = []
-    for section in sections(result, suggestions):
-        blocks = list(section.blocks)
-        if section.key == "findings":
-            blocks = [*(found or [note("There are no findings.")]), *blocks]
-            if not result.statistics.outliers:
-                blocks.append(Line("No measurement is an outlier."))
-        told.append((section, blocks))
-    about = list(provenance_blocks(document))
-    told.append((Section("provenance", "Provenance", ()), about))
+    others = found or [note("There are no findings.")]
+    told = [
+        replace(s, blocks=[*others, *s.blocks]) if s.key == "findings" else s
+        for s in sections(result, suggestions)
+    ]
+    told.append(Section("provenance", "Provenance", [*provenance_blocks(document)]))
     parameters = parameter_overview(result.parameters, result.unknown)
     return rendered(
         "report.html",
@@ -104,9 +98,8 @@ def acceptance_page(cover: Cover, blocks: Sequence[Block]) -> bytes:
         blocks: The report of the test.
     """
     # It is one page: the verdict stands on it once.
-    rest = [block for block in blocks if block not in cover.said]
-    about = {"made": program(), "numbers": "acceptance.json"}
-    return rendered("acceptance.html", cover=cover, blocks=rest, **about)
+    rest, numbers = [b for b in blocks if b not in cover.said], "acceptance.json"
+    return rendered("acceptance.html", cover=cover, blocks=rest, numbers=numbers)
 
 
 def blocks_page(
@@ -121,15 +114,8 @@ def blocks_page(
         numbers: Name of the file with the numbers.
     """
     verdict, *rest = blocks
-    return rendered(
-        "fleet.html",
-        title=title,
-        verdict=verdict,
-        figures=figures,
-        blocks=rest,
-        made=program(),
-        numbers=numbers,
-    )
+    shown = {"title": title, "verdict": verdict, "blocks": rest, "figures": figures}
+    return rendered("fleet.html", **shown, numbers=numbers)
 
 
 def report(
@@ -185,26 +171,21 @@ def provenance_blocks(document: Mapping[str, Any]) -> Iterator[Block]:
     """Command, files with their hashes, versions and seed, as the document has them."""
     about, solver = document["provenance"], document["solver"]
     robot, measured = document["robot"], document["measurements"]
-    seconds = solver["seconds"]
+    seconds, evaluations = solver["seconds"], f"{solver['evaluations']} evaluations"
     used = [("robot", robot), ("setup", document["setup_file"])]
     used += [("measurements", file) for file in measured["files"]]
     versions = {k: v for k, v in about.items() if k not in ("command", "created")}
-    yield Facts(
-        "Provenance",
-        [
-            ("command", shlex.join(about["command"])),
-            ("created", about["created"]),
-            ("versions", ", ".join(f"{k} {v}" for k, v in versions.items())),
-            ("chain", f"{robot['base']} to {robot['tip']}"),
-            ("random seed", str(solver["seed"])),
-            ("solver", f"{solver['name']}: {solver['status']}"),
-            (
-                "iterations",
-                f"{solver['iterations']} ({solver['evaluations']} evaluations)",
-            ),
-            ("time", "unknown" if seconds is None else f"{seconds:.2f} s"),
-        ],
-    )
+    facts = {
+        "command": shlex.join(about["command"]),
+        "created": about["created"],
+        "versions": ", ".join(f"{k} {v}" for k, v in versions.items()),
+        "chain": f"{robot['base']} to {robot['tip']}",
+        "random seed": str(solver["seed"]),
+        "solver": f"{solver['name']}: {solver['status']}",
+        "iterations": f"{solver['iterations']} ({evaluations})",
+        "time": "unknown" if seconds is None else f"{seconds:.2f} s",
+    }
+    yield Facts("Provenance", [*facts.items()])
     rows = [(what, f["file"], f["sha256"]) for what, f in used if f is not None]
     yield table("Files", ("|word", "file|name", "SHA-256|name"), rows)
 
@@ -216,12 +197,7 @@ def rendered(template: str, **values: Any) -> bytes:
         template: Its file in the folder `page`.
         values: What it shows; texts are escaped.
     """
-    folder = files("calib_pin.report") / "page"
-    style, script = (
-        Markup((folder / name).read_text("utf-8"))
-        for name in ("style.css", "script.js")
-    )
-    page = _pages().get_template(template).render(**values, style=style, script=script)
+    page = _pages().get_template(template).render(values)
     return page.encode("utf-8", "backslashreplace")
 
 
@@ -236,4 +212,8 @@ def _pages() -> Environment:
     )
     environment.filters["kind"] = lambda block: type(block).__name__
     environment.filters["exact"] = repr
+    environment.globals["made"] = program()
+    folder = files("calib_pin.report") / "page"
+    for part, name in (("style", "style.css"), ("script", "script.js")):
+        environment.globals[part] = Markup((folder / name).read_text("utf-8"))
     return environment

@@ -74,26 +74,20 @@ def in_full(found: Identification, *, fitted: bool) -> Iterator[Block]:
     """Parameters that are known alone, and combinations as formulae."""
     identifiable = [p for p in found.parameters if p.status == "identifiable"]
     if identifiable and fitted:
-        yield table(
-            "Identifiable parameters",
-            ("", *ESTIMATE),
-            [(p.name, *estimate(p.value, p.sigma, p.unit)) for p in identifiable],
-        )
+        known = [(p.name, *estimate(p.value, p.sigma, p.unit)) for p in identifiable]
+        yield table("Identifiable parameters", ("", *ESTIMATE), known)
     else:
         yield from listed("identifiable", [p.name for p in identifiable])
     groups = [group for group in found.groups if not of_place(group)]
     if groups:
-        shown = 5 if fitted else 2
-        yield table(
-            "Identifiable linear combinations (coefficients in SI units)",
-            ("|number", f"{'combination' * fitted}|name", *ESTIMATE)[:shown],
-            [
-                (str(g.number), g.expression, *estimate(g.value, g.sigma, g.unit))[
-                    :shown
-                ]
-                for g in groups
-            ],
-        )
+        titles = ("|number", f"{'combination' * fitted}|name", *ESTIMATE)
+        rows = [
+            (str(g.number), g.expression, *estimate(g.value, g.sigma, g.unit))
+            for g in groups
+        ]
+        shown = slice(5 if fitted else 2)
+        title = "Identifiable linear combinations (coefficients in SI units)"
+        yield table(title, titles[shown], [row[shown] for row in rows])
     if hidden := len(found.groups) - len(groups):
         yield note(
             f"{hidden} more combinations start with the position of a socket, sphere "
@@ -146,10 +140,9 @@ def ranks(known: Identification, *, fitted: bool) -> Facts:
         ),
     ]
     if fitted:
-        remarks = [f"{found.weak} directions held at nominal"][: bool(found.weak)]
-        if found.revealed:
-            only = "observable only at the calibrated geometry"
-            remarks.append(f"{found.revealed} {only}")
+        only = f"{found.revealed} observable only at the calibrated geometry"
+        remarks = [f"{found.weak} directions held at nominal"] * bool(found.weak)
+        remarks += [only] * bool(found.revealed)
         remark = f"   ({'; '.join(remarks)})" if remarks else ""
         entries.append(("practical rank", f"{found.rank}{remark}"))
     if not found.scale_observable:
@@ -212,17 +205,15 @@ def offsets(
 
 
 def _offset(offset: FoundOffset, stepped: bool) -> list[Cell | str]:
-    steps, way = "-", "further than it says"
-    if offset.steps is not None:
-        # Whole steps are what a motor can store.
-        steps = f"{round(offset.steps * offset.value):+d}"
+    way = "further than it says"
+    # Whole steps are what a motor can store.
+    steps = "-" if offset.steps is None else f"{round(offset.steps * offset.value):+d}"
     if abs(offset.value) < CLEAR * (offset.sigma or 0.0):
         way = "where it says"
     elif offset.value < 0.0:
         way = "less far than it says"
     name = offset.joint
-    if offset.column != name:
-        name = f"{name} (column {offset.column})"
+    name += f" (column {offset.column})" * (offset.column != name)
     cells = estimate(offset.value, offset.sigma, offset.unit)
     way += ", reversed" * bool(offset.reverses)
     return [name, *cells, *[steps][:stepped], way]
@@ -254,15 +245,14 @@ def error_table(found: Sequence[RobotError], title: str, shown: Sequence[str]) -
         title: Title of the table.
         shown: Some of `ESTIMATE`, or `formula|name`.
     """
-    rows, before = [], ""
+    rows = []
     for error in found:
         cells = dict(
             zip(ESTIMATE, estimate(error.value, error.sigma, error.unit), strict=True)
         )
         cells["formula|name"] = Cell(error.expression)
-        kind, before = "" if error.kind == before else error.kind, error.kind
-        rows.append((kind, _of(error), *(cells[key] for key in shown)))
-    return table(title, ("|word", "|name", *shown), rows)
+        rows.append((error.kind, _of(error), *(cells[key] for key in shown)))
+    return table(title, ("|word", "|name", *shown), rows, grouped=1)
 
 
 def _of(error: RobotError) -> str:
@@ -287,10 +277,8 @@ def corrections(result: CalibrationResult) -> Iterator[Block]:
     if clear:
         yield error_table(clear, "Errors of the robot that were found", ESTIMATE)
     if clear and (count := len(known) - len(clear)):
-        yield note(
-            f"{count} more {'is' if count == 1 else 'are'} smaller than {CLEAR:.0f} "
-            "standard deviations."
-        )
+        are = "is" if count == 1 else "are"
+        yield note(f"{count} more {are} smaller than {CLEAR:.0f} standard deviations.")
 
 
 def held(found: Sequence[RobotError], *, details: bool = True) -> Iterator[Line]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+import numpy as np
+
 from calib_pin.planning.plan import Plan, Step, sides_of
 from calib_pin.report.accuracy import chain_words, model_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
@@ -92,16 +94,10 @@ def _steps(plan: Plan) -> Table:
 
 def _chosen_steps(plan: Plan) -> list[Step]:
     """Some of the steps, more closely where there are few configurations."""
-    steps = plan.steps
-    own = next(k for k, step in enumerate(steps) if step.count == len(plan.q))
-    kept = {0, own, len(steps) - 1}
-    ratio = (steps[-1].count / max(steps[0].count, 1)) ** (1.0 / (SHOWN - 2))
-    wanted = float(steps[0].count)
-    for k, step in enumerate(steps):
-        if step.count >= wanted:
-            kept.add(k)
-            wanted = max(step.count + 1.0, step.count * ratio)
-    return [steps[k] for k in sorted(kept)]
+    counts = [step.count for step in plan.steps]
+    wanted = np.geomspace(max(counts[0], 1), counts[-1], SHOWN - 2).round()
+    kept = {0, counts.index(len(plan.q)), *np.searchsorted(counts, wanted).tolist()}
+    return [plan.steps[k] for k in sorted(kept)]
 
 
 def _tip(plan: Plan) -> Facts:
@@ -116,13 +112,8 @@ def _tip(plan: Plan) -> Facts:
     if weak := directions.weak.shape[1]:
         remark = f"   ({weak} weakly observable directions held at nominal: their "
         remark += "error comes on top)"
-    return Facts(
-        "Expected calibration result",
-        [
-            (
-                "predicted tool-point uncertainty",
-                f"{tip}   (1 sigma, rms over test poses)",
-            ),
-            ("rank", f"{directions.count} of {plan.predicted.rank}{remark}"),
-        ],
-    )
+    facts = {
+        "predicted tool-point uncertainty": f"{tip}   (1 sigma, rms over test poses)",
+        "rank": f"{directions.count} of {plan.predicted.rank}{remark}",
+    }
+    return Facts("Expected calibration result", [*facts.items()])

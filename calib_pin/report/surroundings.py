@@ -16,12 +16,7 @@ from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.shapes import Color, Shape, ball, box, cylinder
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.pinhole import Camera
-from calib_pin.measurement_models.references import (
-    Anchor,
-    Plane,
-    Point,
-    Sphere,
-)
+from calib_pin.measurement_models.references import Anchor, Plane, Point, Sphere
 from calib_pin.observations import AT, BlockKey, Labels, Observations
 
 DARK: Color = (0.25, 0.28, 0.32)

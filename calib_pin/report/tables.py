@@ -131,35 +131,25 @@ def accuracy_table(errors: Sequence[QuantityErrors], *, details: bool = True) ->
         errors: The accuracy by quantity.
         details: Also on fitted ones where there are validation measurements.
     """
-    rows = []
-    for error in errors:
-        pairs = [("fitted", error.before, error.after)]
-        if error.validation_before and error.validation_after:
-            held_out = error.validation_before, error.validation_after
-            pairs = [*pairs[: int(details)], ("validation", *held_out)]
-        name = error.name
-        for which, before, after in pairs:
-            for robot, accuracy in (("nominal", before), ("calibrated", after)):
-                rows.append((name, which, robot, *sizes(accuracy, error.unit)))
-                name = which = ""
-    return table("Accuracy", ("", "measurements|word", "robot|word", *SIZES), rows)
+    rows = [
+        (error.name, which, robot, *sizes(accuracy, error.unit))
+        for error in errors
+        for which, pair in [*error.stages.items()][0 if details else -1 :]
+        for robot, accuracy in zip(("nominal", "calibrated"), pair, strict=True)
+    ]
+    titles = ("", "measurements|word", "robot|word", *SIZES)
+    return table("Accuracy", titles, rows, grouped=2)
 
 
 def distance_table(distances: Sequence[FoundDistance]) -> Table:
     """Known distances beside those of the nominal and of the calibrated robot."""
-    rows = [
-        (
-            " - ".join(distance.between),
-            "fitted" if distance.fitted else "validation",
-            *(
-                Cell(f"{factor * value:.3f}", value)
-                for value in (distance.value, distance.nominal, distance.found)
-            ),
-            unit,
-        )
-        for distance in distances
-        for unit, factor in [DISPLAY[distance.unit]]
-    ]
+    rows = []
+    for one in distances:
+        unit, factor = DISPLAY[one.unit]
+        sizes = one.value, one.nominal, one.found
+        cells = [Cell(f"{factor * size:.3f}", size) for size in sizes]
+        which = "fitted" if one.fitted else "validation"
+        rows.append((" - ".join(one.between), which, *cells, unit))
     titles = ("", "measurements|word", "known", "nominal", "calibrated", UNIT)
     return table("Known distances", titles, rows)
 
@@ -180,44 +170,30 @@ def ladder(found: ModelSelection) -> Iterator[Block]:
     Near the fitted configurations, and in regions of joint space that were held out
     whole.
     """
-    rungs = [rung for rung in found.candidates if not rung.reason]
-    quantities = [
-        (e.name, e.unit) for e in max((r.errors for r in found.candidates), key=len)
-    ]
+    every, chosen = found.candidates, found.candidates[found.chosen]
+    rungs = [rung for rung in every if not rung.reason]
     far = any(rung.away for rung in rungs)
+    places = ("near ", "away ") if far else ("",)
+    columns = [
+        (error.name, error.unit, k)
+        for error in max((rung.errors for rung in every), key=len)
+        for k in range(len(places))
+    ]
     rows = []
     for rung in rungs:
-        near = {e.name: quantity(e.mean, e.unit) for e in rung.errors}
-        errors = rung.away.errors if rung.away else ()
-        away = {e.name: quantity(e.mean, e.unit) for e in errors}
-        kept = rung is found.candidates[found.chosen]
-        remark = "" if rung.helps else "no significant gain"
-        rows.append(
-            (
-                rung.name,
-                *(
-                    part.get(name, "-")
-                    for name, _ in quantities
-                    for part in ((near, away) if far else (near,))
-                ),
-                "selected" if kept and rung.helps else remark,
-            )
-        )
-    titles = [
-        f"{name} {place} [{DISPLAY[unit][0]}]".replace("  ", " ")
-        for name, unit in quantities
-        for place in (("near", "away") if far else ("",))
-    ]
-    chosen = [k for k, r in enumerate(rungs) if r is found.candidates[found.chosen]]
+        stages = rung.errors, rung.away.errors if rung.away else ()
+        means = [{e.name: quantity(e.mean, e.unit) for e in own} for own in stages]
+        cells = (means[k].get(name, "-") for name, _, k in columns)
+        remark = "selected" * (rung is chosen) if rung.helps else "no significant gain"
+        rows.append((rung.name, *cells, remark))
+    titles = (f"{name} {places[k]}[{DISPLAY[unit][0]}]" for name, unit, k in columns)
     title = f"{LADDER}, near the fitted configurations and away" if far else LADDER
-    yield table(title, ("", *titles, "|remark"), rows, chosen)
+    kept = [k for k, rung in enumerate(rungs) if rung is chosen]
+    yield table(title, ("", *titles, "|remark"), rows, kept)
     yield note(f"The model is for use {WHERE[found.use]}.")
-    reasons: dict[str, list[str]] = {}
-    for rung in found.candidates:
-        if rung.reason:
-            reasons.setdefault(rung.reason, []).append(rung.name)
-    for reason, names in reasons.items():
-        yield note(f"Not tried: {', '.join(names)}: {reason.rstrip('.')}.")
+    for reason in dict.fromkeys(rung.reason for rung in every if rung.reason):
+        names = ", ".join(rung.name for rung in every if rung.reason == reason)
+        yield note(f"Not tried: {names}: {reason.rstrip('.')}.")
 
 
 def parameter_overview(

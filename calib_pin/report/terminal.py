@@ -12,7 +12,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from calib_pin.errors import printable
-from calib_pin.report.blocks import Block, Code, Facts, Line, Names, Table, table
+from calib_pin.report.blocks import Block, Code, Line, Names, Table, table
 
 WIDTH = 80
 """Columns of the report where it is not printed to a terminal."""
@@ -75,12 +75,11 @@ def _rendered(block: Block) -> Iterator[RenderableType]:
         yield from _lines(block, WIDTH)
     elif isinstance(block, Code):
         yield Padding(Text(printable(block.text), overflow="fold"), INDENT)
-    elif isinstance(block, Names):
-        entries = table("", ("|remark",), [(entry,) for entry in block.entries])
-        yield from (Padding(line, INDENT) for line in _lines(entries, WIDTH - 2))
-    elif isinstance(block, Facts):
-        entries = table("", ("|word", "|remark"), block.entries)
-        yield from (Padding(line, INDENT) for line in _lines(entries, WIDTH - 2))
+    else:
+        rows = [[e] if isinstance(e, str) else e for e in block.entries]
+        titles = ["|remark"] if isinstance(block, Names) else ["|word", "|remark"]
+        lines = _lines(table("", titles, rows), WIDTH - 2)
+        yield from (Padding(line, INDENT) for line in lines)
 
 
 def _lines(table: Table, room: int) -> Iterator[Text]:

@@ -172,8 +172,10 @@ def sections(
 
 
 def _outliers(result: CalibrationResult, most: int) -> Iterator[Block]:
-    count = len(result.statistics.outliers)
+    count, on_page = len(result.statistics.outliers), most > LISTED[0]
     if count:
-        yield outlier_table(result, most, errors=most > LISTED[0])
+        yield outlier_table(result, most, errors=on_page)
+    elif on_page:
+        yield Line("No measurement is an outlier.")
     if count > most:
         yield Line(f"and {count - most} more in calibration.json", indent=True)

@@ -67,14 +67,11 @@ def tiles(result: CalibrationResult) -> Iterator[Tile]:
     used = result.verdict == "good"
     for error in result.errors:
         unit, factor = unit_of(error.unit)
-        which, before, after = "fitted", error.before, error.after
-        if error.validation_before and error.validation_after:
-            which = "held-out"
-            before, after = error.validation_before, error.validation_after
+        which = "held-out" if "validation" in error.stages else "fitted"
+        before, after = error.shown
         stages = [("", after)]
         if (urdf := alone.get(error.name)) is not None:
-            own = urdf.validation_after if which == "held-out" else None
-            stages = [(URDF, own or urdf.after), (EVERYTHING, after)]
+            stages = [(URDF, urdf.shown[1]), (EVERYTHING, after)]
         p95, largest = (significant(factor * x) for x in (after.p95, after.max))
         yield Tile(
             label=f"mean {error.name} error of {which} measurements",

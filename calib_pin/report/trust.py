@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 
-from calib_pin.estimation.evidence import (
-    TRUSTED,
-    ExpectedAccuracy,
-    Finding,
-    Severity,
-)
+from calib_pin.estimation.evidence import TRUSTED, ExpectedAccuracy, Finding, Severity
 from calib_pin.io.setup import yaml_text
 from calib_pin.report.blocks import (
     Block,
@@ -31,14 +27,14 @@ from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.findings.setup_lines import written
 from calib_pin.validation.result import CalibrationResult
 
-LISTED = 5
-"""Correlated pairs that are listed before the rest is only counted."""
-
 FIRST = 3
 """Findings that stand below a verdict."""
 
 TONES: Mapping[Severity, Tone] = {"error": "bad", "warning": "strong", "info": "note"}
 """How a finding is shown, by its severity, the worst first."""
+
+PLACES = {"measured": "where measured", "workspace": "over the workspace"}
+"""Where an accuracy is expected, in words, by its name in `ToolAccuracy`."""
 
 NEXT = {
     "unchecked": "measure more configurations: calib-pin plan --add N proposes them",
@@ -140,11 +136,8 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
     known = [
         (f"{chain or 'robot'}, {place}" if several else where, accuracy)
         for chain, found in result.accuracies.items()
-        for place, where, accuracy in (
-            ("measured", "where measured", found.measured),
-            ("workspace", "over the workspace", found.workspace),
-        )
-        if accuracy is not None
+        for place, where in PLACES.items()
+        if (accuracy := getattr(found, place)) is not None
     ]
     if not known:
         return
@@ -191,33 +184,23 @@ def noise(result: CalibrationResult) -> Iterator[Block]:
     pure = any(part.pure is not None for part in found)
     rows, said = [], []
     for part in found:
-        low, high = (_short(end, part.unit).text for end in part.interval)
-        given, unmodeled = (_short(x, part.unit) for x in (part.given, part.unmodeled))
-        rows.append(
-            (
-                part.quantity,
-                Cell(
-                    f"{given.text} {'stated' if part.stated else 'assumed'}", part.given
-                ),
-                _short(part.estimate, part.unit),
-                f"{low} ... {high}" if math.isfinite(part.estimate) else "-",
-                *[_short(part.pure, part.unit)][:pure],
-                unmodeled,
-                unit_of(part.unit)[0],
-            )
+        sizes = part.given, part.estimate, *part.interval, part.pure, part.unmodeled
+        given, size, low, high, repeats, rest = (_short(x, part.unit) for x in sizes)
+        of, unit = "stated" if part.stated else "assumed", unit_of(part.unit)[0]
+        interval = (
+            f"{low.text} ... {high.text}" if math.isfinite(part.estimate) else "-"
         )
+        cells = Cell(f"{given.text} {of}", part.given), size, interval
+        rows.append((part.quantity, *cells, *[repeats][:pure], rest, unit))
         parts = []
         if part.unmodeled:
-            quiet = _short(part.given if part.pure is None else part.pure, part.unit)
-            unit = unit_of(part.unit)[0]
-            parts = [f"{quiet.text} {unit} noise, {unmodeled.text} {unit} unmodeled"]
+            quiet = given if part.pure is None else repeats
+            parts = [f"{quiet.text} {unit} noise, {rest.text} {unit} unmodeled"]
         # Doubts about the given standard deviation, and their likely cause.
         if part.lack_of_fit is not None and part.lack_of_fit < 0.05:
             p = f"= {part.lack_of_fit:.3f}" if part.lack_of_fit >= 1e-3 else "< 0.001"
-            parts.append(
-                "lack of fit, configurations differ more than their repetitions (p "
-                f"{p})"
-            )
+            more = "configurations differ more than their repetitions"
+            parts.append(f"lack of fit, {more} (p {p})")
         said += [note(f"{part.quantity}: {'; '.join(parts)}.")] if parts else []
     titles = ["given", "estimated", "95 % interval", *["repeats"][:pure], "unmodeled"]
     yield table("Noise (1 sigma of a component)", ("", *titles, UNIT), rows)
@@ -230,9 +213,7 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
     entries = [("chi-square", f"{number(found.chi2)} with {found.dof} dof")]
     if found.dof > 0:
         low, high = chi2_interval(found.dof)
-        where = "inside"
-        if not low <= found.chi2 <= high:
-            where = "below" if found.chi2 < low else "above"
+        where = ("below", "inside", "above")[bisect((low, high), found.chi2)]
         interval = f"{number(low)} ... {number(high)}"
         entries.append(("", f"{where} its 95 % interval {interval}"))
         sigmas = "stated" if found.stated_sigma else "assumed"
@@ -243,7 +224,7 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
     yield Facts(title if setup.learned is not None else "Statistics", entries)
 
 
-def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]:
+def correlated(result: CalibrationResult, most: int) -> Iterator[Names]:
     """Strongly correlated estimates; beyond `most` pairs the rest is only counted."""
     pairs = result.identifiability.correlated
     if pairs:

@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, repeat
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +51,9 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations
 from calib_pin.setup import LimitSetup, Setup
-from calib_pin.units import DISPLAY
 from calib_pin.validation import model_errors
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.result import CalibrationResult
 
 MODELS = ("position", "pose")
@@ -78,6 +78,9 @@ DEGREES = (2, 4)
 """Degrees of the drift beside which a move is sought, and of that which it beats."""
 
 ELSEWHERE = "the station is not where it was at the calibration; --register fits it"
+
+ENDS = ("", "_low", "_high")
+"""Endings of the columns of an interval."""
 
 NOW = "calibrated"
 """The robot that is tested, of a calibration."""
@@ -192,10 +195,8 @@ class Acceptance:
 
 def acceptance(
     attained: Floats,
-    commanded: Floats,
-    group: Indices,
-    angles: Floats | None = None,
-    numbers: Indices | None = None,
+    deviations: Floats,
+    number: Indices,
     cycles: Indices | None = None,
     frames: FrameErrors | None = None,
 ) -> Acceptance:
@@ -203,12 +204,9 @@ def acceptance(
 
     Args:
         attained: Measured positions, shape (N, 3) [m].
-        commanded: Commanded ones, shape (N, 3) [m].
-        group: Pose of each visit, shape (N,), any numbers.
-        angles: Deviations of the orientation about the axes of the tool, shape (N, 3)
-            [rad]; None where none was measured.
-        numbers: Number of the pose of each visit, shape (N,), another for each pose; by
-            default in the order of the first visits, from 1.
+        deviations: These minus the commanded ones [m], and where orientations are
+            measured their deviations about the axes of the tool [rad], shape (N, D).
+        number: Number of the pose of each visit, shape (N,).
         cycles: Cycle of each visit, shape (N,), another for each visit of a pose; by
             default as their order tells, see `cycles_in_order`.
         frames: How far commanded poses may be off; default not at all.
@@ -216,11 +214,10 @@ def acceptance(
     Raises:
         InputError: If no pose was visited often enough.
     """
-    pose, first = ranked(group)
-    called = pose[first] + 1 if numbers is None else numbers[first]
+    pose, first = ranked(number)
+    called = number[first]
     cycles = cycles_in_order(pose) if cycles is None else cycles
-    errors = np.hstack([attained - commanded, *([] if angles is None else [angles])])
-    frames = frames or FrameErrors(np.zeros((*errors.shape, 0)))
+    frames = frames or FrameErrors(np.zeros((*deviations.shape, 0)))
     visits = [np.flatnonzero(pose == k) for k in range(len(first))]
     kept = [k for k in np.argsort(called) if len(visits[k]) >= LEAST]
     if not kept:
@@ -231,7 +228,7 @@ def acceptance(
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
     for k in kept:
-        own, effects = errors[visits[k]], frames.effects[first[k]]
+        own, effects = deviations[visits[k]], frames.effects[first[k]]
         means = tuple(map(_mean, own.T, effects, repeat(frames.dof)))
         place, accuracy, turns = own[:, :3], UNTESTABLE, means[3:]
         if frames.fitted:
@@ -239,9 +236,10 @@ def acceptance(
         else:
             accuracy = _mean_length(place, effects[:3], frames.dof, rng)
         positions = accuracy, means[:3], repeatability(place, rng)
+        angled = turns, tuple(map(_three_sigma, own.T[3:]))
         ways = _directions(place, before[visits[k]])
-        found = *positions, turns, tuple(map(_three_sigma, own.T[3:])), ways
-        poses.append(PoseTest(int(called[k]), len(own), *found))
+        poses.append(PoseTest(int(called[k]), len(own), *positions, *angled, ways))
+    commanded = attained - deviations[:, :3]
     for k, m in combinations(kept, 2):
         turns_of = cycles[visits[k]], cycles[visits[m]]
         _, a, b = np.intersect1d(*turns_of, return_indices=True)
@@ -255,11 +253,11 @@ def acceptance(
         accuracy = _mean(D - D_c, apart[0] @ effect / (D_c[0] or 1.0), frames.dof)
         pair = (int(called[k]), int(called[m])), len(D), float(D_c.mean())
         distances.append(DistanceTest(*pair, accuracy, _three_sigma(D)))
-    deviations = [errors[visits[k], :3] for k in kept]
-    test = Acceptance(tuple(poses), tuple(distances), _drift(deviations))
+    places = [deviations[visits[k], :3] for k in kept]
+    test = Acceptance(tuple(poses), tuple(distances), _drift(places))
     if not frames.fitted:
         return test
-    bound, said = _bound(deviations, frames.effects[first[kept], :3], rng)
+    bound, said = _bound(places, frames.effects[first[kept], :3], rng)
     return replace(test, bound=bound, untestable=f"{frames.fitted}, {said}")
 
 
@@ -306,10 +304,9 @@ def _bound(
     noise = np.column_stack([_of_mean(own, rng) for own in deviations])
     found = _length(d - U @ (U.T @ d), noise - noise @ U @ U.T)
     low, rms = found.low / len(motions) ** 0.5, found.value * (3.0 / left) ** 0.5
-    return Interval(np.nan, low, np.inf), (
-        f"{said}; AP is at least {told(low)}, and {told(rms)} rms if the fit took the "
-        "same from all directions"
-    )
+    said += f"; AP is at least {shown(low, 'm', 3)}, and {shown(rms, 'm', 3)} rms if "
+    said += "the fit took the same from all directions"
+    return Interval(np.nan, low, np.inf), said
 
 
 def _directions(deviations: Floats, before: Indices) -> float | None:
@@ -381,8 +378,7 @@ def _mean_length(
 def _of_mean(deviations: Floats, rng: np.random.Generator) -> Floats:
     """Simulated errors of the mean of visits, shape (DRAWS, 3)."""
     n = len(deviations)
-    noise = rng.standard_normal((DRAWS, 3)) @ _root(np.cov(deviations.T) / n).T
-    return np.asarray(noise / _chi(n - 1, rng))
+    return np.asarray(_scatter(np.cov(deviations.T) / n, DRAWS, rng) / _chi(n - 1, rng))
 
 
 def _chi(dof: float, rng: np.random.Generator) -> Floats:
@@ -391,10 +387,9 @@ def _chi(dof: float, rng: np.random.Generator) -> Floats:
     return np.sqrt(rng.chisquare(dof, (DRAWS, 1)) / dof)
 
 
-def _root(C: Floats) -> Floats:
-    """A square root of a covariance that may be singular."""
-    s, V = np.linalg.eigh(C)
-    return np.asarray(V * np.sqrt(np.maximum(s, 0.0)))
+def _scatter(C: Floats, shape: int | tuple[int, int], rng: np.random.Generator) -> Any:
+    """Normal deviations of a covariance (3, 3) that may be singular, (*shape, 3)."""
+    return rng.multivariate_normal(np.zeros(3), C, shape, "ignore", method="eigh")
 
 
 def _length(m: Floats, noise: Floats) -> Interval:
@@ -422,14 +417,25 @@ def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
     n, found = len(deviations), _sizes(deviations)[1]
     if not found > 0.0:
         return Interval(0.0, 0.0, 0.0)
-    L = _root(np.cov(deviations.T))
-    lengths = np.linalg.norm(rng.standard_normal((20 * DRAWS, 3)) @ L.T, axis=1)
+    C = np.cov(deviations.T)
+    lengths = np.linalg.norm(_scatter(C, 20 * DRAWS, rng), axis=1)
     true = float(lengths.mean() + 3.0 * lengths.std())
-    tests = rng.standard_normal((DRAWS, n, 3)) @ L.T
+    tests = _scatter(C, (DRAWS, n), rng)
     away = np.linalg.norm(tests - tests.mean(axis=1, keepdims=True), axis=2)
     ratios = (away.mean(axis=1) + 3.0 * away.std(axis=1, ddof=1)) / true
     low, high = np.quantile(ratios, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
     return Interval(found, found / float(high), found / float(low))
+
+
+def limits(limit: LimitSetup) -> dict[str, tuple[float, str]]:
+    """The limits that are stated, and their units, by quantity."""
+    every = {
+        "AP": (limit.position, "m"),
+        "RP": (limit.repeatability, "m"),
+        "AD": (limit.distance, "m"),
+        "orientation": (limit.orientation, "rad"),
+    }
+    return {name: (most, unit) for name, (most, unit) in every.items() if most}
 
 
 def judged(
@@ -441,16 +447,14 @@ def judged(
     nothing is in doubt, and fails where all of it is above.
     """
     found = measured(test)
-    allowed = limit.position, limit.repeatability, limit.distance, limit.orientation
-    for name, most in zip(("AP", "RP", "AD", "orientation"), allowed, strict=True):
-        if most is None:
-            continue
-        unit, status = "rad" if name == "orientation" else "m", "undecided"
+    for name, (most, unit) in limits(limit).items():
         interval = worst(found[name][0]) if name in found else UNTESTABLE
         if interval.high <= most and not test.doubts:
             status = "pass"
         elif interval.low > most and not test.moved:
             status = "fail"
+        else:
+            status = "undecided"
         yield name, status, interval, most, unit
 
 
@@ -478,12 +482,6 @@ def worst(intervals: Sequence[Interval]) -> Interval:
     return Interval(*map(max, zip(*intervals, strict=True)))
 
 
-def told(length: float) -> str:
-    """A length in the unit in which people read it, in a sentence."""
-    unit, factor = DISPLAY["m"]
-    return f"{factor * length:.3g} {unit}"
-
-
 @dataclass(frozen=True)
 class Tested:
     """An acceptance test.
@@ -499,18 +497,13 @@ class Tested:
 
     def table(self) -> dict[str, Sequence[object]]:
         """A table by robot and pose, in SI units."""
-        poses = [(name, pose) for name, t in self.tests.items() for pose in t.poses]
-        found: dict[str, Sequence[object]] = {
-            "robot": [name for name, _ in poses],
-            "pose": [pose.pose for _, pose in poses],
-            "visits": [pose.visits for _, pose in poses],
-        }
-        for title, of in (("AP", "accuracy"), ("RP", "repeatability")):
-            ends = zip(*(getattr(pose, of) for _, pose in poses), strict=True)
-            for end, values in zip(("", "_low", "_high"), ends, strict=True):
-                found[f"{title}{end} [m]"] = values
-        known = (pose.directions for _, pose in poses)
-        return found | {"vAP [m]": ["" if size is None else size for size in known]}
+        columns = [f"{of}{end} [m]" for of in ("AP", "RP") for end in ENDS]
+        rows = []
+        for name, p in ((name, p) for name, t in self.tests.items() for p in t.poses):
+            ways = "" if p.directions is None else p.directions
+            rows.append((name, p.pose, p.visits, *p.accuracy, *p.repeatability, ways))
+        titles = ("robot", "pose", "visits", *columns, "vAP [m]")
+        return dict(zip(titles, zip(*rows, strict=True), strict=True))
 
 
 @serial_blas
@@ -566,12 +559,10 @@ def tested(
     tests = {}
     for name, fit in frames.items():
         there = model_errors.registered(fit.problem, fit.theta, visits)
-        errors = error_table(there.problem, there.theta)
+        deviations = -error_table(there.problem, there.theta)
         effects = _derivatives(there.problem, there.theta) @ fit.known
-        angles = -errors[:, 3:6] if errors.shape[1] > 3 else None
-        visited = group, angles, number[good], cycle[good]
         off = FrameErrors(effects, fit.dof or np.inf, fitted)
-        test = acceptance(x, x + errors[:, :3], *visited, off)
+        test = acceptance(x, deviations, number[good], cycle[good], off)
         said = *doubts, *more
         tests[name] = replace(test, moved=moved is not None, doubts=said)
     name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
@@ -673,7 +664,7 @@ def _misplaced(
         near, own = min(away, key=away.__getitem__), away[number[k]]
         # A tenth of the distance from its own pose is at the other one.
         other = f", where P{near} is" if away[near] < 0.1 * own else ""
-        said = f"{told(own)} from the other visits of its pose{other}"
+        said = f"{shown(own, 'm', 3)} from the other visits of its pose{other}"
         yield f"{places[k]} is left out: {said}"
 
 
@@ -770,8 +761,9 @@ def _misfit(calibration: CalibrationResult, fit: FrameFit) -> tuple[str, bool]:
     squares = np.maximum(np.linalg.eigvalsh(left @ S @ left), 0.0)
     draws = np.random.default_rng(0).standard_normal((DRAWS, len(d))) ** 2 @ squares
     found = float(np.sum((left @ d) ** 2))
-    sizes = [told((square / len(first)) ** 0.5) for square in (found, squares.sum())]
-    said = f"the misfit of the station is {sizes[0]} where {sizes[1]} is expected"
+    sizes = np.sqrt(np.array([found, squares.sum()]) / len(first))
+    here, there = (shown(size, "m", 3) for size in sizes)
+    said = f"the misfit of the station is {here} where {there} is expected"
     return said, float(np.mean(draws >= found)) < CHANCE
 
 

@@ -15,13 +15,12 @@ from itertools import product
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, PoseErrors, rms
 from calib_pin.estimation.statistics.population_prior import chance_of
-from calib_pin.estimation.terms import FRAME
+from calib_pin.estimation.terms import FRAME, Term
 from calib_pin.estimation.tip_accuracy import frame_motions
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, invert
@@ -32,6 +31,7 @@ from calib_pin.validation.result import (
     CalibrationResult,
     Coefficient,
     CoupledGroup,
+    Frame,
     Printed,
     ToolAccuracy,
     frames_of,
@@ -247,7 +247,12 @@ def compare(
     drifts = {}
     for name, other in chains.items():
         pair = (first, name), (second, other)
-        known = [_free(record, chain) for record, chain in pair]
+        known = [
+            _free(record, term, instrument=True)
+            for record, chain in pair
+            for term in record.model.terms.values()
+            if term.key.chain == chain
+        ]
         base, tool = np.any(known, axis=0).tolist()
         models = (record.model.of(chain) for record, chain in pair)
         drift = tip_drift(*models, base=base, tool=tool, seed=seed)
@@ -379,50 +384,38 @@ def _places(of: CalibratedChain) -> Floats:
     return np.vstack([chain.axes, *(pose.homogeneous[:3].T for pose in poses)])
 
 
-def _free(
-    record: CalibrationResult, chain: str = "", key: BlockKey | None = None
-) -> NDArray[np.bool_]:
-    """Whether anything at base and tool was estimated, shape (2,).
+def _free(record: CalibrationResult, term: Term, *, instrument: bool) -> list[bool]:
+    """Whether anything at base and tool of a part was estimated.
 
     Args:
         record: The calibration.
-        chain: A chain, of which instruments count as well.
-        key: The part of which the frames alone are asked for.
+        term: The part.
+        instrument: Whether what the instrument has there counts as well.
     """
     free = np.array([p.status != "fixed" for p in record.parameters])
-    found = np.zeros(2, bool)
-    for term in record.model.terms.values():
-        if key == term.key or (key is None and term.key.chain == chain):
-            found |= [free[own].any() for _, own in frames_of(term)]
-        if key is None and term.key.chain == chain:
-            own = term.parameters[len(term.error.screws) :]
-            outer = np.array([p.outer for p in own], bool)[free[term.of_instrument]]
-            found |= [outer.any(), (~outer).any()]
-    return found
+    own = term.parameters[len(term.error.screws) :] if instrument else ()
+    ends = [p.outer for p, of in zip(own, free[term.of_instrument], strict=False) if of]
+    frames = (free[index].any() for _, index in frames_of(term))
+    return [
+        bool(frame) or outer in ends
+        for frame, outer in zip(frames, (True, False), strict=True)
+    ]
 
 
 def _displacements(found: Comparison, seed: int) -> list[Displacement]:
     """How far the frames that two calibrations have stand from where they stood."""
     first, second = found.first.model, found.second.model
-    chains, moved = partners(first, second), dict[tuple[bool, str], Displacement]()
+    chains, moved = partners(first, second), dict[Frame, Displacement]()
     for term, other in product(first.terms.values(), second.terms.values()):
-        chain, mine, theirs = term.key.chain, term.frames, other.frames
-        pairs = zip(
-            (mine.station, mine.tool), (theirs.station, theirs.tool), strict=True
-        )
-        places = {(k == 1, _owner(a)) for k, (a, b) in enumerate(pairs) if a == b}
+        chain, pair = term.key.chain, (frames_of(term), frames_of(other))
+        mine, theirs = ([frame for frame, _ in frames] for frames in pair)
+        new = {*mine} & {*theirs} - moved.keys()
         same = chains.get(chain, chain) == other.key.chain
-        if same and term.error.chain.joints and not places <= moved.keys():
-            for one in _moved(found, term.key, other.key, seed):
-                if (place := (one.of_tool, one.frame)) in places:
-                    moved.setdefault(place, one)
+        if same and term.error.chain.joints and new:
+            both = zip(mine, _moved(found, term.key, other.key, seed), strict=True)
+            moved |= {frame: one for frame, one in both if frame in new}
     far = (d for d in moved.values() if max(d.shift, d.turn or 0.0) > SAME)
     return sorted(far, key=lambda d: (d.of_tool, d.frame))
-
-
-def _owner(scope: str) -> str:
-    """The station or tool of a frame; `base` and `tool` for the only ones."""
-    return scope.rpartition(".")[0]
 
 
 def _moved(
@@ -431,7 +424,8 @@ def _moved(
     """The displacements of base and tool of a part of each calibration."""
     records, drift = ((found.first, mine), (found.second, theirs)), found.drift
     here, there = (record.model.of(key) for record, key in records)
-    free = np.any([_free(record, key=key) for record, key in records], axis=0)
+    terms = [(record, record.model.terms[key]) for record, key in records]
+    free = np.any([_free(*one, instrument=False) for one in terms], axis=0)
     q = here.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
     A, B = here.poses(q), there.poses(q)
     _, L, R = absorbed(A, B, left=free[0], right=free[1])
@@ -444,15 +438,14 @@ def _moved(
         known = drift.explained is not None and not found.identical
         blurred = max(drift.ratio, 1.0) if known else 1.0
         C = blurred**2 * np.sum([_covariance(*one, q) for one in records], axis=0)
-    frames = found.first.model.terms[mine].frames
-    base, tool = invert(stood) @ left @ stood, right
-    ends = (frames.station, base, left @ A), (frames.tool, tool, A @ right)
-    for k, (scope, motion, tools) in enumerate(ends):
+    motions = (invert(stood) @ left @ stood, left @ A), (right, A @ right)
+    ends = zip(frames_of(terms[0][1]), motions, strict=True)
+    for k, ((frame, _), (motion, tools)) in enumerate(ends):
         twist, told = pin.log6(pin.SE3(motion)).vector, drift.oriented or k == 0
         own = C[FRAME * k : FRAME * (k + 1), FRAME * k : FRAME * (k + 1)]
         seen, squares = slice(0, 6 if told else 3), np.diag(own).reshape(2, 3)
         yield Displacement(
-            frame=_owner(scope),
+            frame=frame.name,
             shift=float(np.linalg.norm(motion[:3, 3])),
             turn=float(np.linalg.norm(twist[3:])) if told else None,
             of_tool=k == 1,

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.estimation.evidence import Finding, Severity, rms
+from calib_pin.estimation.evidence import Finding, rms
 from calib_pin.estimation.formulation import (
     Stated,
     fitting,
@@ -26,11 +26,12 @@ from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import Measurements, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
-from calib_pin.units import DISPLAY
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.findings import explained, find
 from calib_pin.validation.findings.case import Case, Others, some_of
+from calib_pin.validation.findings.sentences import shown
+from calib_pin.validation.findings.sentences import told as finding
 from calib_pin.validation.judgement import CHECK, told, too_large
 from calib_pin.validation.model_errors import Registered, located_names, registered
 from calib_pin.validation.result import Accuracy, Evaluation
@@ -123,21 +124,16 @@ def _unregistered(
     some, _ = some_of(rows)
     again = prepared(robot, some, registration=True)
     pair = [error_sizes(p.problem, p.theta)[0] for p in (prepared(robot, some), again)]
-    name, measured_in, _ = pair[0]
+    name, unit, _ = pair[0]
     before, after = (rms(sizes) for _, _, sizes in pair)
     if again.reason or not after < MOVED * before:
         return
-    unit, factor = DISPLAY[measured_in]
-    severity: Severity = "warning"
-    if before > LARGE * expected_size(measured_in):
-        severity = "error"
-    said = (
-        "base, tool or instrument stand elsewhere than at the calibration: registered "
-        f"on these measurements, the {name} errors fall from "
-        f"{factor * before:.3g} to {factor * after:.3g} {unit} rms"
-    )
+    said = "base, tool or instrument stand elsewhere than at the calibration: "
+    said += f"registered on these measurements, the {name} errors fall from "
+    said += f"{shown(before, unit, 3)} to {shown(after, unit, 3)} rms"
     sizes = {"rms_before": before, "rms_after": after}
-    yield Finding("frames-moved", severity, said, sizes, "evaluate with --register")
+    large = before > LARGE * expected_size(unit)
+    yield finding("frames-moved", said, sizes, "evaluate with --register", error=large)
 
 
 def prepared(

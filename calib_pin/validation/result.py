@@ -76,11 +76,17 @@ class QuantityErrors:
     validation_after: Accuracy | None = field(metadata={"key": "validation.after"})
 
     @property
+    def stages(self) -> Mapping[str, tuple[Accuracy, Accuracy]]:
+        """Before and after by the measurements: `fitted`, and `validation` if any."""
+        found = {"fitted": (self.before, self.after)}
+        if self.validation_before and self.validation_after:
+            found["validation"] = self.validation_before, self.validation_after
+        return found
+
+    @property
     def shown(self) -> tuple[Accuracy, Accuracy]:
         """Before and after, of held-out measurements where there are any."""
-        if self.validation_before and self.validation_after:
-            return self.validation_before, self.validation_after
-        return self.before, self.after
+        return [*self.stages.values()][-1]
 
     def __post_init__(self) -> None:
         """Refuse a unit that is none."""

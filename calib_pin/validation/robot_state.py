@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, enumerated
-from calib_pin.estimation.evidence import TRUSTED, rms
+from calib_pin.estimation.evidence import TRUSTED, VarianceComponent, rms
 from calib_pin.estimation.fitted import robot_rows
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import nuisance_basis
@@ -32,11 +32,11 @@ from calib_pin.estimation.statistics.population_prior import (
     Sparse,
     explained,
 )
-from calib_pin.estimation.terms import FRAME, Terms
+from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.kinematics.spatial import Floats, so3_log
-from calib_pin.observations import Observations
+from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import LENGTH_SCALE, expected_size, owner
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
@@ -50,6 +50,7 @@ from calib_pin.validation.result import (
     NoiseSize,
     Recalibration,
     RecalibrationStep,
+    frames_of,
 )
 
 FLOOR = 1e-4
@@ -118,28 +119,57 @@ Frame = tuple[str, str]
 
 @dataclass(frozen=True)
 class RobotState:
-    """The parameters of a robot as a calibration knows them.
+    """The parameters of a robot as a calibration knows them, and how they drift.
 
     Attributes:
         system: The robot, about the references that values belong to.
         values: Values of its P parameters, shape (P,).
         covariance: Of these, shape (P, P).
         free: Which of them were estimated, shape (P,).
-        file: Where that stands, for messages.
+        drifts: The drift that is expected until the next calibration.
+        noise: The noise of every quantity, as it is known.
+        still: Logarithm of the evidence that it does not drift; None where no
+            calibration began with another one.
+        made: File of the calibration, for messages, and when it was made.
     """
 
     system: Terms
     values: Floats
     covariance: Floats
     free: NDArray[np.bool_]
-    file: str = ""
+    drifts: tuple[DriftSize, ...]
+    noise: tuple[NoiseSize, ...]
+    still: float | None
+    made: tuple[str, str]
 
     @staticmethod
-    def of(result: CalibrationResult) -> RobotState:
-        """The state that a calibration has found."""
+    def of(result: CalibrationResult, process_noise: float | None) -> RobotState:
+        """The state that a calibration has found.
+
+        Args:
+            result: The calibration.
+            process_noise: The drift that a user states [m, rad]; None for none.
+
+        Raises:
+            OptionError: If the stated drift is none.
+        """
         free = np.array([p.status != "fixed" for p in result.parameters])
-        C, file = np.asarray(result.covariance), result.provenance.file
-        return RobotState(result.model, result.model.theta, C, free, file)
+        begun = None if result.recalibration is None else result.recalibration.last
+        return RobotState(
+            result.model,
+            result.model.theta,
+            np.asarray(result.covariance),
+            free,
+            _drifts(begun, process_noise),
+            _noise(begun, result.statistics.noise),
+            None if begun is None else begun.still,
+            (result.provenance.file, result.provenance.created),
+        )
+
+    @property
+    def sigmas(self) -> dict[str, float]:
+        """The noise by quantity, see `NoiseSize.sigma`."""
+        return {one.quantity: one.sigma for one in self.noise}
 
     @property
     def robot(self) -> NDArray[np.bool_]:
@@ -148,7 +178,7 @@ class RobotState:
 
     def about(
         self, system: Terms, robot: NDArray[np.bool_]
-    ) -> tuple[RobotState, Mapping[Frame, list[int]]]:
+    ) -> tuple[RobotState, Mapping[Frame, Indices]]:
         """The state about the references of new measurements.
 
         Frames that both have are where they were, seen from where they stand now. What
@@ -162,22 +192,21 @@ class RobotState:
             The state, and the positions of the parameters of frames that both have.
         """
         names, old = system.given.names, self.system.given.names
-        values, frames = np.zeros(len(names)), dict[Frame, list[int]]()
+        values, known, before = np.zeros(len(names)), robot.copy(), _frames(self.system)
         values[robot] = self.values[self.places(system.given, robot)]
-        before, known = _frames(self.system), robot.copy()
-        for frame, (pose, own) in _frames(system).items():
-            if frame in before:
-                moved = pose.actInv(before[frame][0])
-                frames[frame] = [names.index(name) for name in own]
-                known[frames[frame]] = True
-                # Positions alone do not tell how a tool is turned, and move it nowhere.
-                twist = np.append(moved.translation, so3_log(moved.rotation))
-                values[frames[frame]] = twist
+        found = {f: both for f, both in _frames(system).items() if f in before}
+        for frame, (pose, own) in found.items():
+            moved = pose.actInv(before[frame][0])
+            known[own] = True
+            # Positions alone do not tell how a tool is turned, and move it nowhere.
+            values[own] = np.append(moved.translation, so3_log(moved.rotation))
+        frames = {frame: own for frame, (_, own) in found.items()}
         here = [k for k in np.flatnonzero(known).tolist() if names[k] in old]
         there = [old.index(names[k]) for k in here]
         covariance = np.zeros((len(names), len(names)))
         covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
-        return RobotState(system, values, covariance, known, self.file), frames
+        state = replace(self, system=system, values=values, free=known)
+        return replace(state, covariance=covariance), frames
 
     def places(self, parameters: ParameterSet, robot: NDArray[np.bool_]) -> list[int]:
         """Positions of the errors of the robot among the parameters of a problem.
@@ -190,7 +219,7 @@ class RobotState:
         if lacking := [name for name in names if name not in known]:
             reason = f"the older calibration has not estimated {enumerated(lacking)}"
             allowed = "the same 'fixed' in both"
-            raise OptionError(reason, file=self.file or None, allowed=allowed)
+            raise OptionError(reason, file=self.made[0] or None, allowed=allowed)
         return [known[name] for name in names]
 
     def prior(
@@ -214,21 +243,19 @@ class RobotState:
         means = tuple(ExpectedParameter(p.name, p.unit, value) for p, value in values)
         rows = tuple(map(tuple, (0.5 * scales * (C + C.T)).tolist()))
         of_type = robot_type(self.system.chains)
-        return JointPrior(of_type, means, rows, noise, self.file)
+        return JointPrior(of_type, means, rows, noise, self.made[0])
 
 
-def _frames(system: Terms) -> Mapping[Frame, tuple[pin.SE3, tuple[str, ...]]]:
-    """Pose and names of the parameters of every frame."""
-    found: dict[Frame, tuple[pin.SE3, tuple[str, ...]]] = {}
+def _frames(system: Terms) -> Mapping[Frame, tuple[pin.SE3, Indices]]:
+    """Pose and positions of the parameters of every frame."""
+    found: dict[Frame, tuple[pin.SE3, Indices]] = {}
     for term in system.terms.values():
-        names = tuple(p.name for p in term.parameters[: len(term.error.screws)])
         tool = term.error.tool * term.frames.offset.inverse()
-        for kind, scope, pose, own in (
-            ("base", term.frames.station, term.error.base, names[:FRAME]),
-            ("tool", term.frames.tool, tool, names[-FRAME:]),
-        ):
+        scopes, poses = (term.frames.station, term.frames.tool), (term.error.base, tool)
+        indices = (index for _, index in frames_of(term))
+        for kind, scope, *own in zip(FRAMES, scopes, poses, indices, strict=True):
             name = "" if scope == f"{kind}.frame" else scope.rpartition(".")[0]
-            found.setdefault((kind, name), (pose, own))
+            found.setdefault((kind, name), (own[0], own[1]))
     return found
 
 
@@ -390,9 +417,8 @@ def started(
         allowed = "an older calibration, or the selection of a model"
         raise OptionError(reason, allowed=allowed)
     require_usable(chains, setup, start)
-    older, noise = RobotState.of(start), pooled_noise(start)
-    known = {one.quantity: one.sigma for one in noise}
-    stated = replace(setup, prior={}, noise={**known, **setup.noise})
+    older = RobotState.of(start, process_noise)
+    stated = replace(setup, prior={}, noise=older.sigmas | dict(setup.noise))
     problem = make_problem(chains, data.sample(SOME), stated)
     robot = problem.parameters.free & ~problem.parameters.nuisance
     # About frames and instrument that suit the older robot.
@@ -401,9 +427,7 @@ def started(
     problem = registered(problem, theta)
     # Stations are not eliminated here: what they absorb is projected out later.
     theta = least_squares(problem, theta, nuisance_basis(problem.parameters)).x
-    expected = expected_drifts(start, process_noise)
-    news = Innovations(problem, theta, older, noise, expected)
-    step, prior = news.explained(start, expected, len(data))
+    step, prior = Innovations(problem, theta, older).explained(len(data))
     sizes = error_sizes(problem, theta)
     errors = tuple((name, unit, Accuracy.of(own)) for name, unit, own in sizes)
     steps = () if start.recalibration is None else start.recalibration.steps
@@ -428,15 +452,13 @@ def expected_setup(
         OptionError: As for `started`.
     """
     require_usable(chains, setup, start)
-    state = RobotState.of(start)
+    state = RobotState.of(start, process_noise)
     sudden = changes(state.system, state.robot).values()
     directions = drifts(state.system, state.robot, sudden)
-    expected = expected_drifts(start, process_noise)
-    effects = [(drift.size, directions[drift.name]) for drift in expected]
+    effects = [(drift.size, directions[drift.name]) for drift in state.drifts]
     # Which joint was hit, if one was, must show as well.
     effects += [(SELDOM**0.5, c.directions) for c in sudden if c.kind == "offset"]
-    known = {one.quantity: one.sigma for one in pooled_noise(start)}
-    return replace(setup, prior=state.prior(effects, known))
+    return replace(setup, prior=state.prior(effects, state.sigmas))
 
 
 def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> None:
@@ -451,39 +473,29 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
     if not difference and ends != new:
         difference = "its chain goes from {} to {}".format(*min(new - ends or new))
     serials = older.report.serial_number, setup.report.serial_number
-    learned = older.learned or setup.learned
-    given, known = (", ".join(one.parameters) for one in (setup, older))
-    robots, other = (chains.robot.name, model.robot.name), set(older.parameters)
+    whose = "of serial number '{}', these measurements are of '{}'".format(*serials)
+    known, given = (", ".join(one.parameters) for one in (older, setup))
     unsure = not np.isfinite(start.covariance).all() or not start.statistics.noise
-    whose = "is of serial number '{}', these measurements are of '{}'".format(*serials)
-    sure = "a calibration of this version, with noise and redundancy"
-    it = "the older calibration"
-    for refused, reason, *values in (
-        (difference, f"{it} is not of this robot: {difference}", *robots),
-        (all(serials) and len({*serials}) > 1, f"{it} {whose} ({setup.file})"),
+    for refused, reason in (
+        (difference, f"is not of this robot: {difference}"),
+        (all(serials) and len({*serials}) > 1, f"is {whose} ({setup.file})"),
+        (start.verdict not in TRUSTED, f"is {start.verdict}: {start.reason}"),
+        (older.learned or setup.learned, "cannot carry a learned correction on"),
         (
-            start.verdict not in TRUSTED,
-            f"an older calibration that is {start.verdict} is no start: {start.reason}",
+            {*older.parameters} != {*setup.parameters},
+            f"has the parameters {known}, and not {given}",
         ),
-        (
-            learned,
-            "a learned correction cannot be carried on from an older calibration",
-            learned,
-            "parameters alone",
-        ),
-        (other != {*setup.parameters}, f"{it} has other parameters", given, known),
-        (unsure, f"{it} does not say how sure it is of its parameters", None, sure),
+        (unsure, "does not say how sure it is of its parameters: calibrate again"),
     ):
         if refused:
-            value, allowed = values or (None, None)
             file = start.provenance.file or None
-            raise OptionError(reason, file=file, value=value, allowed=allowed)
+            raise OptionError(f"the older calibration {reason}", file=file)
 
 
-def expected_drifts(
-    start: CalibrationResult, process_noise: float | None
+def _drifts(
+    begun: RecalibrationStep | None, process_noise: float | None
 ) -> tuple[DriftSize, ...]:
-    """The drift since an older calibration before it is compared.
+    """The drift since a calibration that began so, as it is stated or expected.
 
     Raises:
         OptionError: If the stated drift is none.
@@ -494,17 +506,18 @@ def expected_drifts(
             allowed = "a positive number [m, rad]"
             raise OptionError(reason, value=process_noise, allowed=allowed)
         return (DriftSize(EXPECTED[0].name, process_noise, np.inf),)
-    before = () if start.recalibration is None else start.recalibration.last.drifts
+    before = () if begun is None else begun.drifts
     # What a user has stated once, says nothing of the next time.
     found = {drift.name: drift for drift in before if np.isfinite(drift.worth)}
     return tuple(found.get(drift.name, drift) for drift in EXPECTED)
 
 
-def pooled_noise(start: CalibrationResult) -> tuple[NoiseSize, ...]:
-    """The noise of all quantities by an older calibration and those before it."""
-    before = () if start.recalibration is None else start.recalibration.last.noise
-    found = {one.quantity: one for one in before}
-    for own in start.statistics.noise:
+def _noise(
+    begun: RecalibrationStep | None, shown: Sequence[VarianceComponent]
+) -> tuple[NoiseSize, ...]:
+    """The noise of all quantities that a calibration and those before it have shown."""
+    found = {} if begun is None else {one.quantity: one for one in begun.noise}
+    for own in shown:
         name, left = own.quantity.split(" ")[0], own.redundancy * own.values
         known = found.get(name, NoiseSize(name, 0.0, 0.0))
         if own.estimate > 0.0 and left > 0.0:
@@ -527,41 +540,34 @@ class Innovations:
         rows: W, what measurements see of the parameters in scales, and below that the
             frames which are known now and were not, shape (r, P).
         measured: Noise of the measurements in the rows, shape (r, m).
-        known: The noise as it is known.
         sudden: What may have changed at once, by name.
         drifting: How the parameters drift, shapes (P, k), by the names of drifts.
         wrong: What may be wrong of the measurements.
         first: The innovations, with drift and noise as they are expected.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        theta: Floats,
-        older: RobotState,
-        noise: Sequence[NoiseSize],
-        expected: Sequence[DriftSize],
-    ) -> None:
+    def __init__(self, problem: Problem, theta: Floats, older: RobotState) -> None:
         """Compare the measurements of a problem, robot and frames at theta.
 
         Args:
             problem: The problem, without a prior.
             theta: Parameter values, shape (P,).
             older: The older calibration.
-            noise: The noise as it is known.
-            expected: The drift as it is expected.
         """
         problem, theta = problem.rebased(theta)
         robot = problem.parameters.free & ~problem.parameters.nuisance
         self.state, frames = older.about(problem, robot)
         given = list(problem.given)
-        for k in (k for own in frames.values() for k in own):
+        for k in (int(k) for own in frames.values() for k in own):
             scale = expected_size(given[k].unit)
             given[k] = replace(given[k], nuisance=False, scale=scale)
-        units = _factors(problem, noise)
+        units = _factors(problem, older.sigmas)
         problem = replace(problem, given=ParameterSet(tuple(given)), units=units)
-        self.known, self.parameters = tuple(noise), problem.parameters
-        scales, known = self.parameters.scales, np.diag(self.state.covariance) > 0.0
+        self.parameters, known = (
+            problem.parameters,
+            np.diag(self.state.covariance) > 0.0,
+        )
+        scales = self.parameters.scales
         told, every = robot_rows(problem, theta, ()), np.eye(len(scales))
         below = np.diag(scales / KNOWN)[~self.parameters.free & known]
         self.rows = np.vstack([told.rows @ every[told.robot], below])
@@ -580,43 +586,39 @@ class Innovations:
         V = W @ self.state.covariance @ W.T + np.eye(len(W)) - M @ M.T
         drifting = (
             Cause(d.name, self.rows @ self.drifting[d.name], d.size, d.worth, limit)
-            for d in expected
+            for d in older.drifts
             for limit in [max(most[d.name], d.size)]
         )
-        worth = min(max(sum(one.worth for one in noise), 1.0), SOME)
+        worth = min(max(sum(one.worth for one in older.noise), 1.0), SOME)
         causes = *drifting, Cause(NOISE, M, 1.0, worth)
         values = M @ told.values - W @ self.state.values
         self.first = Explanation(values, V, causes)
 
-    def explained(
-        self, start: CalibrationResult, expected: Sequence[DriftSize], count: int
-    ) -> tuple[RecalibrationStep, JointPrior]:
+    def explained(self, count: int) -> tuple[RecalibrationStep, JointPrior]:
         """Drift, noise, sudden changes and wrong measurements that explain it best.
 
         All of a joint or of the robot explains nearly everything, and so does noise:
         what has been found with them is compared with the best of few simple changes.
 
         Args:
-            start: The older calibration.
-            expected: The drift as it is expected.
             count: Number of all new measurements.
 
         Returns:
             The step, and the prior that the older calibration is.
         """
-        first, begun = self.first, start.recalibration
+        first, state = self.first, self.state
         families = SIMPLE, (*SIMPLE, NOISE_GREW), (*CHANCES, NOISE_GREW)
         tried = (explained(first, self._sparse(f), SURE, JUMPS) for f in families)
         found, sparse, _ = max(tried, key=lambda one: one[2])
-        names = {drift.name for drift in expected}
+        names = {drift.name for drift in state.drifts}
         calm, _ = found.without(names).fitted()
         still = calm.likelihood + first.without(names).expected(calm)
         still -= found.likelihood + first.expected(found)
-        still += 0.0 if begun is None else begun.last.still
-        believed = still + CALM if begun is None else still
+        believed = still + (CALM if state.still is None else state.still)
+        still += state.still or 0.0
         _, told = found.fitted()
         drifted, effects = list[DriftSize](), list[tuple[float, Floats]]()
-        for drift, cause, n in zip(expected, found.causes, told, strict=False):
+        for drift, cause, n in zip(state.drifts, found.causes, told, strict=False):
             wider = 1.0
             if np.isfinite(drift.worth):
                 worth = min(drift.worth + n, REMEMBERED)
@@ -628,7 +630,7 @@ class Innovations:
                 wider = (part * worth / max(worth - 2.0, 1.0)) ** 0.5
             drifted.append(drift)
             effects.append((wider * drift.size, self.drifting[drift.name]))
-        if np.isfinite(expected[0].worth) and believed > 0.0:
+        if np.isfinite(state.drifts[0].worth) and believed > 0.0:
             found = calm
         sudden, jumps = [c for c in sparse if c.name in self.sudden], list[Jump]()
         hit = dict[str, float]()
@@ -641,14 +643,14 @@ class Innovations:
         # A tracker that was set up anew is no error of the prediction.
         moved = (c for c in sudden if self.sudden[c.name].kind in FRAMES)
         chi2 = replace(first, causes=(*first.causes, *moved)).square
-        made = start.provenance.file, start.provenance.created, count, chi2
-        values = len(first.values), self.known, tuple(drifted), tuple(jumps)
+        made = *state.made, count, chi2
+        values = len(first.values), state.noise, tuple(drifted), tuple(jumps)
         # Beside what all have shown, as much more as these show by chance.
         more = max(found.square / len(first.values), 1.0) ** 0.5
         more *= next(c.size for c in found.causes if c.name == NOISE)
-        grown = {one.quantity: more * one.sigma for one in self.known}
-        prior = self.state.prior(effects, grown)
-        return RecalibrationStep(*made, *values, float(still)), prior
+        grown = {name: more * sigma for name, sigma in state.sigmas.items()}
+        step = RecalibrationStep(*made, *values, float(still))
+        return step, state.prior(effects, grown)
 
     def _sparse(self, kinds: Collection[str]) -> tuple[Sparse, ...]:
         """Causes of some kinds that are there or not, and wrong measurements."""
@@ -704,13 +706,12 @@ class Innovations:
         return Jump(change.name, change.kind, *sizes, *words)
 
 
-def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:
+def _factors(problem: Problem, sigmas: Mapping[str, float]) -> Floats:
     """Noise of every quantity by what is stated now, where it is known to be larger.
 
     What a robot does that no parameter describes is there whatever the instrument
     states.
     """
-    sigmas = {one.quantity: one.sigma for one in noise}
     found = np.ones(len(problem.layout.components))
     for k, component in enumerate(problem.layout.components):
         own = problem.given_sigma[problem.layout.of_components[k]]

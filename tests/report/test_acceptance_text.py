@@ -16,7 +16,7 @@ def test_orientations_have_a_row_for_each_axis() -> None:
     angles = np.array([[1e-3, 0.0, -2e-3], [0.0, 3e-3, 0.0]])[order]
     angles = angles + 1e-5 * rng.normal(size=angles.shape)
     deviations = 1e-4 * rng.normal(size=(20, 3))
-    test = acceptance(deviations, np.zeros((20, 3)), order, angles)
+    test = acceptance(deviations, np.hstack([deviations, angles]), order)
     blocks = [*acceptance_report({"nominal": test}, LimitSetup(), "about")]
     (table,) = (b for b in blocks if isinstance(b, Table) and b.title == "Orientations")
     cells = [[cell.text for cell in row] for row in table.rows]

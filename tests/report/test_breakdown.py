@@ -108,10 +108,10 @@ def test_stations_and_tools():
 def test_blocks():
     coupled = CoupledFrames(("day1", "probe"), "", "day1 and probe turn together")
     blocks = list(told(Breakdown(blocks=BLOCKS, coupled_frames=(coupled,))))
-    orientation = ["", "", "orientation", "0.0573", "deg", "", ""]
+    orientation = ["", "", "", "", "orientation", "0.0573", "deg"]
     assert table(blocks, "Blocks")[1:] == [
         orientation,
-        ["day2", "30", "position", "0.1000", "mm", "12", "3"],
+        ["day2", "30", "12", "3", "position", "0.1000", "mm"],
         orientation,
     ]
     said = [b.text for b in blocks if isinstance(b, Line)]

@@ -11,15 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from calib_pin.report.blocks import (
-    Block,
-    Cell,
-    Code,
-    Facts,
-    Line,
-    Names,
-    table,
-)
+from calib_pin.report.blocks import Block, Cell, Code, Facts, Line, Names, table
 from calib_pin.report.cover import Cover
 from calib_pin.report.figures import Drawn
 from calib_pin.report.pdf import pdf_report, sources

@@ -35,19 +35,9 @@ STYLE = mpl.rc_params_from_file(
 
 INK = str(STYLE["text.color"])
 MUTED = str(STYLE["axes.edgecolor"])
-GRID = str(STYLE["grid.color"])
 PAPER = str(STYLE["figure.facecolor"])
 BEFORE = "#d55e00"
 AFTER = "#0072b2"
-
-COLORS: Mapping[str, str] = {
-    "ink": INK,
-    "muted": MUTED,
-    "grid": GRID,
-    "paper": PAPER,
-    "before": BEFORE,
-    "after": AFTER,
-}
 """Colors on white; the style sheet of a page gives each another one in the dark."""
 
 STAGES = {"before (nominal robot)": BEFORE, "after (calibrated)": AFTER}

@@ -124,7 +124,10 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
         return None
     shape = len(quantities), len(parts)
     figure, places = panels(*shape, 1.65, top=0.65, gap=0.4, apart=0.55, sharey="row")
-    notes = [*_reading(result, quantities[0], parts)]
+    notes = ["Sizes of the errors of every measurement, and their means."]
+    if len(parts) > 1:
+        notes.append("Fitted and validation measurements should look alike.")
+    notes += [f"Rings mark {len(outliers)} outliers."] * bool(outliers)
     for row, quantity in zip(places, quantities, strict=True):
         unit, factor = unit_of(quantity.unit)
         sizes = [size for _, part, _ in parts for size in part.sizes(quantity)]
@@ -138,11 +141,7 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
     entries = {BEFORE_NAME: marks(BEFORE, "o", hollow=True)}
     entries |= {name: marks(color, "s") for name, color, _ in _after(result.fitted)}
     key(figure, {**entries, **({"outlier": RING} if outliers else {})})
-    return Drawn(
-        "Errors per measurement",
-        " ".join(dict.fromkeys(notes)),
-        figure,
-    )
+    return Drawn("Errors per measurement", " ".join(dict.fromkeys(notes)), figure)
 
 
 def _panel(
@@ -188,30 +187,10 @@ def _means(part: MeasurementErrors, quantity: Quantity) -> list[str]:
 def _after(part: MeasurementErrors) -> list[tuple[str, str, np.ndarray]]:
     """The errors after by station: name, color, and which they are, shape (N,)."""
     names, station = stations_of(part.rows)
-    if len(names) < 2:
-        return [(AFTER_NAME, STAGES[AFTER_NAME], station == 0)]
-    return [
-        (f"after, {shortened(name, 16)}", color, station == k)
-        for k, (name, color) in enumerate(zip(names, OF_STATIONS, strict=False))
-    ]
-
-
-def _reading(
-    result: CalibrationResult,
-    quantity: Quantity,
-    parts: Sequence[tuple[str, MeasurementErrors, object]],
-) -> Iterator[str]:
-    name, part, _ = parts[-1]
-    if means := _means(part, quantity):
-        how = f" ({result.validation.method})" if len(parts) > 1 else ""
-        yield (
-            f"On {name} measurements{how} the mean {quantity.name} error goes from "
-            f"{' to '.join(means)} {unit_of(quantity.unit)[0]}."
-        )
-    if len(parts) > 1:
-        yield "Fitted and validation measurements should look alike."
-    if result.statistics.outliers:
-        yield f"Rings mark {len(result.statistics.outliers)} outliers."
+    several = [f"after, {shortened(name, 16)}" for name in names]
+    labels = several if len(names) > 1 else [AFTER_NAME]
+    pairs = enumerate(zip(labels, OF_STATIONS, strict=False))
+    return [(label, color, station == k) for k, (label, color) in pairs]
 
 
 FEW = 2000

@@ -20,9 +20,7 @@ from calib_pin.kinematics.skeleton import (
     drawn_link,
     floor_height,
 )
-from calib_pin.kinematics.skeleton import (
-    corners as corners_of,
-)
+from calib_pin.kinematics.skeleton import corners as corners_of
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.stand_ins import stand_ins
 from calib_pin.observations import Observations
@@ -194,9 +192,8 @@ def _mean(result: CalibrationResult, measured: Measured, stage: int) -> str:
     mean, said = float(np.mean((measured.before, measured.after)[stage])), "on average"
     for error in result.errors:
         if error.name == measured.name:
-            held_out = (error.validation_before, error.validation_after)[stage]
-            mean = (held_out or (error.before, error.after)[stage]).mean
-            said = "on average" if held_out else "where fitted"
+            mean = error.shown[stage].mean
+            said = "on average" if "validation" in error.stages else "where fitted"
     unit, factor = unit_of(measured.unit)
     return f"{significant(factor * mean)} {unit} {said}"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from calib_pin.report.figures.canvas import (
 )
 from calib_pin.report.tables import unit_of
 from calib_pin.setup import LimitSetup
-from calib_pin.validation.acceptance import Acceptance, Interval, PoseTest
+from calib_pin.validation.acceptance import Acceptance
 
 FEW = 12
 """Poses up to which each is named: names of more lie over each other."""
@@ -50,30 +50,23 @@ def poses_tested(
     figure, (row,) = panels(1, 2, 2.5, gap=0.8)
     unit = unit_of("m")[0]
     place = "point of the path" if path else "pose"
-    _poses(row[0], tests, lambda pose: pose.accuracy, limit.position)
-    _poses(row[1], tests, lambda pose: pose.repeatability, limit.repeatability)
-    for axes, name in zip(row, ("AP", "RP"), strict=True):
-        axes.set_ylabel(f"{name} [{unit}]")
-        axes.set_xlabel(place)
+    limits = {"accuracy": limit.position, "repeatability": limit.repeatability}
+    for axes, name, of in zip(row, ("AP", "RP"), limits, strict=True):
+        _poses(axes, tests, of, limits[of])
+        axes.set(xlabel=place, ylabel=f"{name} [{unit}]")
     entries = dict(ROBOTS[name] for name in tests)
     if limit.position is not None or limit.repeatability is not None:
         entries["limit"] = LIMIT
     key(figure, entries)
     worst = "; the worst are AT and RT" if path else ""
-    return Drawn(
-        f"Accuracy and repeatability by {place}",
-        f"AP and RP of every {place} with 95 % intervals{worst}."
-        + " A limit is met where all of an interval lies below it."
-        * ("limit" in entries),
-        figure,
-    )
+    said = f"AP and RP of every {place} with 95 % intervals{worst}."
+    if "limit" in entries:
+        said += " A limit is met where all of an interval lies below it."
+    return Drawn(f"Accuracy and repeatability by {place}", said, figure)
 
 
 def _poses(
-    axes: Axes,
-    tests: Mapping[str, Acceptance],
-    of: Callable[[PoseTest], Interval],
-    limit: float | None,
+    axes: Axes, tests: Mapping[str, Acceptance], of: str, limit: float | None
 ) -> None:
     _, factor = unit_of("m")
     shown = []
@@ -81,9 +74,8 @@ def _poses(
         numbers = [pose.pose for pose in test.poses]
         # Robots stand beside each other, or their intervals would hide each other.
         places = np.array(numbers) + 0.24 * (k - 0.5 * (len(tests) - 1))
-        found = [of(pose) for pose in test.poses]
         value, low, high = (
-            factor * np.array([(i.value, i.low, i.high) for i in found]).T
+            factor * np.array([getattr(pose, of) for pose in test.poses]).T
         )
         bars = [np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)]
         axes.errorbar(places, value, bars, **ROBOTS[name][1], capsize=2.5)
@@ -97,14 +89,13 @@ def _poses(
     if len(numbers) <= FEW:
         axes.set_xticks(numbers, [f"P{number}" for number in numbers], fontsize=8)
     axes.grid(visible=False, axis="x")
-    everything = np.concatenate(shown)
-    everything = everything[np.isfinite(everything)]
-    positive = everything[everything > 0.0]
+    found = np.concatenate(shown)
+    positive = found[np.isfinite(found) & (found > 0.0)]
     if len(positive) and positive.max() > 20.0 * positive.min():
         log_axis(axes, "y", positive)
     else:
         axes.locator_params(axis="y", nbins=6)
-        axes.set_ylim(0.0, 1.12 * float(everything.max(initial=0.0)) or 1.0)
+        axes.set_ylim(0.0, 1.12 * float(positive.max(initial=0.0)) or 1.0)
 
 
 def accuracy_by_configurations(
@@ -156,8 +147,4 @@ def accuracy_by_configurations(
             "95 % intervals; dotted: 95 % of the robots."
         )
     key(figure, entries)
-    return Drawn(
-        "Accuracy against number of configurations",
-        text,
-        figure,
-    )
+    return Drawn("Accuracy against number of configurations", text, figure)

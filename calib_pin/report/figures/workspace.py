@@ -156,15 +156,14 @@ SMALL = ("condition", "prediction")
 def criterion_by_count(plan: Plan) -> Drawn | None:
     """The criterion and the tool-point uncertainty by number of configurations."""
     unit, factor = unit_of("m")
-    name, of_unit, scale = plan.criterion, "", 1.0
-    position = factor * np.array([step.position for step in plan.steps])
-    curves = [(f"tool-point uncertainty [{unit}]", position, np.nan)]
-    if plan.criterion == "prediction":
-        name, of_unit, scale = "tool-point uncertainty", f" {unit}", factor
-        curves = [(curves[0][0], position, factor * plan.random)]
+    tip, name, of_unit, scale = "tool-point uncertainty", plan.criterion, "", 1.0
+    values, position = np.array([(s.value, factor * s.position) for s in plan.steps]).T
+    curves = [(f"{tip} [{unit}]", position, np.nan)]
+    if name == "prediction":
+        name, of_unit, scale = tip, f" {unit}", factor
+        curves = [(f"{tip} [{unit}]", position, factor * plan.random)]
     else:
-        values = np.array([step.value for step in plan.steps])
-        curves.insert(0, (plan.criterion, values, plan.random))
+        curves.insert(0, (name, values, plan.random))
     curves = [curve for curve in curves if (curve[1] > 0.0).any()]
     if len(plan.steps) < 2 or not curves:
         return None

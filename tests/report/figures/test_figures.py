@@ -12,13 +12,21 @@ import pytest
 
 from calib_pin.report.figures import NAMES, Drawn
 from calib_pin.report.figures import drawn as draw_all
-from calib_pin.report.figures.canvas import COLORS, GROUPS
-from calib_pin.report.figures.errors import (
-    residuals_by_joint,
-)
+from calib_pin.report.figures.canvas import AFTER, BEFORE, GROUPS, STYLE
+from calib_pin.report.figures.errors import residuals_by_joint
 from calib_pin.report.figures.robot_errors import robot_errors
 from calib_pin.validation.result import CalibrationResult
 from tests.report.results import solve, with_errors, without
+
+COLORS = {
+    "ink": STYLE["text.color"],
+    "muted": STYLE["axes.edgecolor"],
+    "grid": STYLE["grid.color"],
+    "paper": STYLE["figure.facecolor"],
+    "before": BEFORE,
+    "after": AFTER,
+}
+"""Colors of figures by their names in the style sheet of pages."""
 
 LINK = "{http://www.w3.org/1999/xlink}href"
 

@@ -19,7 +19,7 @@ def visits_of(offset: float, poses: int = 4) -> Acceptance:
     rng = np.random.default_rng(0)
     commanded = np.repeat(rng.uniform(-1.0, 1.0, (poses, 3)), 10, axis=0)
     away = rng.normal([offset, 0.0, 0.0], 1e-5, (10 * poses, 3))
-    return acceptance(commanded + away, commanded, np.repeat(np.arange(poses), 10))
+    return acceptance(commanded + away, away, np.repeat(np.arange(poses), 10))
 
 
 def outlook(count: int, met: float = 0.9) -> Outlook:

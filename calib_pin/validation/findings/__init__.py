@@ -23,9 +23,14 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.approach import approach, approach_order
+from calib_pin.validation.findings.aside import noise, outliers, units_of_some
 from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
-from calib_pin.validation.findings.course import changed, drift
+from calib_pin.validation.findings.course import (
+    changes,
+    drift,
+    modeled_drift,
+    modeled_warm_up,
+)
 from calib_pin.validation.findings.explanations import Family, explain
 from calib_pin.validation.findings.facts import (
     FACTS,
@@ -33,12 +38,9 @@ from calib_pin.validation.findings.facts import (
     gauge_readings,
     require_motion,
 )
+from calib_pin.validation.findings.gears import approach, approach_order, ripples
 from calib_pin.validation.findings.hypotheses import Explanation, finding
 from calib_pin.validation.findings.joint_motions import joint_motion
-from calib_pin.validation.findings.line_order import line_order
-from calib_pin.validation.findings.modeled_drift import modeled_drift, modeled_warm_up
-from calib_pin.validation.findings.noise import noise
-from calib_pin.validation.findings.outliers import outliers
 from calib_pin.validation.findings.plausibility import (
     families,
     plausibility,
@@ -48,13 +50,13 @@ from calib_pin.validation.findings.readings import (
     axes,
     joint_columns,
     joint_sets,
+    line_order,
     orientations,
     robots,
     target_frames,
     targets,
+    units,
 )
-from calib_pin.validation.findings.ripple import ripples
-from calib_pin.validation.findings.units import units, units_of_some
 
 _Fault = TypeVar("_Fault")
 _Given = TypeVar("_Given")
@@ -195,7 +197,7 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     if better:
         # What one column lags behind another is no lag of its joint.
         return (min(better, key=lambda found: _left([found])),)
-    in_time = _told(changed, case)
+    in_time = _told(changes, case)
     sure = _tried(joint_motion, case)
     if sure is not None and sure.fitted:
         # What bends follows joints as well, and the position of one most of all.

@@ -22,7 +22,12 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.progress import Progress
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.quick_fit import QuickFit, below_sheet, located
+from calib_pin.validation.findings.quick_fit import (
+    CHANCE,
+    QuickFit,
+    below_sheet,
+    located,
+)
 from calib_pin.validation.result import ToolAccuracy
 
 MEASUREMENTS = 300
@@ -57,10 +62,6 @@ STEPS = 8
 ROUNDS = 3
 """Most rounds in which they are found."""
 
-
-CHANCE = 1e-4
-"""Probability by chance below which a fault is told: parameters that are missing,
-copies, a ripple of a gear, a robot unlike its fleet."""
 
 LACKING = 0.5
 """Part of the sum of squares that they leave at most."""
@@ -136,12 +137,12 @@ class Case:
 
     def unit(self, joint: str) -> str:
         """Unit of a joint's position; one that is in no chain turns."""
-        return "rad" if self._revolute.get(joint, True) else "m"
+        return "rad" if self.turns(joint) else "m"
 
-    @cached_property
-    def _revolute(self) -> dict[str, bool]:
-        chains = self.chains
-        return dict(zip(chains.joints, chains.revolute.tolist(), strict=True))
+    def turns(self, joint: str) -> bool:
+        """Whether a joint turns; one that is in no chain does."""
+        joints, revolute = self.chains.joints, self.chains.revolute
+        return joint not in joints or bool(revolute[joints.index(joint)])
 
     @property
     def setup(self) -> Setup:

@@ -32,8 +32,13 @@ from calib_pin.validation.findings.hypotheses import (
     Hypothesis,
     read_so,
 )
-from calib_pin.validation.findings.quick_fit import QuickFit, below_sheet, located
-from calib_pin.validation.findings.setup_lines import merged
+from calib_pin.validation.findings.quick_fit import (
+    QuickFit,
+    below_sheet,
+    located,
+    unlikely,
+)
+from calib_pin.validation.findings.sentences import merged
 
 ROWS = 60
 """Measurements that explanations are tried on."""
@@ -83,10 +88,6 @@ configurations from which it does: of fewer all are needed to tell anything."""
 
 LEAST = 3
 """Values beyond the unknowns of frames without which nothing is tried."""
-
-UNLIKELY = 14.0
-"""Logarithm of the likelihood ratio, beyond that of the number of explanations tried,
-from which one of them is no chance."""
 
 Family = Callable[[Case], Iterable[Hypothesis]]
 """The explanations of one kind that are worth a trial in a case."""
@@ -323,7 +324,7 @@ class _Search:
     @property
     def _chance(self) -> float:
         """Logarithm of the ratio that the best of so many trials reaches by chance."""
-        return UNLIKELY + float(np.log(max(self.tried, 1)))
+        return unlikely(self.tried)
 
     @property
     def _unit(self) -> float:

@@ -11,21 +11,90 @@ import numpy as np
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Measurements, Observations
 from calib_pin.observations.blocks import of_joints
-from calib_pin.setup import ReadingSetup
-from calib_pin.units import DISPLAY
+from calib_pin.setup import JointMap, ReadingSetup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.setup_lines import (
-    JointReading,
+from calib_pin.validation.findings.sentences import (
     lines_of,
     merged,
+    shown,
+    told,
     written,
 )
 
 FITTED = 0.5
 """Part of the errors of a fit that one of them may leave."""
+
+
+@dataclass(frozen=True)
+class JointReading:
+    """Joint positions as an affine function of those that were read.
+
+    `q = factors @ q_read + offsets`
+
+    Attributes:
+        factors: Shape (n, n) [rad/rad, m/m].
+        offsets: Shape (n,) [rad, m].
+    """
+
+    factors: Floats
+    offsets: Floats
+
+    @staticmethod
+    def plain(count: int) -> JointReading:
+        """Positions of so many joints as they are read."""
+        return JointReading(np.eye(count), np.zeros(count))
+
+    def positions(self, q: Floats) -> Floats:
+        """The positions, shape (N, n); none of none."""
+        return np.asarray(q @ self.factors.T + self.offsets) if q.size else q
+
+    def after(self, first: JointReading) -> JointReading:
+        """This one of positions that another one has read."""
+        offsets = self.factors @ first.offsets + self.offsets
+        return JointReading(self.factors @ first.factors, offsets)
+
+    def maps(
+        self, joints: Sequence[str], stated: Mapping[str, JointMap]
+    ) -> dict[str, dict[str, Any]]:
+        """The entries of `joints` in a setup file, of all that are not plain.
+
+        Args:
+            joints: Names of the joints.
+            stated: Joint maps by which the positions have been read, by file column.
+        """
+        of_joint = {given.joint: name for name, given in stated.items()}
+        columns = [of_joint.get(joint, joint) for joint in joints]
+        pairs = zip(joints, columns, strict=True)
+        given = [stated.get(column, JointMap(joint)) for joint, column in pairs]
+        # Every position as it has been read is an affine function of file columns.
+        names = [*dict.fromkeys([*columns, *(n for g in given for n in g.coupled)])]
+        read = np.zeros((len(joints), len(names)))
+        for row, column, own in zip(read, columns, given, strict=True):
+            for name, part in [(column, 1.0), *own.coupled.items()]:
+                row[names.index(name)] += own.sign * own.gear * part
+        factors = self.factors @ read
+        offsets = self.factors @ [own.offset for own in given] + self.offsets
+        # Every joint has a column that no other one has, its own where it can.
+        from scipy.optimize import linear_sum_assignment  # Slow to import.
+
+        count = len(joints)
+        has = factors[:, :count] != 0.0
+        _, chosen = linear_sum_assignment(has * (count + np.eye(count)), maximize=True)
+        result = {}
+        rows = zip(joints, chosen.tolist(), factors, offsets.tolist(), strict=True)
+        for joint, k, row, offset in rows:
+            factor = float(row[k])
+            others = [j for j in np.flatnonzero(row).tolist() if j != k]
+            coupled = {names[j]: float(row[j]) / factor for j in others}
+            sign = 1 if factor > 0.0 else -1
+            entry = lines_of(JointMap(joint, sign, abs(factor), offset, coupled))
+            if entry != {"joint": columns[k]} or columns[k] in stated:
+                result[columns[k]] = entry
+        return result
 
 
 @dataclass(frozen=True)
@@ -46,7 +115,7 @@ class Hypothesis:
         gross: Whether the errors are as large as the robot, which the nominal one
             tells; a fit to them says nothing.
         advice: What to do instead of stating something; empty where the setup helps.
-        figure: Name of a figure that shows it.
+        figure: What the figure of residuals that shows it has them over.
         joint: The joint that it concerns alone: what is wrong with one joint may only
             show once all of it is read otherwise.
     """
@@ -76,20 +145,12 @@ def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:
     faults = tuple(faults)
     for fault in faults:
         data = data if fault.change is None else fault.change(data)
-    joints = joint_reading(faults)
-    if joints is not None:
+    if (joints := joint_reading(faults)) is not None:
         if len(data.joints) != len(joints.offsets):
             raise InputError("these joints are those of another chain")
-        data = Observations(
-            tuple(
-                replace(
-                    b,
-                    q=joints.positions(b.q),
-                    start=joints.positions(b.start) if b.start.size else b.start,
-                )
-                for b in data.blocks
-            )
-        )
+        at = joints.positions
+        blocks = [replace(b, q=at(b.q), start=at(b.start)) for b in data.blocks]
+        data = Observations(tuple(blocks))
     for fault in faults:
         if fault.chains is not None:
             data = _with_joints(data, fault.chains.joints)
@@ -125,18 +186,14 @@ def joint_reading(faults: Iterable[Hypothesis]) -> JointReading | None:
 
 def setup_lines(case: Case, faults: Sequence[Hypothesis]) -> dict[str, Any]:
     """Lines of a setup file with which measurements are read otherwise."""
-    lines: dict[str, Any] = {}
-    joints = joint_reading(faults)
-    if joints is not None:
-        maps = joints.maps(case.data.joints, case.setup.joints)
-        if maps:
-            lines["joints"] = maps
-    reading = lines_of(merged(fault.reading for fault in faults))
-    if reading:
-        lines["reading"] = reading
+    joints = joint_reading(faults) or JointReading.plain(len(case.data.joints))
+    lines: dict[str, Any] = {
+        "joints": joints.maps(case.data.joints, case.setup.joints),
+        "reading": lines_of(merged(fault.reading for fault in faults)),
+    }
     for fault in faults:
         lines |= fault.stated
-    return lines
+    return {key: stated for key, stated in lines.items() if stated}
 
 
 @dataclass(frozen=True)
@@ -168,32 +225,22 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
 
     Each has the lines of all, which belong together.
     """
-    lines = setup_lines(case, found.faults)
-    quantity = case.fit.problem.layout.quantities[0]
-    unit, factor = DISPLAY[quantity.unit]
+    lines, quantity = setup_lines(case, found.faults), case.fit.quantity
     scale = merged(fault.reading for fault in found.faults).scale
-    if quantity.unit == "m" and not found.fitted:  # Errors are in the unit of the file.
-        found = replace(found, before=scale * found.before, after=scale * found.after)
-    sizes = [f"{factor * size:.3g} {unit}" for size in (found.before, found.after)]
-    robot = "of a fit" if found.fitted else "of the nominal robot"
-    fall = f"fall from {sizes[0]} to" if np.isfinite(found.before) else "are"
-    clear = found.after < FITTED * found.before and not found.harmless
     remedy = f"state in the setup file: {written(lines)}"
     if [*lines.get("reading", ())] == ["scale"] and not any(case.data.files.distinct):
         remedy = f"multiply values by {scale:g}"
+    if quantity.unit != "m" or found.fitted:
+        scale = 1.0  # Errors of the nominal robot are in the unit of the file.
+    before, after = scale * found.before, scale * found.after
+    fall = f"fall from {shown(before, quantity.unit, 3)} to"
+    robot = "of a fit" if found.fitted else "of the nominal robot"
+    numbers = {"rms_before": before, "rms_after": after}
+    numbers |= {"log_likelihood_ratio": found.ratio, "tried": found.tried}
     for fault in found.faults:
-        yield Finding(
-            fault.code,
-            "error" if clear else "warning",
-            f"{fault.words}: so read, the {quantity.name} errors {robot} {fall} "
-            f"{sizes[1]}",
-            {
-                "rms_before": found.before,
-                "rms_after": found.after,
-                "log_likelihood_ratio": found.ratio,
-                "tried": float(found.tried),
-            },
-            fault.advice or remedy,
-            {} if fault.advice else lines,
-            fault.figure,
-        )
+        said = f"{fault.words}: so read, the {quantity.name} errors {robot} "
+        said += fall if np.isfinite(before) else "are"
+        how = (fault.advice, {}) if fault.advice else (remedy, lines)
+        said += f" {shown(after, quantity.unit, 3)}"
+        clear = after < FITTED * before and not found.harmless
+        yield told(fault.code, said, numbers, *how, fault.figure, error=clear)

@@ -11,30 +11,28 @@ no matter of reading, and is tried along only not to pass for a lag.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import last_motions, with_positions
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import DOUBTFUL, Case
-from calib_pin.validation.findings.explanations import DECISIVE, UNLIKELY
+from calib_pin.validation.findings.explanations import DECISIVE
 from calib_pin.validation.findings.hypotheses import Explanation, Hypothesis, read_so
 from calib_pin.validation.findings.plausibility import IMPLAUSIBLE
-from calib_pin.validation.findings.quick_fit import QuickFit
+from calib_pin.validation.findings.quick_fit import CHANCE, QuickFit, unlikely
 from calib_pin.validation.findings.readings import (
+    coupled,
     geared,
     offset_by,
     turned_by_base,
 )
-from calib_pin.validation.findings.setup_lines import JointReading
 
 LEFT = 0.42
 """Part of the sum of squares that a small motion leaves at most.
@@ -42,17 +40,10 @@ LEFT = 0.42
 Gears that err by what no parameter describes have left 0.43 of it, on a path.
 """
 
-CHANCE = 1e-4
-"""Probability that one of them explains as much by chance, from which it is told."""
-
-CONTRARY = 0.04
-"""Part of what it explains that some stretches of the files may contradict.
-
-Of true gears and lags it is below 0.013, also where these cost less than noise.
+CONTRARY, STRETCHES = 0.04, 20
+"""Part of what it explains that some stretches of the files may contradict, and their
+number. Of true gears and lags it is below 0.013, also where these cost less than noise.
 """
-
-STRETCHES = 20
-"""Number of these stretches."""
 
 CLEAR = 5.0
 """Logarithm of the likelihood ratio to the next best."""
@@ -61,29 +52,16 @@ LARGEST = 0.3
 """Largest part that is small; more is another fault, such as a joint that is
 reversed."""
 
-STEPS = 12
-"""Most steps in which a motion is fitted: an offset of 60 deg takes seven."""
-
-SETTLED = 0.1
-"""Change of the number, in its standard deviations, after which no more are taken."""
-
-STILL = 0.99
-"""Part of the errors that the last step leaves at least: the robot must settle, too."""
-
-LARGE = 10.0
-"""Errors of the nominal robot, in expected sizes, from which large ones are sought."""
-
-TRIED = 4
-"""Large ones that are fitted: what explains most to first order may not in the end."""
+LARGE, TRIED = 10.0, 4
+"""Errors of the nominal robot, in expected sizes, from which large ones are sought, and
+how many are fitted: what explains most to first order may not in the end."""
 
 LEAST = np.radians(3.0)
 """Least large offset that is told [rad]; robots have up to half of it."""
 
-ROUND = (45.0, 15.0, 10.0, 5.0, 1.0)
-"""Round angles [deg]."""
-
-NEARBY = 0.6
-"""Largest distance from one of them [deg], three times a usual error of a robot."""
+ROUND, NEARBY = (45.0, 15.0, 10.0, 5.0, 1.0), 0.6
+"""Round angles [deg], and the largest distance from one of them [deg], three times a
+usual error of a robot."""
 
 REST = "measure again at rest: the joints must stand still when they are read"
 
@@ -105,38 +83,21 @@ class Motion(NamedTuple):
         """How measurements are to be read with a motion of a size [rad, m, or none]."""
         names, j = case.data.joints, self.joints[0]
         if self.of == "zero":
-            return offset_by(names, j, size, _turns(case, j))
+            return offset_by(names, j, size, case.turns(names[j]))
         if self.of == "gear":
             return geared(names, j, 1.0 + size)
         if self.of == "coupled":
-            reading = JointReading.plain(len(names))
-            reading.factors[j, self.joints[1]] += size
-            other = names[self.joints[1]]
-            return Hypothesis(
-                "joint-coupled",
-                f"joint '{names[j]}' is coupled to '{other}', by {100 * size:.2g} %",
-                f"coupled of {names[j]}",
-                joints=reading,
-                figure="residuals-by-joint",
-            )
-        whose = f"joint '{names[j]}'" if len(self.joints) == 1 else "all joints"
-        lag = Hypothesis(
-            "lag",
-            f"errors follow the last motion of {whose}: {100 * size:.2g} % of it",
-            "lag",
-            figure="residuals-over-order",
-        )
+            return coupled(names, j, self.joints[1], size, f", by {100 * size:.2g} %")
         if self.of == "lag":
+            whose = f"joint '{names[j]}'" if len(self.joints) == 1 else "all joints"
+            said = f"errors follow the last motion of {whose}: {100 * size:.2g} % of it"
             parts = ReadingSetup(lag={names[j]: size for j in self.joints})
-            return replace(lag, reading=parts)
-        whose = "every joint has" if self.of == "early-each" else "the farthest has"
-        return replace(
-            lag,
-            words="the joints were read as arrived while they still moved: "
-            f"{whose} {np.degrees(size):.2g} deg to go",
-            change=lambda data: _early(data, self, size),
-            advice=REST,
-        )
+            return Hypothesis("lag", said, "lag", parts, figure="over-order")
+        said = "the joints were read as arrived while they still moved: "
+        said += "every joint has" if self.of == "early-each" else "the farthest has"
+        said += f" {np.degrees(size):.2g} deg to go"
+        lag = Hypothesis("lag", said, "lag", advice=REST, figure="over-order")
+        return replace(lag, change=lambda data: _early(data, self, size))
 
 
 def _early(data: Observations, motion: Motion, angle: float) -> Observations:
@@ -152,7 +113,7 @@ def _early(data: Observations, motion: Motion, angle: float) -> Observations:
 
 
 @dataclass(frozen=True)
-class _Columns:
+class _Motions:
     """Motions that are tried in a case, with the fit that they explain."""
 
     case: Case
@@ -164,106 +125,78 @@ class _Columns:
         return self.case.data.in_order[self.case.rank]
 
     @cached_property
-    def motions(self) -> tuple[Motion, ...]:
+    def every(self) -> tuple[Motion, ...]:
         """Motions that are tried, of every joint."""
-        every = range(len(self.case.data.joints))
-        turning = [j for j in every if _turns(self.case, j)]
+        joints = self.case.data.joints
+        each = range(len(joints))
+        turning = [j for j in each if self.case.turns(joints[j])]
         return (
-            *(
-                Motion(of, (j,))
-                for of in ("zero", "gear", "lag", "side")
-                for j in every
-            ),
-            Motion("lag", tuple(every)),
+            *(Motion(of, (j,)) for of in ("zero", "gear", "lag", "side") for j in each),
+            Motion("lag", tuple(each)),
             *(Motion(of, tuple(turning)) for of in ("early", "early-each") if turning),
             *(Motion("coupled", (j, k)) for j in turning for k in turning if j != k),
         )
 
     @cached_property
-    def read(self) -> Observations:
-        """Measurements that were fitted, read without a motion."""
-        return self.case.data.rows(self.index)
-
-    @cached_property
     def along(self) -> dict[str, Floats]:
-        """Ways of joints in motions that go with their last one, by kind, (N, n)."""
-        moved = last_motions(self.case.data)[self.index]
-        known = self.read.conditions.direction
+        """Ways of joints by a number of one, by kind, (N, n), or (2, N, n) of starts.
+
+        Positions are those without a motion.
+        """
+        moved, read = last_motions(self.case.data)[self.index], self.fit.problem.data
+        known = read.conditions.direction
         farthest = np.abs(moved).max(axis=1, keepdims=True)
+        starts = [b.start if b.start.size else 0.0 * b.q for b in read.blocks]
+        positions = np.stack([read.q, np.concatenate(starts)])
         return {
-            "lag": moved,
-            "side": known.astype(float) if known.size else np.sign(moved),
-            "early": moved / np.where(farthest > 0.0, farthest, 1.0),
-            "early-each": np.sign(moved),
+            "zero": np.ones_like(positions),
+            "gear": positions,
+            "coupled": positions,
+            "lag": -moved,
+            "side": -(known.astype(float) if known.size else np.sign(moved)),
+            "early": -moved / np.where(farthest > 0.0, farthest, 1.0),
+            "early-each": -np.sign(moved),
         }
 
-    @cached_property
-    def by_sizes(self) -> Floats:
-        """Whitened residual by the size of each motion, shape (M, K)."""
-        return np.stack([self.column(motion) for motion in self.motions], axis=1)
-
-    def column(self, motion: Motion) -> Floats:
-        """The same of one, shape (M,)."""
-        fit, row = self.fit, self.fit.problem.layout.row
-        ends, starts = fit.by_joints, fit.by_starts
-        own, j, k = list(motion.joints), motion.joints[0], motion.joints[-1]
-        if motion.of in self.along:
-            moved = self.along[motion.of][row]
-            return np.asarray(-np.sum(ends[:, own] * moved[:, own], axis=1))
-        if motion.of == "zero":
-            return np.asarray(ends[:, j] + starts[:, j])
-        q, blocks = self.read.q, self.read.blocks
-        start = [b.start if b.start.size else np.zeros(b.q.shape) for b in blocks]
-        by_start = starts[:, j] * np.concatenate(start)[row, k]
-        return np.asarray(ends[:, j] * q[row, k] + by_start)
-
-    def gains(self) -> tuple[Floats, Floats, Floats]:
-        """Part of the squares that each motion leaves, shape (K,).
-
-        With what of it the fit cannot do, (M', K), and that along the residual, (K,).
-        """
-        _, r = self.fit.unexplained
-        X = self.fit.beyond(self.by_sizes)
-        norms, along = np.sum(X**2, axis=0), X.T @ r
-        # What the fit can do already is not tried: what is left of it is rounding.
-        told = norms > 1e-6 * np.sum(self.by_sizes**2, axis=0)
-        gains = np.where(told, along**2 / np.where(told, norms, 1.0), 0.0)
-        return 1.0 - gains / max(float(r @ r), 1e-300), X, along
+    def column(self, fit: QuickFit, motion: Motion) -> Floats:
+        """Whitened residual of a fit by the size of a motion, shape (M, 1)."""
+        row, way, own = fit.problem.layout.row, self.along[motion.of], motion.joints
+        if way.ndim == 2:
+            by_size = fit.by_joints * way[row]
+            return np.asarray(by_size[:, own].sum(axis=1, keepdims=True))
+        j, k = own[:1], own[-1:]
+        ends, starts = way[0][row][:, k], way[1][row][:, k]
+        return np.asarray(fit.by_joints[:, j] * ends + fit.by_starts[:, j] * starts)
 
     def likeliest(self) -> Motion | None:
         """The small motion that explains most, if it does so alone and everywhere."""
-        fit, rows, (left, X, along) = self.fit, len(self.by_sizes), self.gains()
-        _, r = fit.unexplained
-        best, second = np.argsort(left)[:2]
-        F = (fit.left - 1) * (1.0 / max(left[best], 1e-12) - 1.0)
-        if (
-            left[best] > LEFT
-            or 0.5 * fit.left * np.log(left[second] / left[best]) < CLEAR
-            or f_tail(F, 1, fit.left - 1) * len(left) > CHANCE
-        ):
-            return None
-        stretch = self.case.rank[fit.problem.layout.row] * STRETCHES
-        stretch = stretch // (int(self.case.rank.max()) + 1)
-        shares = np.bincount(stretch, X[:rows, best] * r[:rows]) / along[best]
-        contrary = -float(shares[shares < 0.0].sum())
-        motion = self.motions[best]
+        fit, columns = self.fit, [self.column(self.fit, m) for m in self.every]
+        scores = [fit.score(column) for column in columns]
+        best, second = np.argsort([score.left for score in scores])[:2]
+        left, motion = scores[best].left, self.every[best]
+        clear = 0.5 * fit.left * np.log(scores[second].left / max(left, 1e-12))
+        sure = scores[best].chance * len(scores) <= CHANCE and clear >= CLEAR
         # What moves a zero moves an origin as well.
-        lost = motion.of in ("side", "zero")
-        return None if lost or contrary >= CONTRARY else motion
+        if left > LEFT or not sure or motion.of in ("side", "zero"):
+            return None
+        row = fit.problem.layout.row
+        gains = (fit.beyond(columns[best])[:, 0] * fit.unexplained[1])[: len(row)]
+        stretch = self.case.rank[row] * STRETCHES // (int(self.case.rank.max()) + 1)
+        shares = np.bincount(stretch, gains) / float(gains.sum())
+        return motion if -shares[shares < 0.0].sum() < CONTRARY else None
 
-    def fitted(self, motion: Motion) -> Iterator[tuple[QuickFit, float]]:
-        """The fit with a motion, and its size, in every step; it ends settled."""
-        size, here = 0.0, self
-        for _ in range(STEPS):
-            score = here.fit.score(here.column(motion)[:, None])
-            size += float(score.values[0])
-            read = read_so(self.case.data, [motion.hypothesis(self.case, size)])
-            before, fit = here.fit, refitted(here.fit, read.rows(self.index))
-            here = replace(here, fit=fit)
-            yield fit, size
-            still = fit.rms > STILL * before.rms
-            if still and abs(score.values[0]) < SETTLED * score.deviations[0]:
-                return
+    def fitted(self, motion: Motion) -> tuple[QuickFit, float]:
+        """The fit with a motion, and its size."""
+
+        def read(sizes: Floats) -> Observations:
+            hypothesis = motion.hypothesis(self.case, float(sizes[0]))
+            return read_so(self.case.data, [hypothesis]).rows(self.index)
+
+        def column(fit: QuickFit) -> Floats:
+            return self.column(fit, motion)
+
+        fit, (size,) = self.fit.sized(np.zeros(1), column, read)
+        return fit, float(size)
 
 
 def joint_motion(case: Case) -> Explanation | None:
@@ -275,92 +208,62 @@ def _small(case: Case) -> Explanation | None:
     """The one that a fit leaves."""
     known = case.fit.whole or case.fit.redundant
     fit = case.fit if known else replace(case.fit, whole=True)
-    if fit.left <= 1:
-        return None
-    motion = _Columns(case, fit).likeliest()
+    motion = _Motions(case, fit).likeliest() if fit.left > 1 else None
     if motion is None:
         return None
     # Noise that came out large for this very fault would hold back the robot's errors.
     first = replace(fit, problem=replace(fit.problem, units=np.zeros(0)))
-    columns = _Columns(case, first)
-    for step in columns.fitted(motion):
-        fit, size = step
-        if not (abs(size) < LARGEST or motion.of.startswith("early")):
-            return None
-    if not fit.rms**2 < LEFT * first.rms**2 or fit.largest_correction > IMPLAUSIBLE:
-        # A robot of other lengths explains a prismatic joint that goes farther.
+    motions = _Motions(case, first)
+    fit, size = motions.fitted(motion)
+    small = abs(size) < LARGEST or motion.of.startswith("early")
+    # A robot of other lengths explains a prismatic joint that goes farther.
+    possible = small and fit.largest_correction <= IMPLAUSIBLE
+    if not (possible and fit.rms**2 < LEFT * first.rms**2):
         return None
-    return Explanation(
-        (motion.hypothesis(case, size),),
-        first.errors,
-        fit.errors,
-        fit.left * float(np.log(first.rms / fit.rms)),
-        len(columns.motions),
-        fitted=True,
-    )
+    ratio, tried = fit.left * float(np.log(first.rms / fit.rms)), len(motions.every)
+    faults, sizes = (motion.hypothesis(case, size),), (first.errors, fit.errors)
+    return Explanation(faults, *sizes, ratio, tried, fitted=True)
 
 
 def _large(case: Case) -> Explanation | None:
     """The one that the nominal robot lacks."""
     problem = replace(case.fit.problem, units=np.zeros(0))
     first = QuickFit(problem, case.nominal, robot=False)
-    columns, before = _Columns(case, first), first.errors
-    if not before > LARGE * expected_size(problem.layout.quantities[0].unit):
+    motions, before, joints = _Motions(case, first), first.errors, case.data.joints
+    if not before > LARGE * expected_size(first.quantity.unit):
         return None
-    tried = [columns.motions[k] for k in np.argsort(columns.gains()[0])[:TRIED]]
+    left = [first.score(motions.column(first, m)).left for m in motions.every]
+    tried = [motions.every[k] for k in np.argsort(left)[:TRIED]]
     # The frame of a base that is stated is another explanation of its first joint.
     joint = turned_by_base(case)
-    none = [Motion("zero", (case.data.joints.index(joint),))] if joint else []
+    none = [Motion("zero", (joints.index(joint),))] if joint else []
     tried = [m for m in tried if m.of != "side" and m not in none]
-    found = [(*[*columns.fitted(m)][-1], m) for m in tried]
+    found = [(*motions.fitted(m), m) for m in tried]
     if not found:
         return None
     fit, size, motion = min(found, key=lambda one: one[0].errors)
     ratio = first.left * float(np.log(before / fit.errors))
-    chance = UNLIKELY + float(np.log(len(columns.motions)))
-    if not fit.errors < DECISIVE * before or ratio < chance:
+    decisive = fit.errors < DECISIVE * before
+    # One that goes backwards is reversed, if anything.
+    reversed_gear = motion.of == "gear" and not 1.0 + size > 0.0
+    if not decisive or ratio < unlikely(len(motions.every)) or reversed_gear:
         return None
-    hypothesis = motion.hypothesis(case, size)
     if motion.of == "zero":
-        turns = _turns(case, motion.joints[0])
-        if turns and abs(size) < LEAST:
+        name = joints[motion.joints[0]]
+        if case.turns(name) and abs(size) < LEAST:
             return None
-        size = _rounded(size) if turns else size
-        hypothesis = motion.hypothesis(case, size)
-        fit = refitted(fit, read_so(case.data, [hypothesis]).rows(columns.index))
+        size = _rounded(size) if case.turns(name) else size
+        read = read_so(case.data, [motion.hypothesis(case, size)])
+        fit = fit.stepped(read.rows(motions.index))
         # A fit of this very offset has said it already, and more exactly.
-        name = f"{case.data.joints[motion.joints[0]]}.joint-offset.q"
+        name = f"{name}.joint-offset.q"
         estimated = any(p.free and p.name == name for p in problem.parameters)
         if case.fitted is not None and estimated and case.fit.errors <= fit.errors:
             return None
-    if motion.of == "gear" and not 1.0 + size > 0.0:
-        return None  # It is reversed, if anything.
     known = case.fitted is not None and case.errors_left <= DOUBTFUL
-    return Explanation(
-        (hypothesis,),
-        before,
-        fit.errors,
-        ratio,
-        len(columns.motions),
-        fitted=False,
-        harmless=known and motion.of == "zero",
-    )
-
-
-def refitted(fit: QuickFit, data: Observations) -> QuickFit:
-    """A fit to the same measurements, read otherwise: one more step."""
-    fit = replace(fit, problem=replace(fit.problem, data=data))
-    parameters, (A, b) = fit.problem.parameters, fit.system
-    if not (np.isfinite(A).all() and np.isfinite(b).all()):
-        raise np.linalg.LinAlgError  # A point lies behind the camera, say.
-    theta, free = fit.theta.copy(), parameters.free
-    theta[free] -= parameters.scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
-    return replace(fit, theta=theta)
-
-
-def _turns(case: Case, joint: int) -> bool:
-    """Whether a joint turns, by its position among those of the measurements."""
-    return case.unit(case.data.joints[joint]) == "rad"
+    faults, of_trial = (motion.hypothesis(case, size),), (ratio, len(motions.every))
+    harmless = known and motion.of == "zero"
+    return Explanation(faults, before, fit.errors, *of_trial, False, harmless)
 
 
 def _rounded(angle: float) -> float:

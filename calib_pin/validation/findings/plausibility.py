@@ -35,9 +35,9 @@ from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import PopulationPrior, Setup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.findings.case import CHANCE, Case
-from calib_pin.validation.findings.sentences import shown, told
-from calib_pin.validation.findings.setup_lines import written
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.quick_fit import CHANCE
+from calib_pin.validation.findings.sentences import shown, told, written
 
 SIGNIFICANT = 4.5
 """Standard deviations from which a common scale, or a distance missed, is no chance: by

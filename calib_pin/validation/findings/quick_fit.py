@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -17,6 +18,10 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Observations
 
+CHANCE = 1e-4
+"""Probability that chance alone tells a fault: the one level of significance of all
+kinds, corrected for the number of those that are tried."""
+
 REDUNDANCY = 2.0
 """Least number of values, by unknowns, to tell errors of the robot from others."""
 
@@ -26,8 +31,16 @@ SIZE = 10.0
 STEPS = 2
 """Steps of a quick fit."""
 
+CLEARER = 0.95
+"""Part of the errors that its rivals leave that an alternative leaves at most."""
+
 SETTLED = 0.99
 """Part of the errors that a further step must leave at most."""
+
+SIZINGS, STILL, SAME = 12, 0.1, 0.99
+"""Most steps in which factors of further columns are fitted (an offset of 60 deg takes
+seven), change of one, in its standard deviations, after which no more are taken, and
+part of the errors that the last step leaves at least: the robot must settle, too."""
 
 ROUGH = 1e-3
 """Part of the cost that a step must promise where frames are fitted in a trial."""
@@ -41,6 +54,11 @@ FLAT = 0.03
 STEP = 1e-7
 """Step of differences by joint positions [rad, m]: the motion that a fit can absorb is
 known far better than that by which others are told."""
+
+
+def unlikely(tried: int = 1) -> float:
+    """Logarithm of the likelihood ratio that the best of so many has by no chance."""
+    return float(np.log(max(tried, 1) / CHANCE))
 
 
 def located(problem: Problem, thorough: bool = False) -> Problem:
@@ -135,16 +153,9 @@ class QuickFit:
             LinAlgError: If their errors have no derivative where the robot is.
         """
         problem = located(problem, thorough)
-        trial = cls(problem, np.zeros(len(problem.parameters)), **more)
-        best = trial
-        free, scales = problem.parameters.free, problem.parameters.scales
+        best = trial = cls(problem, np.zeros(len(problem.parameters)), **more)
         for step in range(steps if trial.redundant else 0):
-            A, b = trial.system
-            if not np.isfinite(A).all():
-                raise np.linalg.LinAlgError("the errors have no derivative")
-            theta = trial.theta.copy()
-            theta[free] -= scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
-            stepped = replace(trial, theta=theta)
+            stepped = trial.stepped()
             if not np.isfinite(stepped.linear[0]).all():
                 break  # A point came to lie behind the camera, say.
             if step >= STEPS and not stepped.rms < SETTLED * trial.rms:
@@ -152,6 +163,45 @@ class QuickFit:
             trial = stepped
             best = trial if trial.rms < best.rms else best
         return best
+
+    def stepped(self, data: Observations | None = None) -> Self:
+        """One more step, to the same measurements read otherwise if they are given.
+
+        Raises:
+            LinAlgError: If their errors have no derivative where the robot is.
+        """
+        fit = self
+        if data is not None:
+            fit = replace(self, problem=replace(self.problem, data=data))
+        (A, b), parameters = fit.system, fit.problem.parameters
+        if not (np.isfinite(A).all() and np.isfinite(b).all()):
+            raise np.linalg.LinAlgError("the errors have no derivative")
+        theta, free = fit.theta.copy(), parameters.free
+        theta[free] -= parameters.scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
+        return replace(fit, theta=theta)
+
+    def sized(
+        self,
+        sizes: Floats,
+        columns: Callable[[Self], Floats],
+        read: Callable[[Floats], Observations],
+    ) -> tuple[Self, Floats]:
+        """The fit with further columns, and their factors, where both have settled.
+
+        Args:
+            sizes: Factors to begin with, shape (k,).
+            columns: Change of the whitened residual of a fit by each, (M, k).
+            read: The measurements as they are read with some factors.
+        """
+        fit = self
+        for _ in range(SIZINGS if len(sizes) else 0):
+            score, before = fit.score(columns(fit)), fit.rms
+            sizes = sizes + score.values
+            fit = fit.stepped(read(sizes))
+            still = (np.abs(score.values) < STILL * score.deviations).all()
+            if still and fit.rms > SAME * before:
+                break
+        return fit, sizes
 
     @cached_property
     def redundant(self) -> bool:
@@ -205,6 +255,11 @@ class QuickFit:
         """Errors left, in standard deviations, of what unknowns do not use up."""
         r, _ = self.linear
         return float(np.sqrt(r @ r / self.left)) if self.left > 0 else np.inf
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squared errors left, in standard deviations."""
+        return self.rms**2 * self.left
 
     @property
     def largest_correction(self) -> float:
@@ -309,3 +364,22 @@ class QuickFit:
         chance = f_tail((gain / k) / (rest / dof), k, dof)
         deviations = np.sqrt(rest / dof * np.sum(inverse**2, axis=1))
         return Score(rest / total, chance, -inverse @ along, deviations)
+
+    def surpassed(
+        self, left: float, count: int, rivals: Floats, tried: int = 1
+    ) -> bool:
+        """Whether an alternative explains more than chance and its rivals do.
+
+        Args:
+            left: Sum of the squared errors that it leaves.
+            count: Number of its parameters.
+            rivals: Columns of what else may be, shape (M, k).
+            tried: Number of alternatives among which it is the best.
+        """
+        dof, rest = self.left - count, self.left - rivals.shape[1]
+        if min(dof, rest) < 1:
+            return False  # There are too few measurements to compare.
+        F = (self.squares - left) / count / max(left / dof, 1e-300)
+        others = self.squares * self.score(rivals).left / rest
+        beyond = f_tail(F, count, dof) * tried < CHANCE
+        return beyond and left / dof < CLEARER**2 * others

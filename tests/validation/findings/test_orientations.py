@@ -19,7 +19,7 @@ from calib_pin.setup import STATED
 from calib_pin.validation.findings.explanations import explain
 from calib_pin.validation.findings.hypotheses import finding
 from calib_pin.validation.findings.readings import orientations
-from calib_pin.validation.findings.setup_lines import written
+from calib_pin.validation.findings.sentences import written
 
 Job = Callable[..., Any]
 Stated = Callable[[Rotation], Any]

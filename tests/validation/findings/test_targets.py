@@ -14,8 +14,11 @@ from calib_pin.observations import Observations
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import explain
-from calib_pin.validation.findings.line_order import line_order
-from calib_pin.validation.findings.readings import target_frames, targets
+from calib_pin.validation.findings.readings import (
+    line_order,
+    target_frames,
+    targets,
+)
 
 ARM = calib_pin.load_chain("space6")
 NAMES = ("a", "b", "c")

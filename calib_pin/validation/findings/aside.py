@@ -211,12 +211,9 @@ def noise(case: Case) -> Iterator[Finding]:
         factor = scatter / part.given
         near = 1.0 / FACTOR < factor < FACTOR
         unclear = factor > 1.0 and not repeated
-        # Where unclear, there may be more to it than noise.
-        if (
-            not (part.stated and part.contradicted)
-            or near
-            or (unclear and case.doubtful)
-        ):
+        # Where that is unclear, there may be more to it than noise.
+        wrong = part.stated and part.contradicted and not near
+        if not wrong or (unclear and case.doubtful):
             continue
         was, found = (shown(sigma, part.unit) for sigma in (part.given, scatter))
         times = f"{factor:.2g} times too small"
@@ -240,3 +237,7 @@ def _scatter(part: VarianceComponent) -> tuple[float, bool]:
     """Standard deviation of a quantity, and whether repetitions tell it."""
     repeated = part.pure is not None and (part.pure_test or 0.0) < CHANCE
     return part.pure if part.pure is not None and repeated else part.estimate, repeated
+
+
+KINDS = (units_of_some, outliers, noise)
+"""What is told of every fit."""

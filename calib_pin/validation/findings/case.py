@@ -26,7 +26,7 @@ from calib_pin.validation.findings.quick_fit import (
     CHANCE,
     QuickFit,
     below_sheet,
-    located,
+    trimmed,
 )
 from calib_pin.validation.result import ToolAccuracy
 
@@ -58,10 +58,6 @@ SOME = 0.1
 
 STEPS = 8
 """Most steps of the fit to measurements that a robot is compared with."""
-
-ROUNDS = 3
-"""Most rounds in which they are found."""
-
 
 LACKING = 0.5
 """Part of the sum of squares that they leave at most."""
@@ -229,19 +225,10 @@ class Case:
 
 def _without_outliers(problem: Problem) -> Observations:
     """Measurements, without weight where the nominal robot fits them far worse."""
-    data, zero = problem.data, np.zeros(len(problem.parameters))
-    for _ in range(ROUNDS):
-        there = located(replace(problem, data=data))
-        sigma = there.layout.table(there.given_sigma, len(data))
-        table = np.nan_to_num(error_table(there, zero) / sigma, posinf=1e9)
-        size = np.sqrt(np.sum(table**2, axis=1))
-        out = size > FAR * max(float(np.median(size)), 1.0)
-        if not 0.0 < out.mean() <= SOME:
-            break
-        if np.array_equal(out, data.weight == 0.0):
-            break
-        data = data.weighted(np.where(out, 0.0, 1.0))
-    return data
+    size = np.sqrt(trimmed(problem)[1])
+    out = size > FAR * max(float(np.median(size)), 1.0)
+    few = out.mean() <= SOME
+    return problem.data.weighted(np.where(out & few, 0.0, 1.0))
 
 
 def some_of(data: Observations) -> tuple[Observations, Indices]:

@@ -655,3 +655,7 @@ def _duration(seconds: float) -> str:
         if seconds >= size:
             return f"{seconds / size:.2g} {unit}"
     return f"{seconds:.2g} s"
+
+
+MODELED = (modeled_drift, modeled_warm_up)
+"""What is told where it is modeled."""

@@ -514,7 +514,7 @@ def coarse_step(values: Floats, unit: str) -> float:
     return 0.0
 
 
-FACTS = (
+KINDS = (
     computed_values,
     copies,
     repetitions,
@@ -523,4 +523,4 @@ FACTS = (
     joint_turns,
     coarse_values,
 )
-"""Facts that are told of every case."""
+"""Facts that are told of every case, whatever else is wrong."""

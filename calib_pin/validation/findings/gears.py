@@ -301,3 +301,7 @@ def periodogram(
     cc, ss = 0.5 * total + double, 0.5 * total - double
     determinant = np.maximum(cc * ss - cs**2, 1e-12 * total**2)
     return np.asarray((ss * c**2 - 2.0 * cs * c * s + cc * s**2) / determinant)
+
+
+KINDS = (approach, ripples)
+"""What is told of every fit."""

@@ -429,3 +429,7 @@ def population(case: Case) -> Iterator[Finding]:
     numbers |= {"deviations": off[k]}
     remedy = "look for damage or another type, and calibrate it without the prior"
     yield told("unlike-fleet", said, numbers, remedy, error=spoiled)
+
+
+KINDS = (plausibility, population, families)
+"""What is told of every fit."""

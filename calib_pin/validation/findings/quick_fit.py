@@ -48,6 +48,10 @@ ROUGH = 1e-3
 LOCATING = 10
 """Most steps in which frames are fitted in a trial: of a robot six are enough."""
 
+KEPT, FEW = 0.75, 12
+"""Part of the measurements that counts, as outliers may stand beside another fault, and
+configurations from which it does: of fewer all are needed to tell anything."""
+
 FLAT = 0.03
 """Heights of points of a sheet, as parts of its size."""
 
@@ -94,6 +98,46 @@ def below_sheet(problem: Problem) -> bool:
     flat = np.abs(points[:, 2]).max() < FLAT * np.ptp(points[:, :2], axis=0).max()
     up = [term.error.base.rotation[2, 2] for term in problem.by_chain.values()]
     return bool(flat and max(up) < -0.5)
+
+
+def counted(problem: Problem) -> float:
+    """Part of the measurements that counts."""
+    return KEPT if problem.data.configurations >= FEW else 1.0
+
+
+def trimmed(
+    problem: Problem, bound: float = np.inf, scale: float = 1.0
+) -> tuple[float, Floats]:
+    """Errors of the nominal robot where the best part of the measurements has it.
+
+    They locate the robot once more without the others, which outliers are among, if
+    they leave less than a bound. Lengths that were scaled count in the unit of the
+    file: what is scaled down is no better for that.
+
+    Returns:
+        Errors of that part, rms in standard deviations, and mean squares of all, (N,).
+    """
+    layout, size = problem.layout, np.inf
+    sigma = layout.table(problem.given_sigma, len(problem.data))
+    for quantity in layout.quantities:
+        if quantity.unit == "m":
+            sigma[:, quantity.columns] *= scale
+    zero, squares = np.zeros(len(problem.parameters)), np.zeros(len(problem.data))
+    for again in (False, True):
+        problem = located(problem)
+        if below_sheet(problem):
+            return np.inf, squares
+        table = error_table(problem, zero)
+        table[np.isinf(table)] = 1e6
+        squares = np.nanmean((table / sigma) ** 2, axis=1)
+        limit = np.quantile(squares, counted(problem))
+        size = float(np.sqrt(np.mean(squares[squares <= limit])))
+        if size >= bound:
+            break
+        if not again:
+            weight = (squares <= limit).astype(float)
+            problem = replace(problem, data=problem.data.weighted(weight))
+    return size if np.isfinite(size) else np.inf, squares
 
 
 @dataclass(frozen=True)

@@ -230,11 +230,8 @@ def units(case: Case) -> Iterator[Hypothesis]:
     blocks = [b for b in case.data.blocks if not declared(b.model).contact]
     if any(measured_lengths(block).any() for block in blocks):
         for factor, words in FACTORS.items():
-            said, reading = (
-                f"the measured lengths are {words}",
-                ReadingSetup(scale=factor),
-            )
-            yield Hypothesis("unit", said, "unit of lengths", reading, gross=True)
+            said, read = f"the measured lengths are {words}", ReadingSetup(scale=factor)
+            yield Hypothesis("unit", said, "unit of lengths", read, gross=True)
 
 
 def axes(case: Case) -> Iterator[Hypothesis]:
@@ -559,3 +556,7 @@ def _exchanged(columns: Mapping[str, str], maps: _Maps) -> dict[str, dict[str, A
             coupled = {new.get(c, c): factor for c, factor in own.coupled.items()}
             found[new.get(column, column)] = lines_of(replace(own, coupled=coupled))
     return found
+
+
+FAMILIES = (joint_columns, line_order, orientations, axes, units, robots, targets)
+"""Explanations of errors that no robot explains."""

@@ -174,12 +174,8 @@ class Case:
     @cached_property
     def errors_nominal(self) -> float:
         """The same of the registered nominal robot."""
-        return self._errors(self.nominal_table[self.fit.problem.data.weight > 0.0])
-
-    @cached_property
-    def nominal_table(self) -> Floats:
-        """Errors of the registered nominal robot, see `error_table`, shape (N, D)."""
-        return error_table(self.fit.problem, self.nominal)
+        table = error_table(self.fit.problem, self.nominal)
+        return self._errors(table[self.fit.problem.data.weight > 0.0])
 
     def _errors(self, table: Floats) -> float:
         sizes = [np.inf if below_sheet(self.fit.problem) else 0.0]

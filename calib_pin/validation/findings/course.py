@@ -48,25 +48,12 @@ from calib_pin.validation.findings.sentences import lines_of, shown, told, writt
 
 Kind = Literal["station", "tool", "joint"]
 
-KINDS: dict[Kind, tuple[str, str, str]] = {
-    "station": (
-        "instrument-moved",
-        "the instrument{} moved",
-        "give the two parts different stations (a column 'station', or "
-        "--station-per-file)",
-    ),
-    "tool": (
-        "tool-remounted",
-        "the tool{} was re-mounted",
-        "give the two parts different tools (a column 'tool')",
-    ),
-    "joint": (
-        "joint-rehomed",
-        "the zero of joint{} changed",
-        "measure anew, or calibrate what was measured before and behind apart",
-    ),
+KINDS: dict[Kind, tuple[str, str]] = {
+    "station": ("instrument-moved", "the instrument{} moved"),
+    "tool": ("tool-remounted", "the tool{} was re-mounted"),
+    "joint": ("joint-rehomed", "the zero of joint{} changed"),
 }
-"""Code, words and remedy of a change, by what changes."""
+"""Code and words of a change, by what changes."""
 
 TRANSFORM = ("x", "y", "z", "rx", "ry", "rz")
 """A new frame in the old one: position and rotation vector."""
@@ -460,9 +447,13 @@ def changes(case: Case) -> Iterator[Finding]:
     lines = {"reading": reading} if reading else {}
     undone = f", or state in the setup file: {written(lines)}" if lines else ""
     for kind, words, numbers in said:
-        code, _, remedy = KINDS[kind]
+        remedy = f"give the two parts different {kind}s (a column '{kind}'"
+        remedy += ", or --station-per-file)" if kind == "station" else ")"
+        if kind == "joint":
+            remedy = "measure anew, or calibrate what was measured before and behind "
+            remedy += "apart"
         how = (remedy + undone, lines, "over-order")
-        yield told(code, words, numbers, *how, error=True)
+        yield told(KINDS[kind][0], words, numbers, *how, error=True)
 
 
 def _sides(mine: Booleans, rank: Indices, at: int) -> Indices:
@@ -594,28 +585,17 @@ def modeled_drift(case: Case) -> Iterator[Finding]:
         return
     values = dict(zip(case.fit.problem.parameters.names, case.fit.theta, strict=True))
     for station, (first, last) in case.setup.drift.spans.items():
-        name = f"{station}.{InstrumentDrift.name}."
-        steps = [
-            [values.get(f"{name}{axis}{k + 1}", 0.0) for axis in COMPONENTS]
-            for k in range(INCREMENTS)
-        ]
-        ways = np.cumsum(steps, axis=0)
+        name, steps = f"{station}.{InstrumentDrift.name}.", range(1, INCREMENTS + 1)
+        each = [[values.get(f"{name}{a}{k}", 0.0) for a in COMPONENTS] for k in steps]
+        ways = np.cumsum(each, axis=0)
         shift, turn = (np.linalg.norm(ways[:, k : k + 3], axis=1) for k in (0, 3))
         owner = "" if station == "base" else f" at station '{station}'"
-        yield told(
-            "modeled-drift",
-            f"the instrument{owner} has drifted by {shown(shift[-1], 'm')} and "
-            f"{shown(turn[-1], 'rad')} in {_duration(last - first)}",
-            {
-                "station": station,
-                "seconds": last - first,
-                "shift": shift[-1],
-                "turn": turn[-1],
-                "largest_shift": shift.max(),
-                "largest_turn": turn.max(),
-            },
-            info=True,
-        )
+        said = f"the instrument{owner} has drifted by {shown(shift[-1], 'm')} and "
+        said += f"{shown(turn[-1], 'rad')} in {_duration(last - first)}"
+        numbers = {"station": station, "seconds": last - first}
+        numbers |= {"shift": shift[-1], "turn": turn[-1]}
+        numbers |= {"largest_shift": shift.max(), "largest_turn": turn.max()}
+        yield told("modeled-drift", said, numbers, info=True)
 
 
 def modeled_warm_up(case: Case) -> Iterator[Finding]:
@@ -634,14 +614,11 @@ def modeled_warm_up(case: Case) -> Iterator[Finding]:
         moved.append(both[:, :3, 3])
     size = float(np.sqrt(np.mean(np.sum(np.concatenate(moved) ** 2, axis=1))))
     constant = thermal.warm_up_time or 0.0
-    yield told(
-        "modeled-warm-up",
-        f"the cold robot has its tool {shown(size, 'm')} (rms) from where the warm one "
-        f"has it, and covers 63 % of that in {_duration(constant)}; the geometry is "
-        "that of the warm robot",
-        {"cold": size, "time_constant": constant},
-        info=True,
-    )
+    said = f"the cold robot has its tool {shown(size, 'm')} (rms) from where the warm "
+    said += f"one has it, and covers 63 % of that in {_duration(constant)}; the "
+    said += "geometry is that of the warm robot"
+    numbers = {"cold": size, "time_constant": constant}
+    yield told("modeled-warm-up", said, numbers, info=True)
 
 
 def _duration(seconds: float) -> str:

@@ -150,16 +150,14 @@ class _Linear(NamedTuple):
         likeliest; what grows must stand out from that: generalized least squares with
         the covariance sigma^2 I + t^2 S S'.
         """
-        best = (-np.inf, 0.0, np.inf, 1.0)
-        products = np.array([self.y**2, self.g * self.y, self.g**2])
-        for size in SIZES.tolist():
-            variance = self.sigma**2 + (size * self.s) ** 2
-            yy, gy, gg = (products / variance).sum(axis=1).tolist()
-            if gg > 0.0:
-                square = yy - gy**2 / gg
-                score = -0.5 * (np.log(variance).sum() + np.log(gg) + square)
-                best = max(best, (float(score), gy / gg, gg**-0.5, size))
-        return best[1:]
+        variance = self.sigma**2 + (SIZES[:, None] * self.s) ** 2
+        products = (self.y**2, self.g * self.y, self.g**2)
+        yy, gy, gg = (np.sum(product / variance, axis=1) for product in products)
+        gg = np.maximum(gg, 1e-300)
+        square = yy - gy**2 / gg
+        cost = np.sum(np.log(variance), axis=1) + np.log(gg) + square
+        k = int(np.argmin(cost))
+        return float(gy[k] / gg[k]), float(gg[k] ** -0.5), float(SIZES[k])
 
     def held(self, size: float) -> Floats:
         """The errors x if a normal prior keeps them at a size, shape (n,).
@@ -207,8 +205,8 @@ def _yardstick(fitted: Fit) -> str:
     """The lengths on which the scale of these measurements rests."""
     problem = fitted.problem
     known = [d for d in problem.further.distances.stated if d.unit == "m"]
-    lengths = [f"the known distance {' - '.join(d.between)}" for d in known[:1]]
-    lengths = [words + ", ..." * (len(known) > 1) for words in lengths]
+    more = ", ..." * (len(known) > 1)
+    lengths = [f"the known distance {' - '.join(d.between)}{more}" for d in known[:1]]
     stated = dict.fromkeys(declared(model).yardstick for model in problem.data.models)
     # The setup states the others, and can be checked first.
     lengths += sorted(filter(None, stated), key=lambda words: words == INSTRUMENT)
@@ -228,10 +226,10 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     if sizes.max() < LARGE:
         return
     factor, z = np.inf, x.copy()
-    for size in SIZES[::-1].tolist():
-        z[robot] = linear.held(size)
+    for held in map(linear.held, SIZES[::-1].tolist()):
+        z[robot] = held
         if _sizes(fitted, z).max() < LARGE:
-            factor = linear.misfit(z[robot]) / max(linear.misfit(x[robot]), ROUNDING)
+            factor = linear.misfit(held) / max(linear.misfit(x[robot]), ROUNDING)
             break
     chains = [term.error.chain for term in fitted.problem.by_chain.values()]
     names = [[*c.joints, c.tip_joint or c.tip] for c in chains]
@@ -373,10 +371,9 @@ def _scaled_without(fitted: Fit, distance: int) -> bool:
 
 def families(case: Case) -> Iterator[Finding]:
     """The families of parameters that the fit lacks: of gears, of compliance, say."""
-    names, left = case.lacking
+    (names, left), before, quantity = case.lacking, case.fit.errors, case.fit.quantity
     if not names:
         return
-    before, quantity = case.fit.errors, case.fit.quantity
     after = before * float(np.sqrt(left))
     sizes = [shown(size, quantity.unit, 3) for size in (before, after)]
     # Placements have the offsets of joints.

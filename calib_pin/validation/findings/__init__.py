@@ -27,14 +27,12 @@ from calib_pin.validation.findings import (
     aside,
     course,
     facts,
-    gears,
+    joint_motions,
     plausibility,
     readings,
 )
 from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
-from calib_pin.validation.findings.explanations import explain
-from calib_pin.validation.findings.hypotheses import Explanation, finding
-from calib_pin.validation.findings.joint_motions import joint_motion
+from calib_pin.validation.findings.explanations import Explanation, explain, finding
 
 _Fault = TypeVar("_Fault")
 _Given = TypeVar("_Given")
@@ -42,10 +40,10 @@ _Given = TypeVar("_Given")
 Kind = Callable[[Case], Iterable[Finding]]
 """Finds the faults of one kind."""
 
-CONSEQUENCES: tuple[Kind, ...] = aside.KINDS + plausibility.KINDS + gears.KINDS
+CONSEQUENCES: tuple[Kind, ...] = aside.KINDS + plausibility.KINDS + joint_motions.KINDS
 """Faults in every fit that may follow from another one, and then are not told."""
 
-SHOWN: tuple[Kind, ...] = (*facts.KINDS, gears.approach_order, *course.MODELED)
+SHOWN: tuple[Kind, ...] = (*facts.KINDS, joint_motions.approach_order, *course.MODELED)
 """Faults in every fit that the measurements show whatever else is wrong."""
 
 FOLLOW = (
@@ -149,7 +147,7 @@ def _sought(case: Case) -> tuple[Finding, ...]:
         # What one column lags behind another is no lag of its joint.
         return (min(better, key=lambda found: _left([found])),)
     in_time = _told(course.changes, case)
-    sure = _tried(joint_motion, case)
+    sure = _tried(joint_motions.joint_motion, case)
     if sure is not None and sure.fitted:
         # What bends follows joints as well, and the position of one most of all.
         _, left = _tried(lambda case: case.lacking, case) or ((), 1.0)

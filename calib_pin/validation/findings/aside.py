@@ -16,7 +16,6 @@ import numpy as np
 from calib_pin.errors import enumerated
 from calib_pin.estimation.evidence import Finding, Outlier, VarianceComponent
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.robust import exchanged_with
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import (
@@ -29,8 +28,7 @@ from calib_pin.observations import Indices, Observations, states_sigmas
 from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import ConvertedSetup, ReadingSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.quick_fit import CHANCE, unlikely
+from calib_pin.validation.findings.case import CHANCE, Case, mean_squares, unlikely
 from calib_pin.validation.findings.readings import FACTORS
 from calib_pin.validation.findings.sentences import (
     NAMED,
@@ -154,16 +152,19 @@ def units_of_some(case: Case) -> Iterator[Finding]:
     aside = np.flatnonzero(data.weight == 0.0)
     if case.fitted is None or not 0 < len(aside) < len(data):
         return
-    problem, theta, some = case.fitted.problem, case.fitted.theta, data.rows(aside)
-    counted = _sizes(problem, data.rows(data.weight > 0.0), theta)
-    usual = max(float(np.sqrt(np.mean(counted**2))), 1e-9)
-    now = _sizes(problem, some, theta)
+    problem, theta = replace(case.fitted.problem, expected=None), case.fitted.theta
+
+    def sizes(data: Observations) -> Floats:
+        return np.sqrt(mean_squares(replace(problem, data=data), theta))
+
+    counted, some = sizes(data.rows(data.weight > 0.0)), data.rows(aside)
+    usual, now = max(float(np.sqrt(np.mean(counted**2))), 1e-9), sizes(some)
     lengths = [np.full(len(b), measured_lengths(b).sum()) for b in some.blocks]
     values = np.concatenate(lengths)
     best = (unlikely(len(FACTORS)), 0.0, np.zeros(0, np.int64))
     for factor in FACTORS:
         there = scaled(some, np.full(len(some), factor))
-        left = np.maximum(_sizes(problem, there, theta), usual)
+        left = np.maximum(sizes(there), usual)
         fits = (left < FITS * usual) & (now > FITS * left)
         ratio = float(np.sum((values * np.log(now / left))[fits]))
         best = max(best, (ratio, factor, aside[fits]), key=lambda found: found[0])
@@ -184,14 +185,6 @@ def units_of_some(case: Case) -> Iterator[Finding]:
     long = len(written(lines)) >= LISTED
     remedy = "state the lines of this finding in the setup file" if long else ""
     yield told("unit-of-some", said, numbers, remedy, lines)
-
-
-def _sizes(problem: Problem, data: Observations, theta: Floats) -> Floats:
-    """Size of the residual of each measurement, in standard deviations, shape (N,)."""
-    problem = replace(problem, data=data, expected=None)
-    sigma = problem.layout.table(problem.given_sigma, len(data))
-    table = error_table(problem, theta) / sigma
-    return np.asarray(np.sqrt(np.nanmean(np.minimum(table**2, 1e12), axis=1)))
 
 
 def noise(case: Case) -> Iterator[Finding]:

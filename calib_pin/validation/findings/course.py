@@ -42,8 +42,8 @@ from calib_pin.parameterizations.base import COMPONENTS, expected_size
 from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.setup import AXES, ReadingSetup
-from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.quick_fit import QuickFit, Score, unlikely
+from calib_pin.validation.findings.case import Case, QuickFit, Score, unlikely
+from calib_pin.validation.findings.explanations import FITTED
 from calib_pin.validation.findings.sentences import lines_of, shown, told, written
 
 Kind = Literal["station", "tool", "joint"]
@@ -88,10 +88,10 @@ FEW = 1.0 / 3.0
 UNKNOWNS = 500
 """Most parameters of a job that is looked at."""
 
-LASTING, SURE, LARGE = 0.85, 0.6, 0.3
+LASTING, LARGE = 0.85, 0.3
 """Part of the errors that a drift leaves at most: what bends in real robots leaves 0.88
-and more, drifts that cost twice the noise less than 0.8. The part and the errors that
-it causes, in expected sizes, from which it takes the trust."""
+and more, drifts that cost twice the noise less than 0.8. And errors that it causes, in
+expected sizes, from which it takes the trust, if it leaves half of them at most."""
 
 WAVES = range(2, 10)
 """Half waves of the curves that it is compared with."""
@@ -507,7 +507,7 @@ def drift(case: Case) -> Iterator[Finding]:
     if part > LASTING:
         return
     caused = before * np.sqrt(max(1.0 - part**2, 0.0))
-    large = caused > LARGE * expected_size(fit.quantity.unit) and part < SURE
+    large = caused > LARGE * expected_size(fit.quantity.unit) and part < FITTED
     code, said, numbers, remedy, lines = words(case, score, names)
     said += " from the first measurement to the last: without it "
     said += f"{100 * part:.0f} % of the errors are left"

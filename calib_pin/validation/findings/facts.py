@@ -29,9 +29,8 @@ from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.measurement_models.orientations import numbers_of
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.hypotheses import setup_lines
-from calib_pin.validation.findings.quick_fit import CHANCE
+from calib_pin.validation.findings.case import CHANCE, Case
+from calib_pin.validation.findings.explanations import setup_lines
 from calib_pin.validation.findings.readings import offset_by
 from calib_pin.validation.findings.sentences import listed, named, shown, told, without
 

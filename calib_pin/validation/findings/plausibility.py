@@ -35,9 +35,9 @@ from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import PopulationPrior, Setup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.quick_fit import CHANCE
-from calib_pin.validation.findings.sentences import shown, told, written
+from calib_pin.validation.findings.case import CHANCE, Case
+from calib_pin.validation.findings.explanations import FITTED
+from calib_pin.validation.findings.sentences import estimating, shown, told
 
 SIGNIFICANT = 4.5
 """Standard deviations from which a common scale, or a distance missed, is no chance: by
@@ -80,9 +80,6 @@ ROUNDING = 1e-12
 
 SPOILED = 2.0
 """Noise with the prior by noise without it from which the prior spoils a fit."""
-
-HALVED = 0.25
-"""Part of the squares that missing parameters leave at most for a warning."""
 
 
 def plausibility(case: Case) -> Iterator[Finding]:
@@ -379,14 +376,12 @@ def families(case: Case) -> Iterator[Finding]:
     # Placements have the offsets of joints.
     covered = {JointOffset.name} if Placement.name in names else set()
     kept = [name for name in case.setup.parameters if name not in covered]
-    lines = {"parameters": [*kept, *names]}
     said = f"{enumerated(names)}, not estimated here, explains most of it: the "
     said += f"{quantity.name} errors of a fit fall from {sizes[0]} to about {sizes[1]}"
     numbers = {"families": ", ".join(names), "rms_before": before, "rms_after": after}
-    remedy = f"estimate them: --parameters {','.join([*kept, *names])}, or state in "
-    remedy += f"the setup file: {written(lines)}"
-    info = left >= HALVED
-    yield told("model-lacks", said, numbers, remedy, lines, "by-joint", info=info)
+    how = estimating([*kept, *names], "them")
+    info = left >= FITTED**2
+    yield told("model-lacks", said, numbers, *how, "by-joint", info=info)
 
 
 def population(case: Case) -> Iterator[Finding]:

@@ -49,10 +49,13 @@ from calib_pin.setup import (
     OrientationSetup,
     ReadingSetup,
 )
-from calib_pin.validation.findings.case import STEPS, Case
-from calib_pin.validation.findings.explanations import NEIGHBORS
-from calib_pin.validation.findings.hypotheses import FITTED, Hypothesis, JointReading
-from calib_pin.validation.findings.quick_fit import QuickFit, unlikely
+from calib_pin.validation.findings.case import COMPARED, Case, QuickFit, unlikely
+from calib_pin.validation.findings.explanations import (
+    FITTED,
+    NEIGHBORS,
+    Hypothesis,
+    JointReading,
+)
 from calib_pin.validation.findings.sentences import lines_of, shown, told, written
 
 TURNS, GEARS = (90.0, -90.0, 180.0), (2.0, 0.5)
@@ -496,7 +499,7 @@ def joint_sets(case: Case) -> Iterator[Finding]:
         try:
             both = [some, _moved(some, columns, maps)]
             problems = [make_problem(case.chains, data, setup) for data in both]
-            here, there = (QuickFit.of(problem, STEPS) for problem in problems)
+            here, there = (QuickFit.of(problem, COMPARED) for problem in problems)
         except CalibPinError:
             continue  # No robot is there.
         ratio = here.left * float(np.log(here.rms / there.rms))

@@ -65,10 +65,16 @@ def listed(words: Sequence[str], more: int = 0) -> str:
 def named(data: Observations, rows: Sequence[int]) -> str:
     """Measurements in words, such as `lines 12, 31, 40 and 2 more`."""
     kind = "line" if data.files[rows[0]] else "measurement"
-    more = max(len(rows) - NAMED, 0)
-    return (
-        f"{kind}{'s' * (len(rows) > 1)} {listed(places_of(data, rows[:NAMED]), more)}"
-    )
+    kind += "s" * (len(rows) > 1)
+    places = places_of(data, rows[:NAMED])
+    return f"{kind} {listed(places, max(len(rows) - NAMED, 0))}"
+
+
+def estimating(names: Sequence[str], what: str) -> tuple[str, dict[str, Any]]:
+    """The remedy to estimate parameters of some names, and its setup lines."""
+    lines = {"parameters": [*names]}
+    remedy = f"estimate {what}: --parameters {','.join(names)}, or state in the setup "
+    return f"{remedy}file: {written(lines)}", lines
 
 
 def without(

@@ -16,7 +16,7 @@ from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.gears import approach, approach_order
+from calib_pin.validation.findings.joint_motions import approach, approach_order
 
 CHAIN = calib_pin.load_chain("pa10")
 TOOL = FrameSetup((0.1, 0.05, 0.15), estimate=True)

@@ -20,9 +20,9 @@ from calib_pin.observations import Observations
 from calib_pin.setup import AnchorSetup, FrameSetup, JointMap, Setup
 from calib_pin.validation import findings
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.explanations import explain
-from calib_pin.validation.findings.hypotheses import (
+from calib_pin.validation.findings.explanations import (
     Explanation,
+    explain,
     finding,
     read_so,
     setup_lines,

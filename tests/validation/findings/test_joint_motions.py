@@ -15,7 +15,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.hypotheses import Explanation, read_so, setup_lines
+from calib_pin.validation.findings.explanations import Explanation, read_so, setup_lines
 from calib_pin.validation.findings.joint_motions import joint_motion
 
 ARM = calib_pin.load_chain("space6")

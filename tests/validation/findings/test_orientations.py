@@ -16,8 +16,7 @@ from calib_pin.io.measurements import encode_table
 from calib_pin.io.setup import read_setup
 from calib_pin.observations import Observations
 from calib_pin.setup import STATED
-from calib_pin.validation.findings.explanations import explain
-from calib_pin.validation.findings.hypotheses import finding
+from calib_pin.validation.findings.explanations import explain, finding
 from calib_pin.validation.findings.readings import orientations
 from calib_pin.validation.findings.sentences import written
 

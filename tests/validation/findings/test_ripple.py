@@ -16,7 +16,7 @@ from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.gears import periodogram, ripples
+from calib_pin.validation.findings.joint_motions import periodogram, ripples
 
 TOOL = FrameSetup((0.0, 0.0, 0.1), estimate=True)
 PLAIN = Setup(tool_frame=TOOL)

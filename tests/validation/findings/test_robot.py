@@ -15,8 +15,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.explanations import explain
-from calib_pin.validation.findings.hypotheses import finding
+from calib_pin.validation.findings.explanations import explain, finding
 from calib_pin.validation.findings.readings import robots
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))

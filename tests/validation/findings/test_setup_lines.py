@@ -9,7 +9,7 @@ import pytest
 
 import calib_pin
 from calib_pin.setup import JointMap
-from calib_pin.validation.findings.hypotheses import JointReading
+from calib_pin.validation.findings.explanations import JointReading
 
 ARM = calib_pin.load_chain("space6")
 JOINTS = ARM.joints

@@ -1,9 +1,9 @@
-"""Faults of the data: each kind a hypothesis, its gain against chance, its remedy.
+"""Faults of the data: each an alternative with a gain against chance, and a remedy.
 
-A kind is one function and one line here. There are two sorts. Explanations say how
-measurements could be read otherwise; they are tried, alone and together, where errors
-are left that no robot explains (`explanations.explain`). Faults that hide in a fit that
-looks good are sought in every fit, by a few further columns of its Jacobian
+A kind is one function, and one entry in the list at the end of its file. Explanations
+say how measurements could be read otherwise; they are tried, alone and together, where
+errors are left that no robot explains (`explanations.explain`). Faults that hide in a
+fit that looks good are sought in every fit, by a few further columns of its Jacobian
 (`QuickFit.score`) or in the measurements themselves.
 """
 

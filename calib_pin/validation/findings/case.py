@@ -116,6 +116,19 @@ def unlikely(tried: int = 1) -> float:
     return float(np.log(max(tried, 1) / CHANCE))
 
 
+def by_chance(before: float, after: float, count: int, dof: int) -> float:
+    """Probability that chance explains as much (F test).
+
+    Args:
+        before: Sum of squared errors.
+        after: The same with so many further numbers.
+        count: Number of these.
+        dof: Number of values that unknowns do not use up then.
+    """
+    gain = max(before - after, 0.0) / count
+    return f_tail(gain / max(after / dof, 1e-300), count, dof)
+
+
 def located(problem: Problem, thorough: bool = False) -> Problem:
     """A problem about roughly registered frames and references.
 
@@ -460,9 +473,8 @@ class QuickFit:
         dof = self.left - k
         if not k or dof <= 0 or total <= 0.0:
             return Score(1.0, 1.0, np.zeros(count), np.full(count, np.inf))
-        gain = float(along @ along)
-        rest = max(total - gain, 1e-300)
-        chance = f_tail((gain / k) / (rest / dof), k, dof)
+        rest = max(total - float(along @ along), 1e-300)
+        chance = by_chance(total, rest, k, dof)
         deviations = np.sqrt(rest / dof * np.sum(inverse**2, axis=1))
         return Score(rest / total, chance, -inverse @ along, deviations)
 
@@ -480,9 +492,8 @@ class QuickFit:
         dof, rest = self.left - count, self.left - rivals.shape[1]
         if min(dof, rest) < 1:
             return False  # There are too few measurements to compare.
-        F = (self.squares - left) / count / max(left / dof, 1e-300)
         others = self.squares * self.score(rivals).left / rest
-        beyond = f_tail(F, count, dof) * tried < CHANCE
+        beyond = by_chance(self.squares, left, count, dof) * tried < CHANCE
         return beyond and left / dof < CLEARER**2 * others
 
 

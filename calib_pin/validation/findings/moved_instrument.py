@@ -12,9 +12,8 @@ from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.problem import Problem, distinct_values, measured_count
 from calib_pin.estimation.registration import relocated
 from calib_pin.estimation.solve import least_squares
-from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.terms import BASE, FRAME
-from calib_pin.validation.findings.case import CHANCE
+from calib_pin.validation.findings.case import CHANCE, by_chance
 from calib_pin.validation.findings.sentences import told
 from calib_pin.validation.model_errors import (
     ModelErrors,
@@ -131,8 +130,7 @@ def _if_moved(
     end, remedy = "has moved, and both robots are registered on them", STATION
     distinct = distinct_values(here.problem)
     if ratio <= MOVED or not _alike(errors, own, here.problem):
-        gain = max(was - now, 0.0) / unknowns / max(now / left, 1e-300)
-        if anew > SUSPICIOUS or f_tail(gain, unknowns, left) > CHANCE:
+        if anew > SUSPICIOUS or by_chance(was, now, unknowns, left) > CHANCE:
             return errors, []
         own, end = errors, "may have moved before them"
     elif distinct <= unknowns or here.problem.data.configurations < FEWEST_HELD_OUT:

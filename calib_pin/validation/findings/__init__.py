@@ -24,7 +24,6 @@ from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
 from calib_pin.validation.findings import (
-    aside,
     course,
     facts,
     joint_motions,
@@ -40,7 +39,7 @@ _Given = TypeVar("_Given")
 Kind = Callable[[Case], Iterable[Finding]]
 """Finds the faults of one kind."""
 
-CONSEQUENCES: tuple[Kind, ...] = aside.KINDS + plausibility.KINDS + joint_motions.KINDS
+CONSEQUENCES: tuple[Kind, ...] = plausibility.KINDS + joint_motions.KINDS
 """Faults in every fit that may follow from another one, and then are not told."""
 
 SHOWN: tuple[Kind, ...] = (*facts.KINDS, joint_motions.approach_order, *course.MODELED)

@@ -79,7 +79,6 @@ STEP = 1e-7
 """Step of differences by joint positions [rad, m]: the motion that a fit can absorb is
 known far better than that by which others are told."""
 
-
 MEASUREMENTS = 300
 """Measurements that are looked at; more do not make it clearer."""
 

@@ -52,7 +52,6 @@ from calib_pin.validation.findings.sentences import (
 FITTED = 0.5
 """Part of the errors of a fit that one of them may leave."""
 
-
 ROWS = 60
 """Measurements that explanations are tried on."""
 

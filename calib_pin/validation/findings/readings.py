@@ -88,7 +88,6 @@ ABSORBED = 4.0
 """Factor by which six numbers of a frame make errors of a robot smaller: they are half
 as large on six joints, and less than a third on three."""
 
-
 FARTHEST = 10
 """Most lines by which joint positions may stand elsewhere."""
 

@@ -146,7 +146,7 @@ class Motion(NamedTuple):
         if self.of == "gear":
             return geared(names, j, 1.0 + size)
         if self.of == "coupled":
-            return coupled(names, j, self.joints[1], size, f", by {100 * size:.2g} %")
+            return coupled(names, j, self.joints[1], size, f", by {100 * size:.3g} %")
         if self.of == "lag":
             whose = f"joint '{names[j]}'" if len(self.joints) == 1 else "all joints"
             said = f"errors follow the last motion of {whose}: {100 * size:.2g} % of it"

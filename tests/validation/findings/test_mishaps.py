@@ -420,11 +420,11 @@ ELSEWHERE = {
     "test_explanations": "joint-coupled joint-degrees",
     "test_readings": "joint-columns target target-frames robot tip-link base-link "
     "tool-frame base-frame camera-mount",
-    "test_outliers": "outliers measurements-exchanged unit-of-some",
     "test_facts": "gauge-sign",
     "test_course": "instrument-moved tool-remounted joint-rehomed instrument-drift "
     "robot-drift",
-    "test_plausibility": "implausible-correction unlike-fleet",
+    "test_plausibility": "outliers measurements-exchanged unit-of-some "
+    "implausible-correction unlike-fleet",
     "test_joint_motions": "approach-by-order",
     "test_robot_state": "old-calibration-holds old-calibration-no-longer-holds",
     "test_held_out": "repeated-validation moved-instrument",

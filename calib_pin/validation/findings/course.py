@@ -1,4 +1,4 @@
-"""What changes in the course of a job: at a row, or evenly.
+"""Changes in the course of a job: at a row, or evenly.
 
 A frame is six columns of the Jacobian and the zero of a joint is one. A change is a
 step of these columns at a row. In the order of the files every row is tried as the
@@ -635,4 +635,4 @@ def _duration(seconds: float) -> str:
 
 
 MODELED = (modeled_drift, modeled_warm_up)
-"""What is told where it is modeled."""
+"""Remarks on drifts that are modeled."""

@@ -421,7 +421,7 @@ class _Search:
         return self._decided(faults, left, FITTED, fitted=True) or found
 
     def _singles(self, thorough: bool = False) -> list[_Tried]:
-        """What fits leave with each fault, the least first.
+        """Errors that fits leave with each fault, the least first.
 
         A robot that is fitted shrinks with its measurements, or turns into another.
         """

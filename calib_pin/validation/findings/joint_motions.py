@@ -573,4 +573,4 @@ def periodogram(
 
 
 KINDS = (approach, ripples)
-"""What is told of every fit."""
+"""Faults that are sought in every fit."""

@@ -638,4 +638,4 @@ def population(case: Case) -> Iterator[Finding]:
 
 
 KINDS = (units_of_some, plausibility, outliers, noise, population, families)
-"""What is told of every fit."""
+"""Faults that are sought in every fit."""

@@ -1,4 +1,4 @@
-"""What is wrong with joint columns is found by trial; its lines do what was tried."""
+"""Wrong joint columns are found by trial, and their lines do what was tried."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fit sets aside, its noise, and what no robot has are told."""
+"""Outliers, noise, and what no robot has are told of a fit."""
 
 from __future__ import annotations
 

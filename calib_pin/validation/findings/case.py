@@ -1,7 +1,7 @@
 """The measurements in which faults are sought, and a fit to them in a few steps.
 
 Faults are further columns of the Jacobian of this fit, whose gain is scored to first
-order (`QuickFit.score`) and fitted with the robot (`QuickFit.sized`), or other readings
+order (`QuickFit.score`) and fitted with the robot (`sized`), or other readings
 of the file, of which such fits are compared (`explanations`).
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -108,6 +108,8 @@ COMPARED = 8
 
 LACKING = 0.5
 """Part of the sum of squares that they leave at most."""
+
+_Fitted = TypeVar("_Fitted", bound="QuickFit")
 
 
 def unlikely(tried: int = 1) -> float:
@@ -268,53 +270,14 @@ class QuickFit:
         problem = located(problem, thorough)
         best = trial = cls(problem, np.zeros(len(problem.parameters)), **more)
         for step in range(steps if trial.redundant else 0):
-            stepped = trial.stepped()
-            if not np.isfinite(stepped.linear[0]).all():
+            there = stepped(trial)
+            if not np.isfinite(there.linear[0]).all():
                 break  # A point came to lie behind the camera, say.
-            if step >= STEPS and not stepped.rms < SETTLED * trial.rms:
+            if step >= STEPS and not there.rms < SETTLED * trial.rms:
                 break
-            trial = stepped
+            trial = there
             best = trial if trial.rms < best.rms else best
         return best
-
-    def stepped(self, data: Observations | None = None) -> Self:
-        """One more step, to the same measurements read otherwise if they are given.
-
-        Raises:
-            LinAlgError: If their errors have no derivative where the robot is.
-        """
-        fit = self
-        if data is not None:
-            fit = replace(self, problem=replace(self.problem, data=data))
-        (A, b), parameters = fit.system, fit.problem.parameters
-        if not (np.isfinite(A).all() and np.isfinite(b).all()):
-            raise np.linalg.LinAlgError("the errors have no derivative")
-        theta, free = fit.theta.copy(), parameters.free
-        theta[free] -= parameters.scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
-        return replace(fit, theta=theta)
-
-    def sized(
-        self,
-        sizes: Floats,
-        columns: Callable[[Self], Floats],
-        read: Callable[[Floats], Observations],
-    ) -> tuple[Self, Floats]:
-        """The fit with further columns, and their factors, where both have settled.
-
-        Args:
-            sizes: Factors to begin with, shape (k,).
-            columns: Change of the whitened residual of a fit by each, (M, k).
-            read: The measurements as they are read with some factors.
-        """
-        fit = self
-        for _ in range(SIZINGS if len(sizes) else 0):
-            score, before = fit.score(columns(fit)), fit.rms
-            sizes = sizes + score.values
-            fit = fit.stepped(read(sizes))
-            still = (np.abs(score.values) < STILL * score.deviations).all()
-            if still and fit.rms > SETTLED * before:
-                break
-        return fit, sizes
 
     @cached_property
     def redundant(self) -> bool:
@@ -368,11 +331,6 @@ class QuickFit:
         """Errors left, in standard deviations, of what unknowns do not use up."""
         r, _ = self.linear
         return float(np.sqrt(r @ r / self.left)) if self.left > 0 else np.inf
-
-    @property
-    def squares(self) -> float:
-        """Sum of the squared errors left, in standard deviations."""
-        return self.rms**2 * self.left
 
     @property
     def largest_correction(self) -> float:
@@ -477,23 +435,70 @@ class QuickFit:
         deviations = np.sqrt(rest / dof * np.sum(inverse**2, axis=1))
         return Score(rest / total, chance, -inverse @ along, deviations)
 
-    def surpassed(
-        self, left: float, count: int, rivals: Floats, tried: int = 1
-    ) -> bool:
-        """Whether an alternative explains more than chance and its rivals do.
 
-        Args:
-            left: Sum of the squared errors that it leaves.
-            count: Number of its parameters.
-            rivals: Columns of what else may be, shape (M, k).
-            tried: Number of alternatives among which it is the best.
-        """
-        dof, rest = self.left - count, self.left - rivals.shape[1]
-        if min(dof, rest) < 1:
-            return False  # There are too few measurements to compare.
-        others = self.squares * self.score(rivals).left / rest
-        beyond = by_chance(self.squares, left, count, dof) * tried < CHANCE
-        return beyond and left / dof < CLEARER**2 * others
+def stepped(fit: _Fitted, data: Observations | None = None) -> _Fitted:
+    """One more step, to the same measurements read otherwise if they are given.
+
+    Raises:
+        LinAlgError: If their errors have no derivative where the robot is.
+    """
+    if data is not None:
+        fit = replace(fit, problem=replace(fit.problem, data=data))
+    (A, b), parameters = fit.system, fit.problem.parameters
+    if not (np.isfinite(A).all() and np.isfinite(b).all()):
+        raise np.linalg.LinAlgError("the errors have no derivative")
+    theta, free = fit.theta.copy(), parameters.free
+    theta[free] -= parameters.scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
+    return replace(fit, theta=theta)
+
+
+def sized(
+    fit: _Fitted,
+    sizes: Floats,
+    columns: Callable[[_Fitted], Floats],
+    read: Callable[[Floats], Observations],
+) -> tuple[_Fitted, Floats]:
+    """A fit with further columns, and their factors, where both have settled.
+
+    Args:
+        fit: The fit without them.
+        sizes: Factors to begin with, shape (k,).
+        columns: Change of the whitened residual of a fit by each, (M, k).
+        read: The measurements as they are read with some factors.
+    """
+    for _ in range(SIZINGS if len(sizes) else 0):
+        score, before = fit.score(columns(fit)), fit.rms
+        sizes = sizes + score.values
+        fit = stepped(fit, read(sizes))
+        still = (np.abs(score.values) < STILL * score.deviations).all()
+        if still and fit.rms > SETTLED * before:
+            break
+    return fit, sizes
+
+
+def squares(fit: QuickFit) -> float:
+    """Sum of the squared errors that a fit leaves, in standard deviations."""
+    return fit.rms**2 * fit.left
+
+
+def surpasses(
+    fit: QuickFit, left: float, count: int, rivals: Floats, tried: int = 1
+) -> bool:
+    """Whether an alternative explains more than chance and its rivals do.
+
+    Args:
+        fit: The fit without it.
+        left: Sum of the squared errors that it leaves.
+        count: Number of its parameters.
+        rivals: Columns of what else may be, shape (M, k).
+        tried: Number of alternatives among which it is the best.
+    """
+    dof, rest = fit.left - count, fit.left - rivals.shape[1]
+    if min(dof, rest) < 1:
+        return False  # There are too few measurements to compare.
+    others = squares(fit) * fit.score(rivals).left / rest
+    beyond = by_chance(squares(fit), left, count, dof) * tried < CHANCE
+    return beyond and left / dof < CLEARER**2 * others
 
 
 Others = Callable[[], Iterable[Chains]]

@@ -42,7 +42,15 @@ from calib_pin.parameterizations.base import COMPONENTS, expected_size
 from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.setup import AXES, ReadingSetup
-from calib_pin.validation.findings.case import Case, QuickFit, Score, unlikely
+from calib_pin.validation.findings.case import (
+    Case,
+    QuickFit,
+    Score,
+    sized,
+    squares,
+    surpasses,
+    unlikely,
+)
 from calib_pin.validation.findings.explanations import FITTED
 from calib_pin.validation.findings.sentences import lines_of, shown, told, written
 
@@ -204,7 +212,8 @@ class Trial(QuickFit):
                 found[k] = found[k]._replace(size=size)
             return tuple(found)
 
-        trial, sizes = trial.sized(
+        trial, sizes = sized(
+            trial,
             np.array([changes[k].size for k in zeros]),
             lambda fit: np.hstack([fit.step(changes[k]) for k in zeros]),
             lambda sizes: changed(plain.data, rank, of(sizes))[0],
@@ -312,9 +321,9 @@ class Trial(QuickFit):
         Args:
             before: The trial without these changes.
         """
-        new, left = self.changes[len(before.changes) :], self.squares
+        new, left = self.changes[len(before.changes) :], squares(self)
         further = min((left for _, left, _ in self.candidates), default=1.0)
-        if before.squares - left < FURTHER * left * (1.0 - further):
+        if squares(before) - left < FURTHER * left * (1.0 - further):
             return False
         columns, row = before.columns(new[0]), before.problem.layout.row
         time = (self.rank[before.index] / max(int(self.rank.max()), 1))[row, None]
@@ -325,7 +334,7 @@ class Trial(QuickFit):
         if smooth.shape[1] < FEW * before.left:
             rivals = smooth
         count = len(new) * columns.shape[1]
-        return before.surpassed(left, count, rivals, len(self.rank))
+        return surpasses(before, left, count, rivals, len(self.rank))
 
     def place(self, k: int, data: Observations, rank: Indices) -> int:
         """The best rank of a change if nothing else does.
@@ -494,7 +503,7 @@ def drift(case: Case) -> Iterator[Finding]:
     for words, columns, names in _drifts(case):
         score, count = fit.score(columns * time), columns.shape[1]
         waves = np.hstack([columns * np.cos(np.pi * k * time) for k in WAVES])
-        if fit.surpassed(fit.squares * score.left, count, waves):
+        if surpasses(fit, squares(fit) * score.left, count, waves):
             # One of more parts takes a part of what a simpler one explains.
             cost = fit.left * np.log(score.left) + count * unlikely()
             found.append((cost, words, score, columns * time, names))

@@ -48,6 +48,8 @@ from calib_pin.validation.findings.case import (
     Case,
     QuickFit,
     Score,
+    sized,
+    stepped,
     unlikely,
 )
 from calib_pin.validation.findings.explanations import (
@@ -254,7 +256,7 @@ class _Motions:
         def column(fit: QuickFit) -> Floats:
             return self.column(fit, motion)
 
-        fit, (size,) = self.fit.sized(np.zeros(1), column, read)
+        fit, (size,) = sized(self.fit, np.zeros(1), column, read)
         return fit, float(size)
 
 
@@ -313,7 +315,7 @@ def _large(case: Case) -> Explanation | None:
             return None
         size = _rounded(size) if case.turns(name) else size
         read = read_so(case.data, [motion.hypothesis(case, size)])
-        fit = fit.stepped(read.rows(motions.index))
+        fit = stepped(fit, read.rows(motions.index))
         # A fit of this very offset has said it already, and more exactly.
         name = f"{name}.joint-offset.q"
         estimated = any(p.free and p.name == name for p in problem.parameters)

@@ -106,9 +106,9 @@ STOOD, MOVED = 5e-4, 20.0
 """Difference of joint positions that are those of one configuration [rad, m], and
 scatter there, in expected sizes of an error, that no robot has."""
 
-OPPOSITE, NEAR = -1.0, 0.5
-"""Factor of readings with which they fit best if they count the other way, and by how
-much it may be missed: half-way to those that say nothing."""
+NEAR = 0.5
+"""By how much the factor of readings that count the other way, -1, may be missed:
+half-way to those that say nothing."""
 
 
 def require_motion(data: Observations) -> None:
@@ -188,7 +188,7 @@ def gauge_readings(case: Case) -> Iterator[Finding]:
         return
     score = fit.score(np.column_stack([*touched.values()]))
     factors = dict(zip(touched, 1.0 + score.values, strict=True))
-    wrong = [n for n, factor in factors.items() if abs(factor - OPPOSITE) < NEAR]
+    wrong = [n for n, factor in factors.items() if abs(factor + 1.0) < NEAR]
     if score.chance > CHANCE or not wrong:
         return
     every = len(wrong) == len(factors)

@@ -113,10 +113,7 @@ def degrees(q: Floats) -> None:
     ],
 )
 def test_what_is_wrong_is_found(
-    change: Callable[[Floats], None],
-    codes: set[str],
-    arm: Chains,
-    rows: Observations,
+    change: Callable[[Floats], None], codes: set[str], arm: Chains, rows: Observations
 ) -> None:
     wrong = misread(rows, change)
     found = explained(case_of(arm, wrong, SETUP))

@@ -253,11 +253,7 @@ MISHAPS = [
         setup=KNOWN,
         job={"model": "pose"},
     ),
-    Mishap(
-        "left-handed-frame",
-        axes((1.0, 1.0, 1.0), (1, 0, 2)),
-        setup=HELD,
-    ),
+    Mishap("left-handed-frame", axes((1.0, 1.0, 1.0), (1, 0, 2)), setup=HELD),
     Mishap(
         "orientation-convention",
         values(wxyz),
@@ -272,12 +268,7 @@ MISHAPS = [
         KNOWN,
         {"model": "pose"},
     ),
-    Mishap(
-        "unit",
-        values(lambda v: v / 0.3048),
-        {"reading": {"scale": 0.3048}},
-        KNOWN,
-    ),
+    Mishap("unit", values(lambda v: v / 0.3048), {"reading": {"scale": 0.3048}}, KNOWN),
     Mishap("scale", values(lambda v: 1.05 * v)),
     Mishap(
         "constant-orientation",
@@ -390,11 +381,7 @@ CLEAN: dict[str, tuple[Spoil, Setup, Mapping[str, Any]]] = {
         {"count": 60},
     ),
     "another axis up": (axes((1.0, 1.0, 1.0), (1, 2, 0)), Setup(), {}),
-    "a tenth of the noise in digits": (
-        values(lambda v: np.round(v, 5)),
-        Setup(),
-        {},
-    ),
+    "a tenth of the noise in digits": (values(lambda v: np.round(v, 5)), Setup(), {}),
     "sigma nearly right": (
         lambda rows: replace(rows, sigma=np.full(rows.values.shape, 1.4 * NOISE)),
         Setup(),

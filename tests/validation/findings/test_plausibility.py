@@ -18,13 +18,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
-from calib_pin.setup import (
-    AnchorSetup,
-    DistanceSetup,
-    FrameSetup,
-    PointSetup,
-    Setup,
-)
+from calib_pin.setup import AnchorSetup, DistanceSetup, FrameSetup, PointSetup, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.plausibility import plausibility, population
@@ -71,8 +65,7 @@ FRAMES = Setup(base_frame=BASE, tool_frame=TOOL)
 
 
 @pytest.mark.parametrize(
-    ("model", "setup"),
-    [("position", FRAMES), ("point-distance", WIRE)],
+    ("model", "setup"), [("position", FRAMES), ("point-distance", WIRE)]
 )
 def test_growth_is_that_of_all_origins(model: str, setup: Setup) -> None:
     """At nominal it is the derivative by the translations of all placements."""

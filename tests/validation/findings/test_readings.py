@@ -280,12 +280,7 @@ def found(quick_case: Job) -> Job:
     ],
 )
 def test_the_convention_and_its_lines(
-    found: Job,
-    moved_job: Job,
-    tmp_path: Path,
-    columns: str,
-    stated: Stated,
-    line: str,
+    found: Job, moved_job: Job, tmp_path: Path, columns: str, stated: Stated, line: str
 ) -> None:
     """With the lines in the setup file the reader finds the true orientations."""
     job = moved_job((), (), 30, model="pose")

@@ -24,7 +24,7 @@ from calib_pin.report.tables import UNIT, counted, number, percent, significant,
 from calib_pin.setup import PopulationPrior
 from calib_pin.units import DISPLAY
 from calib_pin.validation.assessment import chi2_interval
-from calib_pin.validation.findings.setup_lines import written
+from calib_pin.validation.findings.sentences import written
 from calib_pin.validation.result import CalibrationResult
 
 FIRST = 3

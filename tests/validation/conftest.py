@@ -17,8 +17,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.simulation import draw_errors, simulate
-from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.quick_fit import QuickFit
+from calib_pin.validation.findings.case import Case, QuickFit
 
 NOISE = 5e-5
 

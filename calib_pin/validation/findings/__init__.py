@@ -1,9 +1,9 @@
-"""Faults of the data: each kind a hypothesis, its gain against chance, its remedy.
+"""Faults of the data: each an alternative with a gain against chance, and a remedy.
 
-A kind is one function and one line here. There are two sorts. Explanations say how
-measurements could be read otherwise; they are tried, alone and together, where errors
-are left that no robot explains (`explanations.explain`). Faults that hide in a fit that
-looks good are sought in every fit, by a few further columns of its Jacobian
+A kind is one function, and one entry in the list at the end of its file. Explanations
+say how measurements could be read otherwise; they are tried, alone and together, where
+errors are left that no robot explains (`explanations.explain`). Faults that hide in a
+fit that looks good are sought in every fit, by a few further columns of its Jacobian
 (`QuickFit.score`) or in the measurements themselves.
 """
 
@@ -23,38 +23,15 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.approach import approach, approach_order
-from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
-from calib_pin.validation.findings.course import changed, drift
-from calib_pin.validation.findings.explanations import Family, explain
-from calib_pin.validation.findings.facts import (
-    FACTS,
-    constant_orientation,
-    gauge_readings,
-    require_motion,
-)
-from calib_pin.validation.findings.hypotheses import Explanation, finding
-from calib_pin.validation.findings.joint_motions import joint_motion
-from calib_pin.validation.findings.line_order import line_order
-from calib_pin.validation.findings.modeled_drift import modeled_drift, modeled_warm_up
-from calib_pin.validation.findings.noise import noise
-from calib_pin.validation.findings.outliers import outliers
-from calib_pin.validation.findings.plausibility import (
-    families,
+from calib_pin.validation.findings import (
+    course,
+    facts,
+    joint_motions,
     plausibility,
-    population,
+    readings,
 )
-from calib_pin.validation.findings.readings import (
-    axes,
-    joint_columns,
-    joint_sets,
-    orientations,
-    robots,
-    target_frames,
-    targets,
-)
-from calib_pin.validation.findings.ripple import ripples
-from calib_pin.validation.findings.units import units, units_of_some
+from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
+from calib_pin.validation.findings.explanations import Explanation, explain, finding
 
 _Fault = TypeVar("_Fault")
 _Given = TypeVar("_Given")
@@ -62,35 +39,10 @@ _Given = TypeVar("_Given")
 Kind = Callable[[Case], Iterable[Finding]]
 """Finds the faults of one kind."""
 
-EXPLANATIONS: tuple[Family, ...] = (
-    joint_columns,
-    line_order,
-    orientations,
-    axes,
-    units,
-    robots,
-    targets,
-)
-"""Explanations of errors that no robot explains."""
-
-CONSEQUENCES: tuple[Kind, ...] = (
-    units_of_some,
-    plausibility,
-    outliers,
-    noise,
-    population,
-    families,
-    approach,
-    ripples,
-)
+CONSEQUENCES: tuple[Kind, ...] = plausibility.KINDS + joint_motions.KINDS
 """Faults in every fit that may follow from another one, and then are not told."""
 
-SHOWN: tuple[Kind, ...] = (
-    *FACTS,
-    approach_order,
-    modeled_drift,
-    modeled_warm_up,
-)
+SHOWN: tuple[Kind, ...] = (*facts.KINDS, joint_motions.approach_order, *course.MODELED)
 """Faults in every fit that the measurements show whatever else is wrong."""
 
 FOLLOW = (
@@ -165,50 +117,49 @@ def explained(
     Raises:
         InputError: If one is raised within, or the joints did not move.
     """
-    require_motion(data)
+    facts.require_motion(data)
     try:
         yield
     except OptionError:
         raise
     except InputError as error:
-        if not len(data):
-            raise
-        case = _tried(lambda given: Case.of_none(*given), (chains, data, setup, others))
-        if case is None:
-            raise
-        found = _tried(_explanation, case)
-        if found is None:
-            raise
-        first = next(finding(case, found))
-        said = f"{first.message}; {first.remedy}; otherwise {error.reason}"
-        file = error.file or next(iter(data.files.distinct), None) or None
-        raise InputError(said, file=file) from error
+
+        def look(given: Setup) -> Iterator[Finding]:
+            case = Case.of_none(chains, data, given, others)
+            found = _explanation(case)
+            yield from finding(case, found) if found else ()
+
+        for first in _told(look, setup)[:1] if len(data) else ():
+            said = f"{first.message}; {first.remedy}; otherwise {error.reason}"
+            file = error.file or next(iter(data.files.distinct), None) or None
+            raise InputError(said, file=file) from error
+        raise
 
 
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
-    for kind in (constant_orientation, gauge_readings):
+    for kind in (facts.constant_orientation, facts.gauge_readings):
         if told := _told(kind, case):
             return told
-    sets = _told(joint_sets, case)
-    better = [found for found in sets if found.setup]
-    if better:
+    sets = _told(readings.joint_sets, case)
+    if better := [found for found in sets if found.setup]:
         # What one column lags behind another is no lag of its joint.
         return (min(better, key=lambda found: _left([found])),)
-    in_time = _told(changed, case)
-    sure = _tried(joint_motion, case)
+    in_time = _told(course.changes, case)
+    sure = _tried(joint_motions.joint_motion, case)
     if sure is not None and sure.fitted:
         # What bends follows joints as well, and the position of one most of all.
         _, left = _tried(lambda case: case.lacking, case) or ((), 1.0)
-        bent = case.fit.errors * np.sqrt(left)
-        sure = None if bent < CLEARER * sure.after else sure
+        sure = None if case.fit.errors * np.sqrt(left) < CLEARER * sure.after else sure
     turned = [found for found in in_time if found.code == "joint-rehomed"]
     if sure is not None and not _left(turned) < CLEARER * sure.after:
         # A nominal robot that is read wrong makes plateaus of its own.
         return tuple(finding(case, sure))
-    in_time = in_time or _told(drift, case)
+    in_time = in_time or _told(course.drift, case)
     causes = tuple(found for found in in_time if found.severity == "error")
-    if case.doubtful and not _explained(case, causes):
+    # As little may be left if these are corrected as a calibration leaves.
+    enough = DOUBTFUL * expected_size(case.fit.quantity.unit)
+    if case.doubtful and not _left(causes) < enough:
         explanation = _tried(_explanation, case)
         # Of the nominal robot more is left than of a fit: the parts are compared, too.
         if explanation is not None and (
@@ -221,30 +172,26 @@ def _sought(case: Case) -> tuple[Finding, ...]:
 
 def _explanation(case: Case) -> Explanation | None:
     """The likeliest one; boards apart cost few trials, and hide all others."""
-    apart = explain(case, (target_frames,))
+    apart = explain(case, (readings.target_frames,))
     # A fit that leaves as little needs no further frames.
     if apart is not None and (case.fitted is None or apart.after < case.fit.errors):
         return apart
-    return explain(case, EXPLANATIONS)
+    return explain(case, readings.FAMILIES)
 
 
-def _tried(look: Callable[[_Given], _Fault | None], case: _Given) -> _Fault | None:
+def _tried(look: Callable[[_Given], _Fault | None], given: _Given) -> _Fault | None:
     """A fault, if there is; None of measurements too absurd to compute with."""
     try:
-        return look(case)
+        return look(given)
     except (CalibPinError, np.linalg.LinAlgError):
         return None
 
 
-def _told(kind: Kind, case: Case) -> tuple[Finding, ...]:
+def _told(
+    kind: Callable[[_Given], Iterable[Finding]], given: _Given
+) -> tuple[Finding, ...]:
     """The findings of a kind, none of measurements too absurd to compute with."""
-    return _tried(lambda case: tuple(kind(case)), case) or ()
-
-
-def _explained(case: Case, causes: Iterable[Finding]) -> bool:
-    """Whether as little is left if these are corrected as a calibration leaves."""
-    unit = case.fit.problem.layout.quantities[0].unit
-    return _left(causes) < DOUBTFUL * expected_size(unit)
+    return _tried(lambda given: tuple(kind(given)), given) or ()
 
 
 def _left(causes: Iterable[Finding], part: bool = False) -> float:

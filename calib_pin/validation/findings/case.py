@@ -1,4 +1,9 @@
-"""The measurements and the fit in which faults of the data are sought."""
+"""The measurements in which faults are sought, and a fit to them in a few steps.
+
+Faults are further columns of the Jacobian of this fit, whose gain is scored to first
+order (`QuickFit.score`) and fitted with the robot (`sized`), or other readings
+of the file, of which such fits are compared (`explanations`).
+"""
 
 from __future__ import annotations
 
@@ -6,24 +11,73 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import EXACT, Problem, error_table
+from calib_pin.estimation.identifiability import column_space, nuisance_basis
+from calib_pin.estimation.problem import EXACT, Problem, error_table, measured_count
+from calib_pin.estimation.registration import registered
+from calib_pin.estimation.solve import refine
+from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.statistics.variance_components import candidates
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.progress import Progress
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.quick_fit import QuickFit, below_sheet, located
 from calib_pin.validation.result import ToolAccuracy
+
+CHANCE = 1e-4
+"""Probability that chance alone tells a fault: the one level of significance of all
+kinds, corrected for the number of those that are tried."""
+
+REDUNDANCY = 2.0
+"""Least number of values, by unknowns, to tell errors of the robot from others."""
+
+SIZE = 10.0
+"""Expected size of the robot's errors, in scales, while explanations are sought."""
+
+STEPS = 2
+"""Steps of a quick fit."""
+
+CLEARER = 0.95
+"""Part of the errors that its rivals leave that an alternative leaves at most, and part
+of its own that another one beside it must leave to be worth a trial."""
+
+SETTLED = 0.99
+"""Part of the errors that a further step must leave at most."""
+
+SIZINGS, STILL = 12, 0.1
+"""Most steps in which factors of further columns are fitted (an offset of 60 deg takes
+seven), and change of one, in its standard deviations, after which no more are taken, if
+the robot has settled, too."""
+
+ROUGH = 1e-3
+"""Part of the cost that a step must promise where frames are fitted in a trial."""
+
+LOCATING = 10
+"""Most steps in which frames are fitted in a trial: of a robot six are enough."""
+
+KEPT, FEW = 0.75, 12
+"""Part of the measurements that counts, as outliers may stand beside another fault, and
+configurations from which it does: of fewer all are needed to tell anything."""
+
+LOST = 1e6
+"""Most that a measurement errs, in standard deviations: its beam meets no plane."""
+
+FLAT = 0.03
+"""Heights of points of a sheet, as parts of its size."""
+
+STEP = 1e-7
+"""Step of differences by joint positions [rad, m]: the motion that a fit can absorb is
+known far better than that by which others are told."""
 
 MEASUREMENTS = 300
 """Measurements that are looked at; more do not make it clearer."""
@@ -34,13 +88,11 @@ DOUBTFUL = 0.5
 A calibrated robot leaves less, unless its gears and links bend.
 """
 
-
 FOREIGN = 20.0
 """Errors of a nominal robot, in the same sizes, that hardly any robot has."""
 
 ABSURD = 200.0
 """Errors of a nominal robot, in the same sizes, that no robot has."""
-
 
 REBUILT = 60.0
 """Correction of an origin, in the same sizes, that makes another robot of it."""
@@ -51,19 +103,403 @@ FAR = 8.0
 SOME = 0.1
 """Largest part of the measurements that are outliers of it; more are another fault."""
 
-STEPS = 8
+COMPARED = 8
 """Most steps of the fit to measurements that a robot is compared with."""
-
-ROUNDS = 3
-"""Most rounds in which they are found."""
-
-
-CHANCE = 1e-4
-"""Probability by chance below which a fault is told: parameters that are missing,
-copies, a ripple of a gear, a robot unlike its fleet."""
 
 LACKING = 0.5
 """Part of the sum of squares that they leave at most."""
+
+_Fitted = TypeVar("_Fitted", bound="QuickFit")
+
+
+def unlikely(tried: int = 1) -> float:
+    """Logarithm of the likelihood ratio that the best of so many has by no chance."""
+    return float(np.log(max(tried, 1) / CHANCE))
+
+
+def by_chance(before: float, after: float, count: int, dof: int) -> float:
+    """Probability that chance explains as much (F test).
+
+    Args:
+        before: Sum of squared errors.
+        after: The same with so many further numbers.
+        count: Number of these.
+        dof: Number of values that unknowns do not use up then.
+    """
+    gain = max(before - after, 0.0) / count
+    return f_tail(gain / max(after / dof, 1e-300), count, dof)
+
+
+def located(problem: Problem, thorough: bool = False) -> Problem:
+    """A problem about roughly registered frames and references.
+
+    The closed form is enough to tell a robot from none; without a measurement frame
+    there may be nothing in closed form, and it is fitted.
+
+    Args:
+        problem: The problem.
+        thorough: Whether they are fitted in any case: of a camera the closed form is
+            off by dozens of pixels where there are few images.
+    """
+    zero = np.zeros(len(problem.parameters))
+    terms, problem = problem.terms.values(), registered(problem, zero)
+    external = any(term.measurement.declaration.external for term in terms)
+    if external and not thorough:
+        return problem
+    basis = nuisance_basis(problem.parameters)
+    return problem.rebased(refine(problem, zero, basis, ROUGH, LOCATING).x)[0]
+
+
+def below_sheet(problem: Problem) -> bool:
+    """Whether a robot hangs upside down from the sheet whose points it touches.
+
+    Points of a plane do not tell a robot from its mirror image, some of whose joints
+    are reversed; where z = 0 the robot stands on them, unless a guess says otherwise.
+    """
+    base = problem.setup.base_frame
+    if {*problem.data.models} != {"position"} or base.estimate is False or base.rpy:
+        return False
+    points = np.vstack([block.data.values for block in problem.blocks])
+    flat = np.abs(points[:, 2]).max() < FLAT * np.ptp(points[:, :2], axis=0).max()
+    up = [term.error.base.rotation[2, 2] for term in problem.by_chain.values()]
+    return bool(flat and max(up) < -0.5)
+
+
+def counted(problem: Problem) -> float:
+    """Part of the measurements that counts."""
+    return KEPT if problem.data.configurations >= FEW else 1.0
+
+
+def mean_squares(problem: Problem, theta: Floats, scale: float = 1.0) -> Floats:
+    """Squared error of each measurement, in standard deviations, shape (N,).
+
+    Lengths that were scaled count in the unit of the file: what is scaled down is no
+    better for that.
+    """
+    sigma = problem.layout.table(problem.given_sigma, len(problem.data))
+    for quantity in problem.layout.quantities:
+        if quantity.unit == "m":
+            sigma[:, quantity.columns] *= scale
+    squares = np.minimum((error_table(problem, theta) / sigma) ** 2, LOST**2)
+    return np.asarray(np.nanmean(squares, axis=1))
+
+
+def trimmed(
+    problem: Problem, bound: float = np.inf, scale: float = 1.0
+) -> tuple[float, Floats]:
+    """Errors of the nominal robot where the best part of the measurements has it.
+
+    They locate the robot once more without the others, which outliers are among, if
+    they leave less than a bound; see `mean_squares` for the scale.
+
+    Returns:
+        Errors of that part, rms in standard deviations, and mean squares of all, (N,).
+    """
+    size = np.inf
+    zero, squares = np.zeros(len(problem.parameters)), np.zeros(len(problem.data))
+    for again in (False, True):
+        problem = located(problem)
+        if below_sheet(problem):
+            return np.inf, squares
+        squares = mean_squares(problem, zero, scale)
+        limit = np.quantile(squares, counted(problem))
+        size = float(np.sqrt(np.mean(squares[squares <= limit])))
+        if size >= bound or again:
+            break
+        weight = (squares <= limit).astype(float)
+        problem = replace(problem, data=problem.data.weighted(weight))
+    return size if np.isfinite(size) else np.inf, squares
+
+
+@dataclass(frozen=True)
+class Score:
+    """The gain of further columns on the errors that a fit leaves, to first order.
+
+    Attributes:
+        left: Part of the sum of squares that they leave, 0 to 1.
+        chance: Probability that chance explains as much (F test).
+        values: Estimated factor of each column, shape (k,).
+        deviations: Their standard deviations, shape (k,).
+    """
+
+    left: float
+    chance: float
+    values: Floats
+    deviations: Floats
+
+
+@dataclass(frozen=True)
+class QuickFit:
+    """Measurements with the errors of the robot fitted to them, in a few steps.
+
+    Attributes:
+        problem: The problem about its registered references.
+        theta: Parameter values, shape (P,).
+        whole: Whether the robot's errors count however few measurements there are.
+        robot: Whether they count at all; only the frames are fitted otherwise.
+    """
+
+    problem: Problem
+    theta: Floats
+    whole: bool = field(default=False, kw_only=True)
+    robot: bool = field(default=True, kw_only=True)
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        steps: int = STEPS,
+        *,
+        thorough: bool = False,
+        **more: Any,
+    ) -> Self:
+        """Register the nominal robot, and fit its errors where that says something.
+
+        The best step counts: none where all of them lead away.
+
+        Args:
+            problem: The problem.
+            steps: Most steps, of which each beyond the first ones must leave less.
+            thorough: See `located`.
+            **more: Further attributes.
+
+        Raises:
+            CalibPinError: If a part of the measurements cannot be registered.
+            LinAlgError: If their errors have no derivative where the robot is.
+        """
+        problem = located(problem, thorough)
+        best = trial = cls(problem, np.zeros(len(problem.parameters)), **more)
+        for step in range(steps if trial.redundant else 0):
+            there = stepped(trial)
+            if not np.isfinite(there.linear[0]).all():
+                break  # A point came to lie behind the camera, say.
+            if step >= STEPS and not there.rms < SETTLED * trial.rms:
+                break
+            trial = there
+            best = trial if trial.rms < best.rms else best
+        return best
+
+    @cached_property
+    def redundant(self) -> bool:
+        """Whether the measurements tell errors of the robot from others."""
+        free = int(self.problem.parameters.free.sum())
+        return measured_count(self.problem) >= REDUNDANCY * free
+
+    @cached_property
+    def linear(self) -> tuple[Floats, Floats]:
+        """Whitened residual (M,), and its Jacobian by scaled parameters, (M, P)."""
+        r, J = self.problem.linearize_rows(self.theta)
+        count = len(self.problem.layout.row)
+        return r[:count], J[:count] * self.problem.parameters.scales
+
+    @cached_property
+    def system(self) -> tuple[Floats, Floats]:
+        """Columns of what is free, and residuals, above known distances and sizes."""
+        r, J = self.linear
+        parameters, known = self.problem.parameters, self.problem.further.distances
+        counts = self.robot and (self.redundant or self.whole)
+        free = parameters.free & (parameters.nuisance | counts)
+        robot = ~parameters.nuisance & free
+        prior = np.diag(np.where(robot, 1.0 / SIZE, 0.0))[robot]
+        # Without them contacts draw a robot together.
+        of_known = known.jacobian(self.theta) * parameters.scales
+        A = np.concatenate([J, of_known, prior])
+        A[:, ~free] = 0.0
+        pulls = prior @ (self.theta / parameters.scales)
+        b = np.concatenate([r, known.residual(self.theta), pulls])
+        return A[:, parameters.free], b
+
+    @cached_property
+    def unexplained(self) -> tuple[Floats, Floats]:
+        """Orthonormal basis of what is explained, and what it leaves of `system`."""
+        A, b = self.system
+        Q = column_space(A)
+        return Q, b - Q @ (Q.T @ b)
+
+    @cached_property
+    def left(self) -> int:
+        """Number of values that unknowns do not use up."""
+        (A, _), rows = self.system, len(self.problem.layout.row)
+        if not rows:
+            return 0
+        R, rounding = np.linalg.qr(A[:rows], mode="r"), rows * np.finfo(float).eps
+        rank = np.linalg.matrix_rank(R, rtol=rounding)
+        return measured_count(self.problem) - int(rank)
+
+    @cached_property
+    def rms(self) -> float:
+        """Errors left, in standard deviations, of what unknowns do not use up."""
+        r, _ = self.linear
+        return float(np.sqrt(r @ r / self.left)) if self.left > 0 else np.inf
+
+    @property
+    def largest_correction(self) -> float:
+        """The largest correction of the robot, in expected sizes."""
+        parameters = self.problem.parameters
+        sizes = np.abs(self.theta / parameters.scales)[~parameters.nuisance]
+        return float(sizes.max(initial=0.0))
+
+    @cached_property
+    def table(self) -> Floats:
+        """Its errors, see `error_table`, of what was not set aside, shape (N, D)."""
+        return error_table(self.problem, self.theta)[self.problem.data.weight > 0.0]
+
+    @property
+    def quantity(self) -> Quantity:
+        """The first quantity, whose errors findings tell."""
+        return self.problem.layout.quantities[0]
+
+    @property
+    def errors(self) -> float:
+        """Errors left of the first quantity, rms [its unit].
+
+        What was set aside does not count.
+        """
+        errors = self.quantity.errors(self.table)
+        return float(np.sqrt(np.mean(errors**2)))
+
+    @cached_property
+    def by_joints(self) -> Floats:
+        """Whitened residual by the position of every joint, shape (M, n).
+
+        By differences; where a relative measurement starts does not move.
+        """
+        return self._by_positions("q")
+
+    @cached_property
+    def by_starts(self) -> Floats:
+        """The same by the joint positions where relative measurements start, (M, n)."""
+        return self._by_positions("start")
+
+    def _by_positions(self, name: str) -> Floats:
+        """Whitened residual by the positions of a name in every block, shape (M, n)."""
+        here, _ = self.linear
+        blocks, count = self.problem.data.blocks, len(self.problem.data.joints)
+        if not any(getattr(block, name).size for block in blocks):
+            return np.zeros((len(here), count))
+        # All at once, one joint after the other: most of an evaluation is overhead.
+        joint, moved = [], []
+        for block in blocks:
+            joint.append(np.repeat(np.arange(count), len(block)))
+            copies = block.rows(np.tile(np.arange(len(block)), count))
+            at = getattr(copies, name)
+            there = at + STEP * np.eye(count)[joint[-1]] if at.size else at
+            moved.append(replace(copies, **{name: there}))
+        problem = replace(self.problem, data=Observations(tuple(moved)))
+        row = problem.layout.row
+        order = np.argsort(np.concatenate(joint)[row], kind="stable")
+        there = problem.residual(self.theta)[: len(row)][order].reshape(count, -1)
+        return (there.T - here[:, None]) / STEP
+
+    def explaining(self, columns: Floats) -> Self:
+        """The same fit as if further columns were in it, to first order.
+
+        Args:
+            columns: Change of the whitened residual by each, shape (M, k).
+        """
+        (Q, r), U = self.unexplained, column_space(self.beyond(columns))
+        result = replace(self)
+        result.__dict__.update(
+            linear=self.linear,
+            by_joints=self.by_joints,
+            left=self.left - U.shape[1],
+            unexplained=(np.hstack([Q, U]), r - U @ (U.T @ r)),
+        )
+        return result
+
+    def beyond(self, columns: Floats) -> Floats:
+        """That part of further columns that the fit cannot do, as rows of `system`."""
+        Q, r = self.unexplained
+        X = np.zeros((len(r), columns.shape[1]))
+        X[: len(columns)] = columns
+        X -= Q @ (Q.T @ X)
+        return X
+
+    def score(self, columns: Floats) -> Score:
+        """Try further columns of the Jacobian, in units of their own.
+
+        Args:
+            columns: Change of the whitened residual by each, shape (M, k).
+        """
+        X, (_, r), count = self.beyond(columns), self.unexplained, columns.shape[1]
+        U, s, Vt = np.linalg.svd(X, full_matrices=False)
+        # What the fit can do already leaves rounding.
+        kept = s > max(1e-6 * float(np.linalg.norm(columns)), 1e-300)
+        U, inverse = U[:, kept], Vt[kept].T / s[kept]
+        along, total, k = U.T @ r, float(r @ r), int(kept.sum())
+        dof = self.left - k
+        if not k or dof <= 0 or total <= 0.0:
+            return Score(1.0, 1.0, np.zeros(count), np.full(count, np.inf))
+        rest = max(total - float(along @ along), 1e-300)
+        chance = by_chance(total, rest, k, dof)
+        deviations = np.sqrt(rest / dof * np.sum(inverse**2, axis=1))
+        return Score(rest / total, chance, -inverse @ along, deviations)
+
+
+def stepped(fit: _Fitted, data: Observations | None = None) -> _Fitted:
+    """One more step, to the same measurements read otherwise if they are given.
+
+    Raises:
+        LinAlgError: If their errors have no derivative where the robot is.
+    """
+    if data is not None:
+        fit = replace(fit, problem=replace(fit.problem, data=data))
+    (A, b), parameters = fit.system, fit.problem.parameters
+    if not (np.isfinite(A).all() and np.isfinite(b).all()):
+        raise np.linalg.LinAlgError("the errors have no derivative")
+    theta, free = fit.theta.copy(), parameters.free
+    theta[free] -= parameters.scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
+    return replace(fit, theta=theta)
+
+
+def sized(
+    fit: _Fitted,
+    sizes: Floats,
+    columns: Callable[[_Fitted], Floats],
+    read: Callable[[Floats], Observations],
+) -> tuple[_Fitted, Floats]:
+    """A fit with further columns, and their factors, where both have settled.
+
+    Args:
+        fit: The fit without them.
+        sizes: Factors to begin with, shape (k,).
+        columns: Change of the whitened residual of a fit by each, (M, k).
+        read: The measurements as they are read with some factors.
+    """
+    for _ in range(SIZINGS if len(sizes) else 0):
+        score, before = fit.score(columns(fit)), fit.rms
+        sizes = sizes + score.values
+        fit = stepped(fit, read(sizes))
+        still = (np.abs(score.values) < STILL * score.deviations).all()
+        if still and fit.rms > SETTLED * before:
+            break
+    return fit, sizes
+
+
+def squares(fit: QuickFit) -> float:
+    """Sum of the squared errors that a fit leaves, in standard deviations."""
+    return fit.rms**2 * fit.left
+
+
+def surpasses(
+    fit: QuickFit, left: float, count: int, rivals: Floats, tried: int = 1
+) -> bool:
+    """Whether an alternative explains more than chance and its rivals do.
+
+    Args:
+        fit: The fit without it.
+        left: Sum of the squared errors that it leaves.
+        count: Number of its parameters.
+        rivals: Columns of what else may be, shape (M, k).
+        tried: Number of alternatives among which it is the best.
+    """
+    dof, rest = fit.left - count, fit.left - rivals.shape[1]
+    if min(dof, rest) < 1:
+        return False  # There are too few measurements to compare.
+    others = squares(fit) * fit.score(rivals).left / rest
+    beyond = by_chance(squares(fit), left, count, dof) * tried < CHANCE
+    return beyond and left / dof < CLEARER**2 * others
+
 
 Others = Callable[[], Iterable[Chains]]
 """Chains with the same joints of other robots that may have been measured; asked only
@@ -116,7 +552,7 @@ class Case:
         """
         none = Case.of_none(chains, data, setup, others)
         problem = none.fit.problem
-        fit = QuickFit.of(replace(problem, data=_without_outliers(problem)), STEPS)
+        fit = QuickFit.of(replace(problem, data=_without_outliers(problem)), COMPARED)
         nominal = np.where(fit.problem.parameters.nuisance, fit.theta, 0.0)
         return replace(none, fit=fit, nominal=nominal)
 
@@ -136,12 +572,12 @@ class Case:
 
     def unit(self, joint: str) -> str:
         """Unit of a joint's position; one that is in no chain turns."""
-        return "rad" if self._revolute.get(joint, True) else "m"
+        return "rad" if self.turns(joint) else "m"
 
-    @cached_property
-    def _revolute(self) -> dict[str, bool]:
-        chains = self.chains
-        return dict(zip(chains.joints, chains.revolute.tolist(), strict=True))
+    def turns(self, joint: str) -> bool:
+        """Whether a joint turns; one that is in no chain does."""
+        joints, revolute = self.chains.joints, self.chains.revolute
+        return joint not in joints or bool(revolute[joints.index(joint)])
 
     @property
     def setup(self) -> Setup:
@@ -177,12 +613,8 @@ class Case:
     @cached_property
     def errors_nominal(self) -> float:
         """The same of the registered nominal robot."""
-        return self._errors(self.nominal_table[self.fit.problem.data.weight > 0.0])
-
-    @cached_property
-    def nominal_table(self) -> Floats:
-        """Errors of the registered nominal robot, see `error_table`, shape (N, D)."""
-        return error_table(self.fit.problem, self.nominal)
+        table = error_table(self.fit.problem, self.nominal)
+        return self._errors(table[self.fit.problem.data.weight > 0.0])
 
     def _errors(self, table: Floats) -> float:
         sizes = [np.inf if below_sheet(self.fit.problem) else 0.0]
@@ -228,19 +660,10 @@ class Case:
 
 def _without_outliers(problem: Problem) -> Observations:
     """Measurements, without weight where the nominal robot fits them far worse."""
-    data, zero = problem.data, np.zeros(len(problem.parameters))
-    for _ in range(ROUNDS):
-        there = located(replace(problem, data=data))
-        sigma = there.layout.table(there.given_sigma, len(data))
-        table = np.nan_to_num(error_table(there, zero) / sigma, posinf=1e9)
-        size = np.sqrt(np.sum(table**2, axis=1))
-        out = size > FAR * max(float(np.median(size)), 1.0)
-        if not 0.0 < out.mean() <= SOME:
-            break
-        if np.array_equal(out, data.weight == 0.0):
-            break
-        data = data.weighted(np.where(out, 0.0, 1.0))
-    return data
+    size = np.sqrt(trimmed(problem)[1])
+    out = size > FAR * max(float(np.median(size)), 1.0)
+    few = out.mean() <= SOME
+    return problem.data.weighted(np.where(out & few, 0.0, 1.0))
 
 
 def some_of(data: Observations) -> tuple[Observations, Indices]:

@@ -1,69 +1,105 @@
-"""Findings of what changes in the course of the measurements, at a row or evenly.
+"""Changes in the course of a job: at a row, or evenly.
 
-A change at a row is a step of its columns, a drift is a ramp of the same ones. A ramp
-must explain more than other curves of about the same smoothness do, cosines of two half
-waves and more over the files; a step more than bent ramps.
+A frame is six columns of the Jacobian and the zero of a joint is one. A change is a
+step of these columns at a row. In the order of the files every row is tried as the
+first one behind a change: to first order the gain is a likelihood ratio, and all rows
+together take as long as one (prefix sums). The best of them divides the measurements,
+everything is fitted anew, and so on, as long as it pays (binary segmentation). A drift
+is a ramp of the same columns. It must explain more than other curves of about the same
+smoothness do, cosines of two half waves and more over the files; a step more than bent
+ramps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.problem import EXACT
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.problem import EXACT, Problem, measured_count
 from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
-from calib_pin.measurement_models.readings import place_of
-from calib_pin.observations import Booleans, Indices
-from calib_pin.parameterizations.base import expected_size
-from calib_pin.parameterizations.drift import InstrumentDrift
+from calib_pin.measurement_models.readings import place_of, with_positions
+from calib_pin.observations import (
+    FRAMES,
+    BlockKey,
+    Booleans,
+    Indices,
+    Labels,
+    Observations,
+    apart,
+)
+from calib_pin.parameterizations.base import COMPONENTS, expected_size
+from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
+from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.setup import AXES, ReadingSetup
-from calib_pin.units import DISPLAY
-from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.changes import (
-    CHANCE,
-    Kind,
-    Trial,
-    changes_of,
-    concerned,
+from calib_pin.validation.findings.case import (
+    Case,
+    QuickFit,
+    Score,
+    sized,
     squares,
     surpasses,
+    unlikely,
 )
-from calib_pin.validation.findings.quick_fit import Score
-from calib_pin.validation.findings.setup_lines import lines_of, written
+from calib_pin.validation.findings.explanations import FITTED
+from calib_pin.validation.findings.sentences import lines_of, shown, told, written
 
-KINDS: dict[Kind, tuple[str, str, str]] = {
-    "station": (
-        "instrument-moved",
-        "the instrument{} moved",
-        "give the two parts different stations (a column 'station', or "
-        "--station-per-file)",
-    ),
-    "tool": (
-        "tool-remounted",
-        "the tool{} was re-mounted",
-        "give the two parts different tools (a column 'tool')",
-    ),
-    "joint": (
-        "joint-rehomed",
-        "the zero of joint{} changed",
-        "measure anew, or calibrate what was measured before and behind apart",
-    ),
+Kind = Literal["station", "tool", "joint"]
+
+KINDS: dict[Kind, tuple[str, str]] = {
+    "station": ("instrument-moved", "the instrument{} moved"),
+    "tool": ("tool-remounted", "the tool{} was re-mounted"),
+    "joint": ("joint-rehomed", "the zero of joint{} changed"),
 }
-"""Code, words and remedy of a change, by what changes."""
+"""Code and words of a change, by what changes."""
 
 TRANSFORM = ("x", "y", "z", "rx", "ry", "rz")
 """A new frame in the old one: position and rotation vector."""
 
-LEFT, SURE, LARGE = 0.85, 0.6, 0.3
+LEAST = -2.0 * unlikely()
+"""Change of the logarithm of the likelihood, doubled, that another change asks for."""
+
+FURTHER = 4.0
+"""How many times the squares of a further change a change explains."""
+
+LOOKED_AT = 0.76
+"""Part of the squares that a change leaves at most, to first order, for a closer look:
+without a plateau it is as much and more."""
+
+LEFT, SETTLED = 1.0 / 3.0, 1.5
+"""Part of the errors that all changes leave at most (a drift of the instrument leaves
+one half with one frame more), and errors that small ones leave, by those of the fit
+without what it has set aside."""
+
+CONFIGURATIONS = 6
+"""Least configurations on each side of a change."""
+
+SEEN = 1e-4
+"""Part of what a change does that the fit cannot do, below which it is none."""
+
+MOST, STEPS = 10, 6
+"""Changes that are sought, and steps in which their rows are found."""
+
+FEW = 1.0 / 3.0
+"""Part of the redundant values up to which smooth errors of all joints are rivals."""
+
+UNKNOWNS = 500
+"""Most parameters of a job that is looked at."""
+
+LASTING, LARGE = 0.85, 0.3
 """Part of the errors that a drift leaves at most: what bends in real robots leaves 0.88
-and more, drifts that cost twice the noise less than 0.8. The part and the errors that
-it causes, in expected sizes, from which it takes the trust."""
+and more, drifts that cost twice the noise less than 0.8. And errors that it causes, in
+expected sizes, from which it takes the trust, if it leaves half of them at most."""
 
 WAVES = range(2, 10)
 """Half waves of the curves that it is compared with."""
@@ -73,16 +109,326 @@ PARTS = (
     "when everything is warm"
 )
 
-Numbers = dict[str, float | str]
+
+class Change(NamedTuple):
+    """A frame, or the zero of a joint, that differs from some measurement on.
+
+    Attributes:
+        kind: Whose frame, or the zero of a joint.
+        keys: Blocks that it concerns.
+        joint: Column of the joint.
+        rank: Place of the first measurement behind it, in the order of the files.
+        size: How much farther that joint stands [rad, m].
+    """
+
+    kind: Kind
+    keys: frozenset[BlockKey]
+    joint: int = 0
+    rank: int = 0
+    size: float = 0.0
 
 
-def changed(case: Case) -> Iterator[Finding]:
+def subjects(problem: Problem) -> Iterator[Change]:
+    """The frames and joint zeros that may change in a problem."""
+    data = problem.data
+    for kind in FRAMES:
+        found: dict[str, list[BlockKey]] = {}
+        for key, term in problem.terms.items():
+            found.setdefault(getattr(term.frames, kind), []).append(key)
+        for keys in found.values():
+            yield Change(kind, frozenset(keys))
+    if not any(block.start.size for block in data.blocks):
+        for joint in range(len(data.joints)):
+            yield Change("joint", frozenset(data.keys), joint)
+
+
+def concerned(data: Observations, change: Change) -> Booleans:
+    """Mask of the measurements that have what changes, shape (N,)."""
+    has = np.array([key in change.keys for key in data.keys])
+    return np.asarray(has[data.block_of])
+
+
+def changed(
+    data: Observations, rank: Indices, changes: Sequence[Change]
+) -> tuple[Observations, Indices]:
+    """Measurements with names of their own for frames, and joints where they stood.
+
+    Args:
+        data: The measurements.
+        rank: Place of each in the order of the files, shape (N,).
+        changes: What has changed.
+
+    Returns:
+        The measurements in their new blocks, and the position of each of these among
+        what they were.
+    """
+    q, behind = data.q.copy(), np.zeros((len(FRAMES), len(rank)), int)
+    for change in changes:
+        own = concerned(data, change) & (rank >= change.rank)
+        if change.kind == "joint":
+            q[own, change.joint] += change.size
+        else:
+            behind[FRAMES.index(change.kind)] += own
+    data, index = with_positions(data, q), np.arange(len(q))
+    names = ("", *(f"~{k + 1}" for k in range(len(changes))))
+    for kind, count in zip(FRAMES, behind, strict=True):
+        data, rows = apart(data, kind, Labels(names, count[index]))
+        index = index[rows]
+    return data, index
+
+
+@dataclass(frozen=True)
+class Trial(QuickFit):
+    """Measurements with their changes, fitted.
+
+    Attributes:
+        plain: The problem of these without changes.
+        rank: Place of each in the order of the files, shape (N,).
+        changes: The changes, in the order in which they were found.
+        index: Position of each measurement in its new block among those, shape (N,).
+    """
+
+    plain: Problem
+    rank: Indices
+    changes: tuple[Change, ...]
+    index: Indices
+
+    @staticmethod
+    def at(plain: Problem, rank: Indices, changes: tuple[Change, ...]) -> Trial:
+        """A fit with changes at these rows.
+
+        Raises:
+            CalibPinError: If a part of the measurements cannot be registered.
+            LinAlgError: If their errors have no derivative where the robot is.
+        """
+        data, index = changed(plain.data, rank, changes)
+        problem = make_problem(plain.chains, data, plain.setup)
+        trial = Trial.of(problem, plain=plain, rank=rank, changes=changes, index=index)
+        zeros = [k for k, change in enumerate(changes) if change.kind == "joint"]
+
+        def of(sizes: Floats) -> tuple[Change, ...]:
+            found = [*changes]
+            for k, size in zip(zeros, sizes.tolist(), strict=True):
+                found[k] = found[k]._replace(size=size)
+            return tuple(found)
+
+        trial, sizes = sized(
+            trial,
+            np.array([changes[k].size for k in zeros]),
+            lambda fit: np.hstack([fit.step(changes[k]) for k in zeros]),
+            lambda sizes: changed(plain.data, rank, of(sizes))[0],
+        )
+        return replace(trial, changes=of(sizes)) if zeros else trial
+
+    def settled(self, changes: tuple[Change, ...]) -> Trial | None:
+        """The trial of changes at the rows where both sides of each fit best.
+
+        None where a part of the measurements cannot be registered.
+        """
+        try:
+            for _ in range(STEPS):
+                trial = Trial.at(self.plain, self.rank, changes)
+                changes = tuple(
+                    change._replace(rank=trial.place(k, self.plain.data, self.rank))
+                    for k, change in enumerate(trial.changes)
+                )
+                if changes == trial.changes:
+                    break
+            return trial
+        except (CalibPinError, np.linalg.LinAlgError):
+            return None
+
+    @cached_property
+    def redundant(self) -> bool:
+        """Whether errors of the robot are fitted: steps stand out of fewer values."""
+        free = int(self.problem.parameters.free.sum())
+        return measured_count(self.problem) > free
+
+    def columns(self, change: Change) -> Floats:
+        """Whitened residual by what changes, if it does so everywhere, shape (M, k)."""
+        if change.kind == "joint":
+            return self.by_joints[:, [change.joint]]
+        data, row, own = self.problem.data, self.problem.layout.row, []
+        for term in map(self.problem.terms.__getitem__, data.keys):
+            screws = slice(len(term.error.screws) - FRAME, len(term.error.screws))
+            own.append(term.index[slice(FRAME) if change.kind == "station" else screws])
+        columns = np.array(own)[data.block_of[row]]
+        seen = self.problem.parameters.free[columns]
+        seen &= concerned(self.plain.data, change)[self.index][row, None]
+        found = np.take_along_axis(self.linear[1], columns, axis=1) * seen
+        return found[:, found.any(axis=0)]
+
+    def step(self, change: Change) -> Floats:
+        """The same of what changes at its row."""
+        behind = self.rank[self.index] >= change.rank
+        return self.columns(change) * behind[self.problem.layout.row, None]
+
+    @property
+    def candidates(self) -> list[tuple[float, float, Change]]:
+        """The best row of each change, the likeliest first.
+
+        With the change of the likelihood, twice its negative logarithm and what its
+        parameters are worth (BIC), and the part of the squares that it leaves, both to
+        first order.
+        """
+        found, rank, groups = [], self.rank[self.index], self.problem.data.groups()
+        for subject in subjects(self.plain):
+            columns = self.columns(subject)
+            rows = np.flatnonzero(concerned(self.plain.data, subject)[self.index])
+            rows = rows[np.argsort(rank[rows])]
+            allowed = divisible(groups[rows])
+            if not columns.size or not allowed.any():
+                continue
+            gain = np.where(allowed, self._gains(columns, rows), 0.0)
+            best, count = int(np.argmax(gain)), len(columns)
+            left = max(1.0 - gain[best], 1e-12)
+            cost = count * np.log(left) + columns.shape[1] * np.log(count)
+            found.append((cost, left, subject._replace(rank=int(rank[rows[best]]))))
+        return sorted(found, key=lambda candidate: candidate[0])
+
+    def _gains(self, columns: Floats, rows: Indices) -> Floats:
+        """Part of the squares that a change at each of some measurements explains.
+
+        Args:
+            columns: See `columns`.
+            rows: The n measurements that it concerns, in the order of the files.
+        """
+        (Q, r), row = self.unexplained, self.problem.layout.row
+        place = np.full(len(self.problem.data), -1)
+        place[rows] = np.arange(len(rows))
+        some = np.argsort(place[row], kind="stable")
+        some = some[place[row[some]] >= 0]
+        B, first = columns[some], np.flatnonzero(np.diff(row[some], prepend=-1))
+        B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
+
+        def after(values: Floats) -> Floats:
+            return sums_behind(np.add.reduceat(values, first))
+
+        g = after(B * r[some, None])
+        C = after(Q[some][:, :, None] * B[:, None, :])
+        G = after(B[:, :, None] * B[:, None, :]) - np.swapaxes(C, 1, 2) @ C
+        sizes, V = np.linalg.eigh(G)
+        # What the fit can do already leaves rounding.
+        along = np.einsum("ni,nij->nj", g, V) ** 2
+        gains = np.where(sizes > SEEN, along / np.maximum(sizes, SEEN), 0.0)
+        return np.asarray(gains.sum(axis=1) / max(float(r @ r), 1e-300))
+
+    def stands_out(self, before: Trial) -> bool:
+        """Whether the last changes are more than all else that errors do in time.
+
+        Of unmodeled errors along a path one change explains as much as the next.
+
+        Args:
+            before: The trial without these changes.
+        """
+        new, left = self.changes[len(before.changes) :], squares(self)
+        further = min((left for _, left, _ in self.candidates), default=1.0)
+        if squares(before) - left < FURTHER * left * (1.0 - further):
+            return False
+        columns, row = before.columns(new[0]), before.problem.layout.row
+        time = (self.rank[before.index] / max(int(self.rank.max()), 1))[row, None]
+        q, joints = before.problem.data.q[row], before.by_joints
+        shapes = (time, time**2, q, np.sin(q), np.cos(q))
+        rivals = np.hstack([columns * time, columns * time**2])
+        smooth = np.hstack([rivals, *(joints * shape for shape in shapes)])
+        if smooth.shape[1] < FEW * before.left:
+            rivals = smooth
+        count = len(new) * columns.shape[1]
+        return surpasses(before, left, count, rivals, len(self.rank))
+
+    def place(self, k: int, data: Observations, rank: Indices) -> int:
+        """The best rank of a change if nothing else does.
+
+        Args:
+            k: Position of the change.
+            data: The measurements among which it is sought.
+            rank: Place of each in the order of the files, shape (N,).
+        """
+        change, others = self.changes[k], [*self.changes[:k], *self.changes[k + 1 :]]
+        ranks = [c.rank for c in others if c[:3] == change[:3]]
+        first = max((at for at in ranks if at <= change.rank), default=0)
+        last = min((at for at in ranks if at > change.rank), default=rank.max() + 1)
+        squares = np.zeros((2, len(rank)))
+        for side, at in enumerate((last, first)):
+            there, index = changed(data, rank, [*others, change._replace(rank=at)])
+            if any(key not in self.problem.terms for key in there.keys):
+                return change.rank
+            problem = replace(self.problem, data=there)
+            row = problem.layout.row
+            r = problem.residual(self.theta)[: len(row)]
+            r = np.where(np.isfinite(r), r, 1e6)
+            squares[side, index] = np.bincount(row, r**2, len(index))
+        within = concerned(data, change) & (rank >= first) & (rank < last)
+        mine = np.flatnonzero(within)[np.argsort(rank[within])]
+        # Those before a row have the old one, the others the new one.
+        old, new = squares[:, mine]
+        total = np.cumsum(old) - old + sums_behind(new)
+        allowed = divisible(data.groups()[mine]) | (rank[mine] == change.rank)
+        return int(rank[mine[np.argmin(np.where(allowed, total, np.inf))]])
+
+
+@serial_blas
+def changes_of(case: Case) -> tuple[Trial, Trial] | None:
+    """The measurements of a fit without changes, and with all that are found.
+
+    None where nothing has changed.
+
+    Args:
+        case: The case; what its fit has set aside is looked at as well.
+    """
+    fit, problem = case.fit, case.fit.problem
+    if problem.parameters.free.sum() > UNKNOWNS or fit.rms < EXACT:
+        return None
+    data, rank = problem.data.weighted(np.ones(len(case.rank))), case.rank
+    plain = replace(problem, data=data, units=np.zeros(0))
+    seen = Trial(plain, fit.theta, plain, rank, (), np.arange(len(rank)))
+    if all(left > LOOKED_AT for _, left, _ in seen.candidates):
+        return None
+    trials, more = list[Trial](), seen.settled(())
+    while more is not None and (not trials or more.rms < trials[-1].rms):
+        trials.append(more)
+        likely = [change for gain, _, change in more.candidates if gain < LEAST]
+        on = likely and len(trials) <= MOST
+        more = seen.settled((*more.changes, likely[0])) if on else None
+    while len(trials) > 1 and not trials[-1].stands_out(trials[-2]):
+        trials.pop()
+    if len(trials) < 2:
+        return None
+    first, last = trials[0], trials[-1]
+    # Outliers look like small moves; of these the fit without outliers leaves no more.
+    clear = last.rms <= max(LEFT * first.rms, SETTLED * fit.rms)
+    return (first, last) if clear and last.stands_out(first) else None
+
+
+def sums_behind(values: Floats) -> Floats:
+    """Sums of each value and all behind it, along the first axis."""
+    return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
+
+
+def divisible(labels: Indices) -> Booleans:
+    """Whether there are enough configurations before each measurement and from it on.
+
+    Args:
+        labels: Label of the configuration of each, in their order, shape (n,).
+    """
+
+    def different(order: Indices) -> Indices:
+        new = np.zeros(len(order), np.int64)
+        new[np.unique(order, return_index=True)[1]] = 1
+        return np.cumsum(new)
+
+    before = np.append(0, different(labels)[:-1])
+    behind = different(labels[::-1])[::-1]
+    return np.asarray(np.minimum(before, behind) >= CONFIGURATIONS)
+
+
+def changes(case: Case) -> Iterator[Finding]:
     """Frames and joint zeros that changed at a row, in their order."""
     found = changes_of(case)
     if found is None:
         return
     data, (first, last) = case.data.weighted(np.ones(len(case.data))), found
-    rank, told = np.argsort(data.in_order), []
+    rank, said = np.argsort(data.in_order), []
     places: dict[Kind, list[str]] = {kind: [] for kind in KINDS}
     for k in sorted(range(len(last.changes)), key=lambda k: last.changes[k].rank):
         change = last.changes[k]
@@ -95,24 +441,28 @@ def changed(case: Case) -> Iterator[Finding]:
         places[change.kind].append(place_of(data, behind))
         if change.kind == "joint":
             name = data.joints[change.joint]
-            size = _shown(case, name, "{:.2g}", abs(change.size))
-            numbers: Numbers = {"joint": name, "offset": change.size}
+            size = shown(abs(change.size), case.unit(name))
+            numbers: dict[str, Any] = {"joint": name, "offset": change.size}
         else:
             name = getattr(data.blocks[data.block_of[row]], change.kind)
             size, numbers = _frame(last, k)
         numbers |= {"file": file, "line": line}
         numbers |= {"rms_before": first.errors, "rms_after": last.errors}
         owner = " at station" if change.kind == "station" else ""
-        said = KINDS[change.kind][1].format(f"{owner} '{name}'" if name else "")
-        told.append((change.kind, f"{said} {where} ({size})", numbers))
+        of = KINDS[change.kind][1].format(f"{owner} '{name}'" if name else "")
+        said.append((change.kind, f"{of} {where} ({size})", numbers))
     moved, remounted = tuple(places["station"]), tuple(places["tool"])
     reading = lines_of(ReadingSetup(moved=moved, remounted=remounted))
-    setup = {"reading": reading} if reading else {}
-    undone = f", or state in the setup file: {written(setup)}" if setup else ""
-    for kind, said, numbers in told:
-        code, _, remedy = KINDS[kind]
-        figure, remedy = "residuals-over-order", remedy + undone
-        yield Finding(code, "error", said, numbers, remedy, setup, figure)
+    lines = {"reading": reading} if reading else {}
+    undone = f", or state in the setup file: {written(lines)}" if lines else ""
+    for kind, words, numbers in said:
+        remedy = f"give the two parts different {kind}s (a column '{kind}'"
+        remedy += ", or --station-per-file)" if kind == "station" else ")"
+        if kind == "joint":
+            remedy = "measure anew, or calibrate what was measured before and behind "
+            remedy += "apart"
+        how = (remedy + undone, lines, "over-order")
+        yield told(KINDS[kind][0], words, numbers, *how, error=True)
 
 
 def _sides(mine: Booleans, rank: Indices, at: int) -> Indices:
@@ -121,7 +471,7 @@ def _sides(mine: Booleans, rank: Indices, at: int) -> Indices:
     return own[np.searchsorted(rank[own], at) + np.array([-1, 0])]
 
 
-def _frame(trial: Trial, k: int) -> tuple[str, Numbers]:
+def _frame(trial: Trial, k: int) -> tuple[str, dict[str, Any]]:
     """How far the frame of a change stands from where it stood."""
     change, (settled, _) = trial.changes[k], trial.problem.rebased(trial.theta)
     data, mine = trial.problem.data, concerned(trial.plain.data, change)[trial.index]
@@ -133,21 +483,15 @@ def _frame(trial: Trial, k: int) -> tuple[str, Numbers]:
         A, B = one.error.base.inverse(), other.error.base.inverse()
     apart = A.inverse() * B
     distance = float(np.linalg.norm(apart.translation))
-    size = f"{distance:.3g} m" if distance >= 0.1 else f"{1e3 * distance:.3g} mm"
-    numbers: Numbers = {"distance": distance}
+    size = f"{distance:.3g} m" if distance >= 0.1 else shown(distance, "m", 3)
+    numbers: dict[str, Any] = {"distance": distance}
     vector = apart.translation.tolist()
     # Of a single point nobody knows how it is turned.
     if change.kind == "station" or len(one.measurement.quantities) > 1:
         vector += pin.log3(apart.rotation).tolist()
         numbers["angle"] = angle = float(np.linalg.norm(vector[3:]))
-        size += f", {np.degrees(angle):.3g} deg"
+        size += f", {shown(angle, 'rad', 3)}"
     return size, numbers | dict(zip(TRANSFORM, vector, strict=False))
-
-
-def _shown(case: Case, joint: str, form: str, *sizes: float) -> str:
-    """Motions of a joint that people read."""
-    unit, factor = DISPLAY[case.unit(joint)]
-    return f"{form.format(*(factor * size for size in sizes))} {unit}"
 
 
 def drift(case: Case) -> Iterator[Finding]:
@@ -156,37 +500,34 @@ def drift(case: Case) -> Iterator[Finding]:
     if not (case.informed and fit.rms > EXACT):
         return
     time = (case.rank / max(int(case.rank.max()), 1))[fit.problem.layout.row, None]
-    for told, columns, names in _drifts(case):
+    for words, columns, names in _drifts(case):
         score, count = fit.score(columns * time), columns.shape[1]
         waves = np.hstack([columns * np.cos(np.pi * k * time) for k in WAVES])
-        if surpasses(fit, squares(fit) * score.left, count, waves, 1):
+        if surpasses(fit, squares(fit) * score.left, count, waves):
             # One of more parts takes a part of what a simpler one explains.
-            cost = fit.left * np.log(score.left) - count * np.log(CHANCE)
-            found.append((cost, told, score, columns * time, names))
+            cost = fit.left * np.log(score.left) + count * unlikely()
+            found.append((cost, words, score, columns * time, names))
     if not found:
         return
-    _, told, score, ramp, names = min(found, key=lambda one: one[0])
+    _, words, score, ramp, names = min(found, key=lambda one: one[0])
     first = np.flatnonzero(fit.problem.layout.component == 0)
     left, now = (f.unexplained[1][first] for f in (fit.explaining(ramp), fit))
-    before = fit.errors
-    after = before * float(np.linalg.norm(left) / np.linalg.norm(now))
-    if after > LEFT * before:
+    before, part = fit.errors, float(np.linalg.norm(left) / np.linalg.norm(now))
+    if part > LASTING:
         return
-    unit = fit.problem.layout.quantities[0].unit
-    caused = np.sqrt(max(before**2 - after**2, 0.0))
-    large = caused > LARGE * expected_size(unit) and after < SURE * before
-    finding = told(case, score, names)
-    yield replace(
-        finding,
-        severity="error" if large else "warning",
-        message=f"{finding.message} from the first measurement to the last: without it "
-        f"{100 * after / before:.0f} % of the errors are left",
-        evidence={**finding.evidence, "rms_before": before, "rms_after": after},
-        figure="residuals-over-order",
-    )
+    caused = before * np.sqrt(max(1.0 - part**2, 0.0))
+    large = caused > LARGE * expected_size(fit.quantity.unit) and part < FITTED
+    code, said, numbers, remedy, lines = words(case, score, names)
+    said += " from the first measurement to the last: without it "
+    said += f"{100 * part:.0f} % of the errors are left"
+    numbers |= {"rms_before": before, "rms_after": part * before}
+    yield told(code, said, numbers, remedy, lines, "over-order", error=bool(large))
 
 
-Told = Callable[[Case, Score, Sequence[str]], Finding]
+Words = tuple[str, str, dict[str, Any], str, dict[str, Any]]
+"""Code, sentence, numbers, remedy and lines of a drift."""
+
+Told = Callable[[Case, Score, Sequence[str]], Words]
 
 
 def _drifts(case: Case) -> Iterator[tuple[Told, Floats, Sequence[str]]]:
@@ -210,7 +551,7 @@ def _drifts(case: Case) -> Iterator[tuple[Told, Floats, Sequence[str]]]:
     yield _of_joints, fit.by_joints, joints
 
 
-def _of_instrument(case: Case, score: Score, names: Sequence[str]) -> Finding:
+def _of_instrument(case: Case, score: Score, names: Sequence[str]) -> Words:
     """A displacement of what is measured can be taken out, one that also turns not."""
     parameters, kind, remedy = case.setup.parameters, InstrumentDrift.name, PARTS
     if kind not in parameters:
@@ -218,34 +559,89 @@ def _of_instrument(case: Case, score: Score, names: Sequence[str]) -> Finding:
         remedy += f"; or estimate it, with the setup lines {lines}"
         if not all(len(block.conditions.time) for block in case.data.blocks):
             remedy += " and a column 'time' [s]"
-    said = "the instrument drifts against the robot"
+    code, values = "instrument-drift", score.values
     if names == TRANSFORM:
-        return Finding("instrument-drift", "warning", said, remedy=remedy)
-    size = float(np.linalg.norm(score.values))
-    along = float(np.linalg.norm(score.values / size * score.deviations))
-    unit, factor = DISPLAY["m"]
-    shown = f"{factor * size:.2g} +- {factor * along:.1g} {unit}"
-    reading = {"reading": {"drift": [float(f"{v:.3g}") for v in score.values]}}
-    return Finding(
-        "instrument-drift",
-        "warning",
-        f"the measured values drift by {shown}",
-        dict(zip(names, score.values.tolist(), strict=True))
-        | {"drift": size, "sigma": along},
-        f"{remedy}; or state in the setup file: {written(reading)}",
-        reading,
-    )
+        return code, "the instrument drifts against the robot", {}, remedy, {}
+    size = float(np.linalg.norm(values))
+    sigma = float(np.linalg.norm(values / size * score.deviations))
+    numbers = dict(zip(names, values.tolist(), strict=True))
+    numbers |= {"drift": size, "sigma": sigma}
+    reading = {"reading": {"drift": [float(f"{v:.3g}") for v in values]}}
+    said = f"the measured values drift by {_with_sigma(size, sigma, 'm')}"
+    remedy += f"; or state in the setup file: {written(reading)}"
+    return code, said, numbers, remedy, reading
 
 
-def _of_joints(case: Case, score: Score, names: Sequence[str]) -> Finding:
+def _of_joints(case: Case, score: Score, names: Sequence[str]) -> Words:
     """Joint positions that drift, as those of a robot that grows warm."""
     worst = int(np.argmax(np.abs(score.values) / score.deviations))
-    value, deviation = float(score.values[worst]), float(score.deviations[worst])
-    shown = _shown(case, names[worst], "{:.2g} +- {:.1g}", value, deviation)
-    return Finding(
-        "robot-drift",
-        "warning",
-        f"the joint positions drift, most of all '{names[worst]}' by {shown}",
-        {"joint": names[worst], "drift": value, "sigma": deviation},
-        "let the robot warm up before it is measured",
-    )
+    value, sigma = float(score.values[worst]), float(score.deviations[worst])
+    name, remedy = names[worst], "let the robot warm up before it is measured"
+    said = f"the joint positions drift, most of all '{name}' by "
+    said += _with_sigma(value, sigma, case.unit(name))
+    numbers = {"joint": name, "drift": value, "sigma": sigma}
+    return "robot-drift", said, numbers, remedy, {}
+
+
+def _with_sigma(size: float, sigma: float, unit: str) -> str:
+    """A size with its standard deviation."""
+    return f"{shown(size, unit).split()[0]} +- {shown(sigma, unit, 1)}"
+
+
+def modeled_drift(case: Case) -> Iterator[Finding]:
+    """How far every instrument went, and from where to where in the end."""
+    if InstrumentDrift.name not in case.setup.parameters or case.fitted is None:
+        return
+    values = dict(zip(case.fit.problem.parameters.names, case.fit.theta, strict=True))
+    for station, (first, last) in case.setup.drift.spans.items():
+        name, steps = f"{station}.{InstrumentDrift.name}.", range(1, INCREMENTS + 1)
+        each = [[values.get(f"{name}{a}{k}", 0.0) for a in COMPONENTS] for k in steps]
+        ways = np.cumsum(each, axis=0)
+        shift, turn = (np.linalg.norm(ways[:, k : k + 3], axis=1) for k in (0, 3))
+        owner = "" if station == "base" else f" at station '{station}'"
+        said = f"the instrument{owner} has drifted by {shown(shift[-1], 'm')} and "
+        said += f"{shown(turn[-1], 'rad')} in {_duration(last - first)}"
+        numbers = {"station": station, "seconds": last - first}
+        numbers |= {"shift": shift[-1], "turn": turn[-1]}
+        numbers |= {"largest_shift": shift.max(), "largest_turn": turn.max()}
+        yield told("modeled-drift", said, numbers, info=True)
+
+
+def modeled_warm_up(case: Case) -> Iterator[Finding]:
+    """How far the tool moves as the robot warms up, rms where it was measured."""
+    if WarmUp.name not in case.setup.parameters or case.fitted is None:
+        return
+    problem, thermal, moved = case.fit.problem, case.fit.problem.setup.thermal, []
+    for block in problem.data.blocks:
+        term = problem.terms[block.key]
+        q, own = block.q[:, term.columns], case.fit.theta[term.of_error]
+        cold, warm = (
+            term.error.basis(q, replace(block.conditions, time=time))
+            for time in (np.full(len(q), thermal.switched_on[0]), np.zeros(0))
+        )
+        both = term.error.poses(q, own, cold) - term.error.poses(q, own, warm)
+        moved.append(both[:, :3, 3])
+    size = float(np.sqrt(np.mean(np.sum(np.concatenate(moved) ** 2, axis=1))))
+    constant = thermal.warm_up_time or 0.0
+    said = f"the cold robot has its tool {shown(size, 'm')} (rms) from where the warm "
+    said += f"one has it, and covers 63 % of that in {_duration(constant)}; the "
+    said += "geometry is that of the warm robot"
+    numbers = {"cold": size, "time_constant": constant}
+    yield told("modeled-warm-up", said, numbers, info=True)
+
+
+def _duration(seconds: float) -> str:
+    """A time as people tell it.
+
+    Examples:
+        >>> _duration(10800.0), _duration(90.0)
+        ('3 h', '1.5 min')
+    """
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"
+
+
+MODELED = (modeled_drift, modeled_warm_up)
+"""Remarks on drifts that are modeled."""

@@ -1,4 +1,4 @@
-"""Explanations of measurements that no robot explains, tried one after the other.
+"""How measurements could be read otherwise, and which reading explains them.
 
 A controller counts a joint the other way, a file exchanges two columns, measurements
 stand one line below their joints. Each leaves hundreds of millimeters that no
@@ -10,30 +10,47 @@ fitted as well, for one explanation at a time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
-from functools import cached_property
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import CalibPinError
+from calib_pin.errors import CalibPinError, InputError
+from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import Problem, error_table, measured_count
+from calib_pin.estimation.problem import Problem, measured_count
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
-from calib_pin.observations import Observations
+from calib_pin.measurement_models.readings import read_otherwise
+from calib_pin.observations import Measurements, Observations
+from calib_pin.observations.blocks import of_joints
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.setup import Setup
-from calib_pin.validation.findings.case import DOUBTFUL, FOREIGN, Case
-from calib_pin.validation.findings.hypotheses import (
-    FITTED,
-    Explanation,
-    Hypothesis,
-    read_so,
+from calib_pin.setup import JointMap, ReadingSetup, Setup
+from calib_pin.validation.findings.case import (
+    CLEARER,
+    DOUBTFUL,
+    FOREIGN,
+    Case,
+    QuickFit,
+    below_sheet,
+    counted,
+    trimmed,
+    unlikely,
 )
-from calib_pin.validation.findings.quick_fit import QuickFit, below_sheet, located
-from calib_pin.validation.findings.setup_lines import merged
+from calib_pin.validation.findings.sentences import (
+    lines_of,
+    merged,
+    shown,
+    told,
+    written,
+)
+
+FITTED = 0.5
+"""Part of the errors of a fit that one of them may leave."""
 
 ROWS = 60
 """Measurements that explanations are tried on."""
@@ -60,9 +77,6 @@ WIDTH = 3
 TOGETHER = 500
 """Most combinations of faults of a joint that are tried: a few seconds."""
 
-CLEAR = 0.95
-"""Part of the errors that another explanation may leave to be worth combining."""
-
 CLOSE = 2.0
 """Errors of an explanation, by those of the best one, that a fit is asked to tell from
 it; and those without a fault of several, if that is not needed."""
@@ -77,16 +91,226 @@ EXPLAINED, USUAL = 0.02, 4.0
 """Part of the errors, and expected sizes of an error, with either of which nothing more
 is sought: nominal robots of which we have measurements leave 2 to 5 mm."""
 
-KEPT, FEW = 0.75, 12
-"""Part of the measurements that counts, as outliers may stand beside another fault, and
-configurations from which it does: of fewer all are needed to tell anything."""
-
 LEAST = 3
 """Values beyond the unknowns of frames without which nothing is tried."""
 
-UNLIKELY = 14.0
-"""Logarithm of the likelihood ratio, beyond that of the number of explanations tried,
-from which one of them is no chance."""
+
+@dataclass(frozen=True)
+class JointReading:
+    """Joint positions as an affine function of those that were read.
+
+    `q = factors @ q_read + offsets`
+
+    Attributes:
+        factors: Shape (n, n) [rad/rad, m/m].
+        offsets: Shape (n,) [rad, m].
+    """
+
+    factors: Floats
+    offsets: Floats
+
+    @staticmethod
+    def plain(count: int) -> JointReading:
+        """Positions of so many joints as they are read."""
+        return JointReading(np.eye(count), np.zeros(count))
+
+    def positions(self, q: Floats) -> Floats:
+        """The positions, shape (N, n); none of none."""
+        return np.asarray(q @ self.factors.T + self.offsets) if q.size else q
+
+    def after(self, first: JointReading) -> JointReading:
+        """This one of positions that another one has read."""
+        offsets = self.factors @ first.offsets + self.offsets
+        return JointReading(self.factors @ first.factors, offsets)
+
+    def maps(
+        self, joints: Sequence[str], stated: Mapping[str, JointMap]
+    ) -> dict[str, dict[str, Any]]:
+        """The entries of `joints` in a setup file, of all that are not plain.
+
+        Args:
+            joints: Names of the joints.
+            stated: Joint maps by which the positions have been read, by file column.
+        """
+        of_joint = {given.joint: name for name, given in stated.items()}
+        columns = [of_joint.get(joint, joint) for joint in joints]
+        pairs = zip(joints, columns, strict=True)
+        given = [stated.get(column, JointMap(joint)) for joint, column in pairs]
+        # Every position as it has been read is an affine function of file columns.
+        names = [*dict.fromkeys([*columns, *(n for g in given for n in g.coupled)])]
+        read = np.zeros((len(joints), len(names)))
+        for row, column, own in zip(read, columns, given, strict=True):
+            for name, part in [(column, 1.0), *own.coupled.items()]:
+                row[names.index(name)] += own.sign * own.gear * part
+        factors = self.factors @ read
+        offsets = self.factors @ [own.offset for own in given] + self.offsets
+        # Every joint has a column that no other one has, its own where it can.
+        from scipy.optimize import linear_sum_assignment  # Slow to import.
+
+        count = len(joints)
+        has = factors[:, :count] != 0.0
+        _, chosen = linear_sum_assignment(has * (count + np.eye(count)), maximize=True)
+        result = {}
+        rows = zip(joints, chosen.tolist(), factors, offsets.tolist(), strict=True)
+        for joint, k, row, offset in rows:
+            factor = float(row[k])
+            others = [j for j in np.flatnonzero(row).tolist() if j != k]
+            coupled = {names[j]: float(row[j]) / factor for j in others}
+            sign = 1 if factor > 0.0 else -1
+            entry = lines_of(JointMap(joint, sign, abs(factor), offset, coupled))
+            if entry != {"joint": columns[k]} or columns[k] in stated:
+                result[columns[k]] = entry
+        return result
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One fault of the data, and how they are to be read if it is there.
+
+    Attributes:
+        code: Code of its finding.
+        words: The fault in words, the beginning of a sentence.
+        of: Its subject; two explanations of one subject do not combine.
+        reading: How the measurements are to be read.
+        joints: How the joint positions are to be read; None for as they are.
+        change: What the reader of files would do first, of which they alone know the
+            numbers; None for nothing.
+        chains: The chains that were measured, where they are others.
+        setup: What the setup states otherwise, by the names of its attributes.
+        stated: Further lines of the setup file.
+        gross: Whether the errors are as large as the robot, which the nominal one
+            tells; a fit to them says nothing.
+        advice: What to do instead of stating something; empty where the setup helps.
+        figure: What the figure of residuals that shows it has them over.
+        joint: The joint that it concerns alone: what is wrong with one joint may only
+            show once all of it is read otherwise.
+    """
+
+    code: str
+    words: str
+    of: str
+    reading: ReadingSetup = field(default_factory=ReadingSetup)
+    joints: JointReading | None = None
+    change: Callable[[Observations], Observations] | None = None
+    chains: Chains | None = None
+    setup: Mapping[str, Any] = field(default_factory=dict)
+    stated: Mapping[str, Any] = field(default_factory=dict)
+    gross: bool = False
+    advice: str = ""
+    figure: str = ""
+    joint: str = ""
+    absorbs: float = 1.0
+
+
+def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:
+    """Measurements as they are to be read if they have some faults.
+
+    Raises:
+        InputError: If faults of joint columns are those of other chains.
+    """
+    faults = tuple(faults)
+    for fault in faults:
+        data = data if fault.change is None else fault.change(data)
+    if (joints := joint_reading(faults)) is not None:
+        if len(data.joints) != len(joints.offsets):
+            raise InputError("these joints are those of another chain")
+        at = joints.positions
+        blocks = [replace(b, q=at(b.q), start=at(b.start)) for b in data.blocks]
+        data = Observations(tuple(blocks))
+    for fault in faults:
+        if fault.chains is not None:
+            data = _with_joints(data, fault.chains.joints)
+    return read_otherwise(data, merged(fault.reading for fault in faults))
+
+
+def _with_joints(data: Observations, joints: Sequence[str]) -> Observations:
+    """Measurements with some of their joints, and further ones that they state."""
+    new = [joint for joint in joints if joint not in data.joints]
+    every = [*data.joints, *new]
+
+    def with_new(b: Measurements) -> Measurements:
+        if new and b.start.size:
+            raise InputError("where these joints started is not known")
+        return replace(
+            b,
+            joints=tuple(every),
+            q=np.column_stack([b.q, *(b.conditions.spare[j, j] for j in new)]),
+            conditions=b.conditions.among(range(len(b.joints)), len(every)),
+        )
+
+    return of_joints(Observations(tuple(map(with_new, data.blocks))), tuple(joints))
+
+
+def joint_reading(faults: Iterable[Hypothesis]) -> JointReading | None:
+    """How joint positions are to be read with all of some faults."""
+    found = None
+    for fault in faults:
+        if fault.joints is not None:
+            found = fault.joints if found is None else fault.joints.after(found)
+    return found
+
+
+def setup_lines(case: Case, faults: Sequence[Hypothesis]) -> dict[str, Any]:
+    """Lines of a setup file with which measurements are read otherwise."""
+    joints = joint_reading(faults) or JointReading.plain(len(case.data.joints))
+    lines: dict[str, Any] = {
+        "joints": joints.maps(case.data.joints, case.setup.joints),
+        "reading": lines_of(merged(fault.reading for fault in faults)),
+    }
+    for fault in faults:
+        lines |= fault.stated
+    return {key: stated for key, stated in lines.items() if stated}
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Faults that explain the measurements together.
+
+    Attributes:
+        faults: The faults.
+        before: Errors as the measurements are read now, rms [unit of the quantity];
+            infinite where the robot cannot be located.
+        after: Errors if they are read so.
+        ratio: Logarithm of the likelihood ratio.
+        tried: Number of explanations that were tried.
+        fitted: Whether both are errors of a fit, or of the nominal robot.
+        harmless: Whether a fit finds the same errors of the robot without it.
+    """
+
+    faults: tuple[Hypothesis, ...]
+    before: float
+    after: float
+    ratio: float
+    tried: int
+    fitted: bool
+    harmless: bool = False
+
+
+def finding(case: Case, found: Explanation) -> Iterator[Finding]:
+    """The findings of an explanation, one of each fault.
+
+    Each has the lines of all, which belong together.
+    """
+    lines, quantity = setup_lines(case, found.faults), case.fit.quantity
+    scale = merged(fault.reading for fault in found.faults).scale
+    remedy = f"state in the setup file: {written(lines)}"
+    if [*lines.get("reading", ())] == ["scale"] and not any(case.data.files.distinct):
+        remedy = f"multiply values by {scale:g}"
+    if quantity.unit != "m" or found.fitted:
+        scale = 1.0  # Errors of the nominal robot are in the unit of the file.
+    before, after = scale * found.before, scale * found.after
+    fall = f"fall from {shown(before, quantity.unit, 3)} to"
+    robot = "of a fit" if found.fitted else "of the nominal robot"
+    numbers = {"rms_before": before, "rms_after": after}
+    numbers |= {"log_likelihood_ratio": found.ratio, "tried": found.tried}
+    for fault in found.faults:
+        said = f"{fault.words}: so read, the {quantity.name} errors {robot} "
+        said += fall if np.isfinite(before) else "are"
+        how = (fault.advice, {}) if fault.advice else (remedy, lines)
+        said += f" {shown(after, quantity.unit, 3)}"
+        clear = after < FITTED * before and not found.harmless
+        yield told(fault.code, said, numbers, *how, fault.figure, error=clear)
+
 
 Family = Callable[[Case], Iterable[Hypothesis]]
 """The explanations of one kind that are worth a trial in a case."""
@@ -107,69 +331,115 @@ def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
     return search.of_all(found)
 
 
+_Tried = tuple[float, tuple[Hypothesis, ...]]
+"""Errors that are left with some faults, in standard deviations, and these."""
+
+
 class _Search:
-    """Trials of explanations of a case."""
+    """Trials of explanations of a case.
+
+    Attributes:
+        unit: One standard deviation of the first quantity, in its unit.
+        one: Expected size of an error of a robot, in standard deviations.
+        first: Error of the nominal robot on measurements as they are read now.
+    """
 
     def __init__(self, case: Case, known: Sequence[Hypothesis]) -> None:
         self.case, self.known, self.tried = case, known, 0
         self.data = _picked(case.data.weighted(np.ones(len(case.data))))
-        self.plain = replace(
-            case.setup, parameters=(), learned=None, fixed=(), bounds={}, prior={}
-        )
-
-    @cached_property
-    def first(self) -> float:
-        """Error of the nominal robot on measurements as they are read now."""
-        return self._nominal(())
-
-    @cached_property
-    def first_fitted(self) -> float:
-        """Error of a robot whose errors were fitted to them."""
-        return self._fitted(())
+        self.whole = replace(case.setup, learned=None)
+        self.plain = replace(self.whole, parameters=(), fixed=(), bounds={}, prior={})
+        self.contact = any(declared(model).contact for model in self.data.models)
+        problem, self.first = case.fit.problem, np.inf
+        own = problem.given_sigma[problem.layout.component == 0]
+        self.unit = float(np.sqrt(np.mean(own**2)))
+        self.one = expected_size(case.fit.quantity.unit) / self.unit
+        self.first = self._nominal(())
 
     def combined(self) -> Explanation | None:
         """Faults with which the nominal robot fits far better."""
-        size, first = self._nominal, self.first
-        enough = USUAL * self._one
-        if np.isfinite(first):
-            enough = max(EXPLAINED * first, enough)
-        beam: list[tuple[float, tuple[Hypothesis, ...]]] = [(first, ())]
-        every, last = list(beam), first
+        enough, last = USUAL * self.one, self.first
+        if np.isfinite(last):
+            enough = max(EXPLAINED * last, enough)
+        beam: list[_Tried] = [(last, ())]
+        every = list(beam)
         for k in range(MOST):
             if self.case.progress is not None:
                 self.case.progress(k / MOST)
-            found: dict[frozenset[int], tuple[float, tuple[Hypothesis, ...]]] = {}
-            for left, kept in beam:
-                for hypothesis in self.known:
-                    trial = (*kept, hypothesis)
-                    key = frozenset(map(id, trial))
-                    if key in found or any(h.of == hypothesis.of for h in kept):
-                        continue
-                    misfit = size(trial)
-                    if hypothesis.absorbs * misfit < CLEAR * left:
-                        found[key] = misfit, trial
+            found: dict[frozenset[int], _Tried] = {}
+            for (left, kept), hypothesis in product(beam, self.known):
+                trial = (*kept, hypothesis)
+                key = frozenset(map(id, trial))
+                if key in found or any(h.of == hypothesis.of for h in kept):
+                    continue
+                misfit = self._nominal(trial)
+                if hypothesis.absorbs * misfit < CLEARER * left:
+                    found[key] = misfit, trial
             # Of those that leave the same, the likelier kind comes first.
             beam = sorted(found.values(), key=_rank)[:WIDTH]
-            every += beam
-            every.sort(key=_rank)
+            every = sorted(every + beam, key=_rank)
             left, faults = every[0]
-            if left < enough or self._ratio(faults, last, left) < self._chance:
+            chance = self._ratio(faults, last, left) < unlikely(self.tried)
+            if left < enough or chance:
                 break
             last = left
         return self._best(every)
 
-    def _best(
-        self, every: Sequence[tuple[float, tuple[Hypothesis, ...]]]
-    ) -> Explanation | None:
+    def of_one_joint(self) -> Explanation | None:
+        """All faults of a joint, each of which alone leaves as much as none."""
+        of_joint: dict[str, dict[str, list[Hypothesis | None]]] = {}
+        for fault in self.known:
+            if fault.joint:
+                own = of_joint.setdefault(fault.joint, {})
+                own.setdefault(fault.of, [None]).append(fault)
+        chosen = (some for own in of_joint.values() for some in product(*own.values()))
+        trials = [tuple(filter(None, some)) for some in chosen]
+        trials = [faults for faults in trials if len(faults) > 1]
+        if not 0 < len(trials) <= TOGETHER:
+            return None
+        found = [(self._nominal(faults), faults) for faults in trials]
+        return self._best(sorted(found, key=lambda pair: pair[0]))
+
+    def fitted(self) -> Explanation | None:
+        """The fault with which a robot with errors fits far better."""
+        singles = self._singles()
+        every = [one for one in singles if not one[1][0].reading.without]
+        if every and every[0][0] < CLOSE * singles[0][0]:
+            singles = every
+        return self._of_fits(singles[0][1], FITTED) if singles else None
+
+    def of_all(self, found: Explanation) -> Explanation:
+        """A reading of all measurements, if one explains as much as leaving some out.
+
+        Of four corners, three keep their joints if the lines are shifted by one.
+        """
+        singles = [] if self.contact else self._singles(thorough=True)
+        limit = CLOSE * self._fitted(found.faults, thorough=True) if singles else 0.0
+        if not singles or singles[0][0] > limit:
+            return found
+        left, faults = singles[0]
+        return self._decided(faults, left, FITTED, fitted=True) or found
+
+    def _singles(self, thorough: bool = False) -> list[_Tried]:
+        """Errors that fits leave with each fault, the least first.
+
+        A robot that is fitted shrinks with its measurements, or turns into another.
+        """
+        some = [h for h in self.known if not (h.gross or h.chains)]
+        some = [h for h in some if not (thorough and h.reading.without)]
+        found = [(self._fitted((h,), thorough), (h,)) for h in some]
+        return sorted(found, key=lambda one: one[0])
+
+    def _best(self, every: Sequence[_Tried]) -> Explanation | None:
         """The best of some sets of faults, by the errors that the nominal robot leaves.
 
         A robot whose errors are fitted tells those that leave about the same, and is
         asked where what the nominal one leaves is too much.
         """
-        if self._contact and not every[0][0] < self._most(self.first, DECISIVE)[1]:
+        if self.contact and not every[0][0] < self._most(DECISIVE, fitted=False)[1]:
             return None  # Fits are not asked, and are slow.
         # What leaves no more than a robot errs explains all.
-        limit = max(CLOSE * every[0][0], self._one)
+        limit = max(CLOSE * every[0][0], self.one)
         near = [p for p in every if p[1] and p[0] <= limit][:ALIKE]
         close = [self._needed(*p) for p in near] or every[:1]
         # What leaves none out explains more.
@@ -180,13 +450,11 @@ class _Search:
             # A fit that gets lost leaves no more than the nominal robot.
             sizes = [(min(self._fitted(kept), size), kept) for size, kept in close]
             left, faults = close[int(np.argmin([*map(_rank, sizes)]))]
-        found = self._decided(faults, self.first, left, DECISIVE, fitted=False)
+        found = self._decided(faults, left, DECISIVE, fitted=False)
         told = told and not any(h.chains or h.reading.without for h in faults)
         return found or (self._of_fits(faults, DECISIVE) if told else None)
 
-    def _needed(
-        self, left: float, faults: tuple[Hypothesis, ...]
-    ) -> tuple[float, tuple[Hypothesis, ...]]:
+    def _needed(self, left: float, faults: tuple[Hypothesis, ...]) -> _Tried:
         """Those of some faults without which far more is left, and what they leave."""
         for fault in faults if len(faults) > 1 else ():
             rest = tuple(other for other in faults if other is not fault)
@@ -201,85 +469,28 @@ class _Search:
                 return self._needed(without, rest)
         return left, faults
 
-    def of_one_joint(self) -> Explanation | None:
-        """All faults of a joint, each of which alone leaves as much as none."""
-        of_joint: dict[str, dict[str, list[Hypothesis]]] = {}
-        for fault in self.known:
-            if fault.joint:
-                own = of_joint.setdefault(fault.joint, {})
-                own.setdefault(fault.of, []).append(fault)
-        trials = [
-            faults
-            for own in of_joint.values()
-            for chosen in product(*([None, *kind] for kind in own.values()))
-            if len(faults := tuple(filter(None, chosen))) > 1
-        ]
-        if len(trials) > TOGETHER:
-            return None
-        found = [(self._nominal(faults), faults) for faults in trials]
-        return self._best(sorted(found, key=lambda pair: pair[0])) if found else None
-
-    def fitted(self) -> Explanation | None:
-        """The fault with which a robot with errors fits far better."""
-        # A robot that is fitted shrinks with its measurements, or turns into another.
-        trials = [
-            (self._fitted((fault,)), k)
-            for k, fault in enumerate(self.known)
-            if not (fault.gross or fault.chains)
-        ]
-        least, k = min(trials, default=(np.inf, len(self.known)))
-        every = [t for t in trials if not self.known[t[1]].reading.without]
-        left, reading = min(every, default=(np.inf, k))
-        k = reading if left < CLOSE * least else k
-        return self._of_fits(self.known[k : k + 1], FITTED)
-
-    def of_all(self, found: Explanation) -> Explanation:
-        """A reading of all measurements, if one explains as much as leaving some out.
-
-        Of four corners, three keep their joints if the lines are shifted by one.
-        """
-        if self._contact:
-            return found
-        rest = (fault for fault in self.known if not fault.reading.without)
-        every = [fault for fault in rest if not (fault.gross or fault.chains)]
-        trials = [(self._fitted((f,), thorough=True), k) for k, f in enumerate(every)]
-        left, k = min(trials, default=(np.inf, 0))
-        if left > CLOSE * self._fitted(found.faults, thorough=True):
-            return found
-        best = self._decided([every[k]], self.first_fitted, left, FITTED, fitted=True)
-        return best or found
-
-    @property
-    def _contact(self) -> bool:
-        return any(declared(model).contact for model in self.data.models)
-
-    def _of_fits(self, faults: Sequence[Hypothesis], most: float) -> Explanation | None:
+    def _of_fits(
+        self, faults: tuple[Hypothesis, ...], most: float
+    ) -> Explanation | None:
         """Faults with which a fit leaves far less.
 
         Contacts draw a robot together, the more so the less is known of it.
         """
-        if self._contact:
+        if self.contact or not faults:
             return None
-        left = self._fitted(faults) if faults else np.inf
-        return self._decided(faults, self.first_fitted, left, most, fitted=True)
+        return self._decided(faults, self._fitted(faults), most, fitted=True)
 
     def _decided(
-        self,
-        faults: Sequence[Hypothesis],
-        before: float,
-        after: float,
-        limit: float,
-        *,
-        fitted: bool,
+        self, faults: tuple[Hypothesis, ...], after: float, part: float, *, fitted: bool
     ) -> Explanation | None:
-        before, most = self._most(before, limit, fitted)
+        before, most = self._most(part, fitted)
         if not faults or not after < most or not self._calmer(faults, after):
             return None
         ratio = self._ratio(faults, before, after)
-        if ratio < self._chance:
+        if ratio < unlikely(self.tried):
             return None
-        sizes = self._unit * before, self._unit * after
-        return Explanation(tuple(faults), *sizes, ratio, self.tried, fitted)
+        sizes = self.unit * before, self.unit * after
+        return Explanation(faults, *sizes, ratio, self.tried, fitted)
 
     def _calmer(self, faults: Sequence[Hypothesis], after: float) -> bool:
         """Whether a robot need no longer be corrected as much, if numbers are fitted.
@@ -287,29 +498,23 @@ class _Search:
         A frame explains a part of large errors of joints, too, and then they are still
         there.
         """
-        if all(fault.absorbs == 1.0 for fault in faults):
-            return True
-        if self.case.fitted is None or self._one * self.case.errors_left > after:
-            return True  # The fit explains less.
-        try:
-            problem = self._problem(faults, replace(self.case.setup, learned=None))
-            corrected = QuickFit.of(problem).largest_correction
-        except (CalibPinError, np.linalg.LinAlgError):
-            return False
-        return corrected < CALM * self.case.fit.largest_correction
+        case, frames = self.case, any(fault.absorbs != 1.0 for fault in faults)
+        if not frames or case.fitted is None or self.one * case.errors_left > after:
+            return True  # Nothing is fitted, or the fit explains less.
+        fit = self._fit(faults)
+        corrected = np.inf if fit is None else fit.largest_correction
+        return corrected < CALM * case.fit.largest_correction
 
-    def _most(
-        self, before: float, limit: float, fitted: bool = False
-    ) -> tuple[float, float]:
+    def _most(self, part: float, fitted: bool) -> tuple[float, float]:
         """Errors as the measurements are read now, and those that may be left."""
+        before = self._fitted(()) if fitted else self.first
         if self.case.fitted is not None:
             # A trial may get lost where the whole fit does not.
             known = self.case.errors_left if fitted else self.case.errors_nominal
-            before = min(before, self._one * known)
-        if np.isfinite(before):
-            return before, limit * before
+            before = min(before, self.one * known)
         # Where nothing tells what a wrong reading leaves, it must be errors of a robot.
-        return before, self._one * (DOUBTFUL if fitted else FOREIGN)
+        of_robot = self.one * (DOUBTFUL if fitted else FOREIGN)
+        return before, part * before if np.isfinite(before) else of_robot
 
     def _ratio(
         self, faults: Sequence[Hypothesis], before: float, after: float
@@ -319,24 +524,6 @@ class _Search:
             return 0.0
         problem = self._problem(faults, self.plain)
         return _redundancy(problem) * float(np.log(before / max(after, 1e-12)))
-
-    @property
-    def _chance(self) -> float:
-        """Logarithm of the ratio that the best of so many trials reaches by chance."""
-        return UNLIKELY + float(np.log(max(self.tried, 1)))
-
-    @property
-    def _unit(self) -> float:
-        """One standard deviation of the first quantity, in its unit."""
-        problem = self.case.fit.problem
-        first = problem.layout.component == 0
-        return float(np.sqrt(np.mean(problem.given_sigma[first] ** 2)))
-
-    @property
-    def _one(self) -> float:
-        """Expected size of an error of a robot, in standard deviations."""
-        quantity = self.case.fit.problem.layout.quantities[0]
-        return expected_size(quantity.unit) / self._unit
 
     def _problem(self, faults: Sequence[Hypothesis], setup: Setup) -> Problem:
         """The problem of some measurements that are read so."""
@@ -356,32 +543,35 @@ class _Search:
             problem = self._problem(faults, self.plain)
             if _redundancy(problem) < LEAST:
                 return np.inf
-            bound = self.first if faults else np.inf
             scale = merged(fault.reading for fault in faults).scale
-            return _trimmed(problem, bound, scale)
+            return trimmed(problem, self.first, scale)[0]
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf  # No beam meets its plane, say.
 
-    def _fitted(self, faults: Sequence[Hypothesis], thorough: bool = False) -> float:
-        """Error of a robot whose errors were fitted in a few steps."""
-        self.tried += 1
+    def _fit(
+        self, faults: Sequence[Hypothesis], thorough: bool = False
+    ) -> QuickFit | None:
+        """A robot whose errors were fitted in a few steps, if one can be."""
         try:
-            problem = self._problem(faults, replace(self.case.setup, learned=None))
-            fit = QuickFit.of(problem, thorough=thorough)
+            problem = self._problem(faults, self.whole)
+            return QuickFit.of(problem, thorough=thorough)
         except (CalibPinError, np.linalg.LinAlgError):
+            return None
+
+    def _fitted(self, faults: Sequence[Hypothesis], thorough: bool = False) -> float:
+        """Error that it leaves, rms in standard deviations."""
+        self.tried += 1
+        fit = self._fit(faults, thorough)
+        if fit is None or not fit.redundant or below_sheet(fit.problem):
             return np.inf
-        usable = fit.redundant and np.isfinite(fit.rms) and not below_sheet(fit.problem)
-        return fit.rms if usable else np.inf
+        return fit.rms if np.isfinite(fit.rms) else np.inf
 
 
-def _rank(tried: tuple[float, tuple[Hypothesis, ...]]) -> float:
+def _rank(tried: _Tried) -> float:
     """Order of some faults by what they leave, and by what they would leave anyway."""
     left, faults = tried
-    return _rounded(left * float(np.prod([fault.absorbs for fault in faults])))
-
-
-def _rounded(misfit: float) -> float:
-    return round(float(np.log(max(misfit, 1e-300))), 2)
+    left *= float(np.prod([fault.absorbs for fault in faults]))
+    return round(float(np.log(max(left, 1e-300))), 2)
 
 
 def _picked(data: Observations) -> Observations:
@@ -407,40 +597,4 @@ def _redundancy(problem: Problem) -> float:
     """Values of the best part of the measurements beyond the unknowns of frames."""
     parameters = problem.parameters
     unknown = int((parameters.free & parameters.nuisance).sum())
-    return _kept(problem) * measured_count(problem) - unknown
-
-
-def _kept(problem: Problem) -> float:
-    """Part of the measurements that counts."""
-    return KEPT if problem.data.configurations >= FEW else 1.0
-
-
-def _trimmed(problem: Problem, bound: float, scale: float) -> float:
-    """Errors of the best part of the measurements, rms in standard deviations.
-
-    They locate the robot once more without the others, which outliers are among, if
-    they leave less than a bound. Lengths that were scaled count in the unit of the
-    file: what is scaled down is no better for that.
-    """
-    layout = problem.layout
-    sigma = layout.table(problem.given_sigma, len(problem.data))
-    for quantity in layout.quantities:
-        if quantity.unit == "m":
-            sigma[:, quantity.columns] *= scale
-    zero = np.zeros(len(problem.parameters))
-    size = np.inf
-    for again in (False, True):
-        problem = located(problem)
-        if below_sheet(problem):
-            return np.inf
-        table = error_table(problem, zero)
-        table[np.isinf(table)] = 1e6
-        squares = np.nanmean((table / sigma) ** 2, axis=1)
-        limit = np.quantile(squares, _kept(problem))
-        size = float(np.sqrt(np.mean(squares[squares <= limit])))
-        if size >= bound:
-            break
-        if not again:
-            kept = (squares <= limit).astype(float)
-            problem = replace(problem, data=problem.data.weighted(kept))
-    return size if np.isfinite(size) else np.inf
+    return counted(problem) * measured_count(problem) - unknown

@@ -30,7 +30,7 @@ from calib_pin.measurement_models.orientations import numbers_of
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.validation.findings.case import CHANCE, Case
-from calib_pin.validation.findings.hypotheses import setup_lines
+from calib_pin.validation.findings.explanations import setup_lines
 from calib_pin.validation.findings.readings import offset_by
 from calib_pin.validation.findings.sentences import listed, named, shown, told, without
 
@@ -106,9 +106,9 @@ STOOD, MOVED = 5e-4, 20.0
 """Difference of joint positions that are those of one configuration [rad, m], and
 scatter there, in expected sizes of an error, that no robot has."""
 
-OPPOSITE, NEAR = -1.0, 0.5
-"""Factor of readings with which they fit best if they count the other way, and by how
-much it may be missed: half-way to those that say nothing."""
+NEAR = 0.5
+"""By how much the factor of readings that count the other way, -1, may be missed:
+half-way to those that say nothing."""
 
 
 def require_motion(data: Observations) -> None:
@@ -133,24 +133,17 @@ def require_motion(data: Observations) -> None:
         return
     for block, rows in zip(data.blocks, data.slices, strict=True):
         quantity = declared(block.model).quantities[0]
-        thing, values = 2 * block.target.codes + first[rows], block.values
-        count = np.maximum(np.bincount(thing), 1)
-        squares = np.zeros(len(count))
-        for value in values[:, quantity.columns].T:
-            mean = np.bincount(thing, value) / count
-            squares += np.bincount(thing, (value - mean[thing]) ** 2)
-        scatter = float(np.sqrt(squares.sum() / max(len(block), 1)))
+        thing, squares = 2 * block.target.codes + first[rows], 0.0
+        for value in block.values[:, quantity.columns].T:
+            mean = np.bincount(thing, value) / np.maximum(np.bincount(thing), 1)
+            squares += float(np.sum((value - mean[thing]) ** 2))
+        scatter = float(np.sqrt(squares / max(len(block), 1)))
         if scatter > MOVED * expected_size(quantity.unit):
-            several = "of all measurements are those of"
-            several += (
-                " two configurations" if not first.all() else " one configuration"
-            )
-            raise block.error(
-                0,
-                f"the joint positions {several}, while their {quantity.name} values "
-                f"scatter by {shown(scatter, quantity.unit, 3)}: what wrote the joints "
-                "did not follow the robot",
-            )
+            said = "the joint positions of all measurements are those of "
+            said += "one configuration" if first.all() else "two configurations"
+            said += f", while their {quantity.name} values scatter by "
+            said += f"{shown(scatter, quantity.unit, 3)}: what wrote the joints did "
+            raise block.error(0, f"{said}not follow the robot")
 
 
 def constant_orientation(case: Case) -> Iterator[Finding]:
@@ -195,7 +188,7 @@ def gauge_readings(case: Case) -> Iterator[Finding]:
         return
     score = fit.score(np.column_stack([*touched.values()]))
     factors = dict(zip(touched, 1.0 + score.values, strict=True))
-    wrong = [n for n, factor in factors.items() if abs(factor - OPPOSITE) < NEAR]
+    wrong = [n for n, factor in factors.items() if abs(factor + 1.0) < NEAR]
     if score.chance > CHANCE or not wrong:
         return
     every = len(wrong) == len(factors)
@@ -241,8 +234,7 @@ def spread(blocks: Sequence[Floats]) -> float:
 
 def copies(case: Case) -> Iterator[Finding]:
     """Measurements that are equal to another one to the last digit."""
-    data = case.data
-    rows = _equal(data)
+    data, rows = case.data, _equal(case.data)
     if not rows or _by_chance(case, len(rows)):
         return
     said = f"{len(rows)} of {len(data)} measurements are copies of others to the last "
@@ -262,8 +254,8 @@ def repetitions(case: Case) -> Iterator[Finding]:
     if many and distinct_values(problem) < 2 * free:
         said = f"{len(data)} measurements are at only {configurations} distinct "
         said += f"configurations: repetitions tell the noise, not the {free} unknowns"
-        numbers = {"configurations": configurations, "measurements": len(data)}
-        numbers |= {"unknowns": free}
+        numbers = {"configurations": configurations, "unknowns": free}
+        numbers |= {"measurements": len(data)}
         remedy = "measure other configurations instead of repeating these"
         yield told("few-configurations", said, numbers, remedy)
     elif (most := int(there.max())) > max(SHARE * len(data), REPEATED):
@@ -287,12 +279,11 @@ def _equal(data: Observations) -> list[int]:
         # Where the first number is there once, the others need not be compared.
         own = rows.start + at[np.bincount(which)[which] > 1]
         own = own[np.argsort(place[own])]
-        if len(own):
-            start = block.start if block.start.size else block.q[:, :0]
-            numbers = np.column_stack([block.values, start])[own - rows.start]
-            table = np.column_stack([same[own], numbers])
-            first = np.unique(table, axis=0, return_index=True)[1]
-            found += np.delete(own, first).tolist()
+        there = own - rows.start
+        start = block.start if block.start.size else block.q[:, :0]
+        table = np.column_stack([same[own], block.values[there], start[there]])
+        first = np.unique(table, axis=0, return_index=True)[1]
+        found += np.delete(own, first).tolist()
     return sorted(found, key=place.__getitem__)
 
 
@@ -388,15 +379,13 @@ def design(case: Case) -> Iterator[Finding]:
 
 def _elsewhere(case: Case) -> str:
     """Expected errors elsewhere in words, if they are far above those of the design."""
-    times, there = 0.0, 0.0
-    for found in case.accuracies.values():
-        if found.measured is not None and found.workspace is not None:
-            far = found.workspace.calibrated.position
-            near = max(found.measured.calibrated.position, 1e-300)
-            times, there = max((times, there), (far / near, far))
+    pairs = [(a.workspace, a.measured) for a in case.accuracies.values()]
+    sizes = [[x.calibrated.position for x in pair if x] for pair in pairs]
+    there = [(s[0] / max(s[1], 1e-300), s[0]) for s in sizes if len(s) == 2]
+    times, far = max(there, default=(0.0, 0.0))
     if times <= ELSEWHERE:
         return ""
-    said = f"over the workspace errors of {shown(there, 'm')} are expected, {times:.2g}"
+    said = f"over the workspace errors of {shown(far, 'm')} are expected, {times:.2g}"
     return f"{said} times those where it was measured"
 
 
@@ -513,7 +502,7 @@ def coarse_step(values: Floats, unit: str) -> float:
     return 0.0
 
 
-FACTS = (
+KINDS = (
     computed_values,
     copies,
     repetitions,
@@ -522,4 +511,4 @@ FACTS = (
     joint_turns,
     coarse_values,
 )
-"""Facts that are told of every case."""
+"""Facts that are told of every case, whatever else is wrong."""

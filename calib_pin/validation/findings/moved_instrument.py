@@ -12,8 +12,9 @@ from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.problem import Problem, distinct_values, measured_count
 from calib_pin.estimation.registration import relocated
 from calib_pin.estimation.solve import least_squares
-from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.terms import BASE, FRAME
+from calib_pin.validation.findings.case import CHANCE, by_chance
+from calib_pin.validation.findings.sentences import told
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
@@ -38,18 +39,12 @@ corners of 0.4 rad, but then the two displacements differ.
 """
 
 SUSPICIOUS = 1.5
-"""Ratio from which a smaller move is told, without registering anything anew.
+"""Ratio from which a smaller move is told, without registering anything anew, and
+errors from a station of their own, in standard deviations, up to which nothing but a
+move is wrong.
 
 The nominal robot, with errors that are larger than the move, cannot confirm it.
 """
-
-AS_FITTED = 1.5
-"""Errors from a station of their own, in standard deviations, up to which nothing but
-a move is wrong."""
-
-CHANCE = 1e-9
-"""Probability by chance of a move that is told: in another region a robot errs by what
-noise does not explain, and of 30 distances another station takes up most of it."""
 
 STATION = (
     "give them a station of their own (a column 'station', or --station-per-file), or "
@@ -94,8 +89,8 @@ def registered_if_moved(
             for problem, theta, new in both
         )
         some = found.at(own)
-        anew, told = _if_moved(model, some, nominal, calibrated, station)
-        findings += told
+        anew, moved = _if_moved(model, some, nominal, calibrated, station)
+        findings += moved
         if anew is None:
             kept[own] = False
         else:
@@ -135,23 +130,18 @@ def _if_moved(
     end, remedy = "has moved, and both robots are registered on them", STATION
     distinct = distinct_values(here.problem)
     if ratio <= MOVED or not _alike(errors, own, here.problem):
-        gain = max(was - now, 0.0) / unknowns / max(now / left, 1e-300)
-        if anew > AS_FITTED or f_tail(gain, unknowns, left) > CHANCE:
+        if anew > SUSPICIOUS or by_chance(was, now, unknowns, left) > CHANCE:
             return errors, []
         own, end = errors, "may have moved before them"
     elif distinct <= unknowns or here.problem.data.configurations < FEWEST_HELD_OUT:
         own, remedy = None, "measure more validation configurations from one station"
         end = "has moved, and they are too few for a check from there: "
         end += f"{distinct} distinct values, {unknowns} unknowns"
-    numbers = {
-        "chi-square as it is": was,
-        "chi-square registered": now,
-        "values": float(values),
-        "unknowns": float(unknowns),
-    }
+    numbers = {"chi-square as it is": was, "chi-square registered": now}
+    numbers |= {"values": values, "unknowns": unknowns}
     said = f"the validation measurements{owner} are off by {off:.3g} standard "
     said += f"deviations, from another station by {anew:.3g}: the instrument {end}"
-    return own, [Finding("moved-instrument", "warning", said, numbers, remedy)]
+    return own, [told("moved-instrument", said, numbers, remedy)]
 
 
 def _elsewhere(there: Registered, station: str) -> Registered | None:

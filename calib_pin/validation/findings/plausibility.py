@@ -1,4 +1,8 @@
-"""Whether a robot can be what a fit says it is.
+"""Whether a fit can be what it says: what it has set aside, its noise, its robot.
+
+A robust fit has found outliers, with what they have in common; here they become
+findings. What was exchanged is known as a pair of which each fits the values of the
+other, and what is in another unit fits with the factor that undoes it.
 
 A fit explains measurements by whatever its parameters can do: a known distance that is
 misread makes every link longer, errors that no parameter describes move a joint by
@@ -8,7 +12,7 @@ what was found is compared with what robots, distances and fleets are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -17,27 +21,58 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import enumerated
-from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.evidence import Finding, Outlier, VarianceComponent
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit, robot_rows
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import half_covariance, projected
 from calib_pin.estimation.nominal import analyze_structure, growth
 from calib_pin.estimation.problem import tool_points
+from calib_pin.estimation.robust import exchanged_with
 from calib_pin.estimation.row_blocks import Priors
 from calib_pin.estimation.statistics.distributions import chi_square_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import INSTRUMENT
+from calib_pin.measurement_models.readings import (
+    measured_lengths,
+    place_of,
+    places_of,
+    scaled,
+)
+from calib_pin.observations import Indices, Observations, states_sigmas
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import PopulationPrior, Setup
+from calib_pin.setup import ConvertedSetup, PopulationPrior, ReadingSetup, Setup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.findings.case import CHANCE, Case
-from calib_pin.validation.findings.sentences import shown, told
-from calib_pin.validation.findings.setup_lines import written
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.case import CHANCE, Case, mean_squares, unlikely
+from calib_pin.validation.findings.explanations import FITTED
+from calib_pin.validation.findings.readings import FACTORS
+from calib_pin.validation.findings.sentences import (
+    NAMED,
+    estimating,
+    lines_of,
+    named,
+    shown,
+    told,
+    without,
+    written,
+)
+from calib_pin.validation.tip_drift import tip_drift
+
+STRETCH, FULL, CONFIGURATIONS = 0.1, 0.9, 6
+"""Part of all measurements, part of a stretch of the files, and configurations from
+which outliers are one that was measured with something else."""
+
+FITS, LISTED = 4.0, 200
+"""Errors, by those of the others, with which a measurement fits in another unit, and
+length of the lines that a remedy writes out; all stand in the finding."""
+
+FACTOR = 2.0
+"""Estimated by stated standard deviation, or the inverse, from which it is told."""
 
 SIGNIFICANT = 4.5
 """Standard deviations from which a common scale, or a distance missed, is no chance: by
@@ -81,8 +116,184 @@ ROUNDING = 1e-12
 SPOILED = 2.0
 """Noise with the prior by noise without it from which the prior spoils a fit."""
 
-HALVED = 0.25
-"""Part of the squares that missing parameters leave at most for a warning."""
+
+def outliers(case: Case) -> Iterator[Finding]:
+    """Measurements that are set aside; of a whole fit exchanged ones apart."""
+    fitted, data = case.fitted, case.data
+    if fitted is None:
+        data = case.fit.problem.data
+        rows = data.in_order[data.weight[data.in_order] == 0.0].tolist()
+        why = " that were looked at do not fit the nominal robot as the others do"
+        if rows:
+            yield _aside("outliers", data, rows, why, {})
+        return
+    out = [o for o in fitted.robust.outliers if o.weight == 0.0]
+    if fitted.robust.squared is None or not out:
+        return
+    moved = displaced(fitted, fitted.robust.squared)
+    numbers: dict[str, Any] = {"displaced": moved, "all": len(data)}
+    keeping = f"; keeping them would move the tool point by {shown(moved, 'm')}"
+    pairs = _pairs(data, out)
+    if pairs:
+        places = tuple(places_of(data, pair) for pair in pairs)
+        said = f"measurements {' and '.join(places[0])}"
+        said += f", and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+        said += f" fit if exchanged, and were excluded{keeping}"
+        lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
+        remedy = "exchange their joint positions ('reading: exchanged' in the setup)"
+        remedy = "" if len(pairs) <= NAMED else remedy
+        numbers |= {"pairs": len(pairs)}
+        code = "measurements-exchanged"
+        yield told(code, said, numbers, remedy, lines, "over-order")
+    alone = [o for o in out if not any(o.row in pair for pair in pairs)]
+    if not alone:
+        return
+    rest = np.array([o.row for o in alone])
+    rows = rest[np.argsort(np.argsort(data.in_order)[rest])].tolist()
+    code, together = _together(data, rest)
+    targets = {data.target[row] for row in rows}
+    if len(targets) == 1 and any(targets):
+        numbers["target"] = targets.pop()
+    causes = [*dict.fromkeys(o.cause for o in alone if o.cause)][:NAMED]
+    shared = f" ({', '.join(causes)})" if causes else ""
+    why = f" excluded as outliers{shared}{together}{keeping}"
+    error, info = bool(together), moved <= LENGTH_SCALE
+    yield _aside(code, data, rows, why, numbers, error=error, info=info)
+
+
+def _aside(
+    code: str,
+    data: Observations,
+    rows: Sequence[int],
+    why: str,
+    numbers: Mapping[str, Any],
+    **severity: bool,
+) -> Finding:
+    """The finding of measurements, in the order of the files, to leave out."""
+    said = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{why}"
+    numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
+    remedy, lines = without(data, rows, "measure them again, or leave them out")
+    return told(code, said, numbers, remedy, lines, "over-order", **severity)
+
+
+def _together(data: Observations, rows: Indices) -> tuple[str, str]:
+    """Code and words of outliers that are one long stretch of the files.
+
+    There a joint stands still that moves elsewhere, or something else was measured.
+    """
+    places = np.argsort(data.in_order)[rows]
+    many = len(rows) >= STRETCH * len(data)
+    few = len(np.unique(data.groups()[rows])) < CONFIGURATIONS
+    if few or not many or np.ptp(places) >= len(rows) / FULL:
+        return "outliers", ""
+    still = (np.ptp(data.q[rows], axis=0) == 0.0) & (np.ptp(data.q, axis=0) > 0.0)
+    if still.any():
+        names = enumerated([f"'{data.joints[j]}'" for j in np.flatnonzero(still)])
+        return "stuck-encoder", f": there the reading of joint {names} does not change"
+    words = ", all in one stretch: something else was measured there, such as "
+    words += "another robot, tool or station"
+    return "outlying-stretch", words
+
+
+def displaced(fitted: Fit, squared: Fit) -> float:
+    """How far two fits have the tool apart, over the workspace, rms [m]."""
+    first = CalibratedModel.create(fitted.problem, fitted.theta)
+    second = CalibratedModel.create(squared.problem, squared.theta)
+    pairs = [(first.of(name), second.of(name)) for name in first.measured_chains]
+    return max(tip_drift(*p, base=True, tool=True).position.rms for p in pairs)
+
+
+def _pairs(data: Observations, out: Sequence[Outlier]) -> list[tuple[int, int]]:
+    """Measurements each of which fits the values of the other, in their order."""
+    of_cause = {exchanged_with(data, o.row): o.row for o in out}
+    partner = {o.row: of_cause[o.cause] for o in out if o.cause in of_cause}
+    return [(a, b) for a, b in sorted(partner.items()) if a < b and partner.get(b) == a]
+
+
+def units_of_some(case: Case) -> Iterator[Finding]:
+    """Measurements that were set aside, and fit in another unit."""
+    data = case.data
+    aside = np.flatnonzero(data.weight == 0.0)
+    if case.fitted is None or not 0 < len(aside) < len(data):
+        return
+    problem, theta = replace(case.fitted.problem, expected=None), case.fitted.theta
+
+    def sizes(data: Observations) -> Floats:
+        return np.sqrt(mean_squares(replace(problem, data=data), theta))
+
+    counted, some = sizes(data.rows(data.weight > 0.0)), data.rows(aside)
+    usual, now = max(float(np.sqrt(np.mean(counted**2))), 1e-9), sizes(some)
+    lengths = [np.full(len(b), measured_lengths(b).sum()) for b in some.blocks]
+    values = np.concatenate(lengths)
+    best = (unlikely(len(FACTORS)), 0.0, np.zeros(0, np.int64))
+    for factor in FACTORS:
+        there = scaled(some, np.full(len(some), factor))
+        left = np.maximum(sizes(there), usual)
+        fits = (left < FITS * usual) & (now > FITS * left)
+        ratio = float(np.sum((values * np.log(now / left))[fits]))
+        best = max(best, (ratio, factor, aside[fits]), key=lambda found: found[0])
+    ratio, factor, rows = best
+    if not len(rows):
+        return
+    rank = np.argsort(data.in_order)
+    rows = rows[np.argsort(rank[rows])]
+    places = places_of(data, rows.tolist())
+    converted = ConvertedSetup(factor, places, True)
+    if len(rows) > 1 and np.ptp(rank[rows]) == len(rows) - 1:
+        converted = ConvertedSetup(factor, (places[0], places[-1]))
+    lines = {"reading": lines_of(ReadingSetup(converted=(converted,)))}
+    said = f"{len(rows)} of {len(data)} measurements that were set aside, the first in "
+    said += f"line {places[0]}, fit if their lengths are {FACTORS[factor]}"
+    numbers = {"factor": factor, "measurements": len(rows), "first": places[0]}
+    numbers |= {"log_likelihood_ratio": ratio}
+    long = len(written(lines)) >= LISTED
+    remedy = "state the lines of this finding in the setup file" if long else ""
+    yield told("unit-of-some", said, numbers, remedy, lines)
+
+
+def noise(case: Case) -> Iterator[Finding]:
+    """Stated standard deviations that are far from those of the measurements.
+
+    Too large ones are wrong. Too small ones may leave no room for what no parameter
+    describes, gears and compliance; they are wrong where repetitions scatter as much.
+    """
+    fitted = case.fitted
+    known = [(part, *_scatter(part)) for part in (fitted.noise if fitted else ())]
+    known = [(part, scatter, sure) for part, scatter, sure in known if scatter > 0.0]
+    stated = {part.quantity: float(f"{scatter:.3g}") for part, scatter, _ in known}
+    lines: dict[str, Any] = {"noise": stated}
+    if states_sigmas(case.data):
+        lines["reading"] = {"sigmas": False}
+    for part, scatter, repeated in known:
+        factor = scatter / part.given
+        near = 1.0 / FACTOR < factor < FACTOR
+        unclear = factor > 1.0 and not repeated
+        # Where that is unclear, there may be more to it than noise.
+        wrong = part.stated and part.contradicted and not near
+        if not wrong or (unclear and case.doubtful):
+            continue
+        was, found = (shown(sigma, part.unit) for sigma in (part.given, scatter))
+        times = f"{factor:.2g} times too small"
+        times = times if factor > 1.0 else f"{1.0 / factor:.2g} times too large"
+        said = f"the stated sigma of {part.quantity}, {was}, is {times}: the "
+        said, remedy = f"{said}measurements scatter by {found}", ""
+        if unclear:
+            said = f"the errors of {part.quantity} are {factor:.3g} times the stated "
+            said += f"{was}: sigma is too small, or no parameter describes them"
+            remedy = "repeat some configurations, which tells noise from unmodeled "
+            remedy += "errors"
+        # What shows as gears or as lack of fit is no fault of sigma.
+        robot = fitted and (fitted.effects is not None or part.pure is not None)
+        numbers = {"quantity": part.quantity, "stated": part.given}
+        numbers |= {"estimated": scatter, "factor": factor}
+        info = bool(unclear and robot)
+        yield told("noise", said, numbers, remedy, lines, info=info)
+
+
+def _scatter(part: VarianceComponent) -> tuple[float, bool]:
+    """Standard deviation of a quantity, and whether repetitions tell it."""
+    repeated = part.pure is not None and (part.pure_test or 0.0) < CHANCE
+    return part.pure if part.pure is not None and repeated else part.estimate, repeated
 
 
 def plausibility(case: Case) -> Iterator[Finding]:
@@ -150,16 +361,14 @@ class _Linear(NamedTuple):
         likeliest; what grows must stand out from that: generalized least squares with
         the covariance sigma^2 I + t^2 S S'.
         """
-        best = (-np.inf, 0.0, np.inf, 1.0)
-        products = np.array([self.y**2, self.g * self.y, self.g**2])
-        for size in SIZES.tolist():
-            variance = self.sigma**2 + (size * self.s) ** 2
-            yy, gy, gg = (products / variance).sum(axis=1).tolist()
-            if gg > 0.0:
-                square = yy - gy**2 / gg
-                score = -0.5 * (np.log(variance).sum() + np.log(gg) + square)
-                best = max(best, (float(score), gy / gg, gg**-0.5, size))
-        return best[1:]
+        variance = self.sigma**2 + (SIZES[:, None] * self.s) ** 2
+        products = (self.y**2, self.g * self.y, self.g**2)
+        yy, gy, gg = (np.sum(product / variance, axis=1) for product in products)
+        gg = np.maximum(gg, 1e-300)
+        square = yy - gy**2 / gg
+        cost = np.sum(np.log(variance), axis=1) + np.log(gg) + square
+        k = int(np.argmin(cost))
+        return float(gy[k] / gg[k]), float(gg[k] ** -0.5), float(SIZES[k])
 
     def held(self, size: float) -> Floats:
         """The errors x if a normal prior keeps them at a size, shape (n,).
@@ -207,8 +416,8 @@ def _yardstick(fitted: Fit) -> str:
     """The lengths on which the scale of these measurements rests."""
     problem = fitted.problem
     known = [d for d in problem.further.distances.stated if d.unit == "m"]
-    lengths = [f"the known distance {' - '.join(d.between)}" for d in known[:1]]
-    lengths = [words + ", ..." * (len(known) > 1) for words in lengths]
+    more = ", ..." * (len(known) > 1)
+    lengths = [f"the known distance {' - '.join(d.between)}{more}" for d in known[:1]]
     stated = dict.fromkeys(declared(model).yardstick for model in problem.data.models)
     # The setup states the others, and can be checked first.
     lengths += sorted(filter(None, stated), key=lambda words: words == INSTRUMENT)
@@ -228,10 +437,10 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     if sizes.max() < LARGE:
         return
     factor, z = np.inf, x.copy()
-    for size in SIZES[::-1].tolist():
-        z[robot] = linear.held(size)
+    for held in map(linear.held, SIZES[::-1].tolist()):
+        z[robot] = held
         if _sizes(fitted, z).max() < LARGE:
-            factor = linear.misfit(z[robot]) / max(linear.misfit(x[robot]), ROUNDING)
+            factor = linear.misfit(held) / max(linear.misfit(x[robot]), ROUNDING)
             break
     chains = [term.error.chain for term in fitted.problem.by_chain.values()]
     names = [[*c.joints, c.tip_joint or c.tip] for c in chains]
@@ -373,23 +582,20 @@ def _scaled_without(fitted: Fit, distance: int) -> bool:
 
 def families(case: Case) -> Iterator[Finding]:
     """The families of parameters that the fit lacks: of gears, of compliance, say."""
-    names, left = case.lacking
+    (names, left), before, quantity = case.lacking, case.fit.errors, case.fit.quantity
     if not names:
         return
-    before, quantity = case.fit.errors, case.fit.quantity
     after = before * float(np.sqrt(left))
     sizes = [shown(size, quantity.unit, 3) for size in (before, after)]
     # Placements have the offsets of joints.
     covered = {JointOffset.name} if Placement.name in names else set()
     kept = [name for name in case.setup.parameters if name not in covered]
-    lines = {"parameters": [*kept, *names]}
     said = f"{enumerated(names)}, not estimated here, explains most of it: the "
     said += f"{quantity.name} errors of a fit fall from {sizes[0]} to about {sizes[1]}"
     numbers = {"families": ", ".join(names), "rms_before": before, "rms_after": after}
-    remedy = f"estimate them: --parameters {','.join([*kept, *names])}, or state in "
-    remedy += f"the setup file: {written(lines)}"
-    info = left >= HALVED
-    yield told("model-lacks", said, numbers, remedy, lines, "by-joint", info=info)
+    how = estimating([*kept, *names], "them")
+    info = left >= FITTED**2
+    yield told("model-lacks", said, numbers, *how, "by-joint", info=info)
 
 
 def population(case: Case) -> Iterator[Finding]:
@@ -429,3 +635,7 @@ def population(case: Case) -> Iterator[Finding]:
     numbers |= {"deviations": off[k]}
     remedy = "look for damage or another type, and calibrate it without the prior"
     yield told("unlike-fleet", said, numbers, remedy, error=spoiled)
+
+
+KINDS = (units_of_some, plausibility, outliers, noise, population, families)
+"""Faults that are sought in every fit."""

@@ -1,4 +1,4 @@
-"""How a file could be read otherwise: its joints, axes, orientations, targets, robot.
+"""How a file could be read otherwise: joints, lines, axes, units, targets, robot.
 
 Each kind is a generator of hypotheses, which are tried by `explanations`; of two
 columns for the same joints it is known what the other one says, and both are fitted.
@@ -25,7 +25,13 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats, from_quaternion, to_quaternion
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
-from calib_pin.measurement_models.readings import places_of, with_values
+from calib_pin.measurement_models.readings import (
+    in_files,
+    measured_lengths,
+    places_of,
+    postures,
+    with_values,
+)
 from calib_pin.observations import (
     FRAMES,
     BlockKey,
@@ -43,12 +49,14 @@ from calib_pin.setup import (
     OrientationSetup,
     ReadingSetup,
 )
-from calib_pin.validation.findings.case import STEPS, Case
-from calib_pin.validation.findings.explanations import NEIGHBORS, UNLIKELY
-from calib_pin.validation.findings.hypotheses import FITTED, Hypothesis
-from calib_pin.validation.findings.quick_fit import QuickFit
-from calib_pin.validation.findings.sentences import shown, told
-from calib_pin.validation.findings.setup_lines import JointReading, lines_of, written
+from calib_pin.validation.findings.case import COMPARED, Case, QuickFit, unlikely
+from calib_pin.validation.findings.explanations import (
+    FITTED,
+    NEIGHBORS,
+    Hypothesis,
+    JointReading,
+)
+from calib_pin.validation.findings.sentences import lines_of, shown, told, written
 
 TURNS, GEARS = (90.0, -90.0, 180.0), (2.0, 0.5)
 """Offsets between the zeros of a controller and of a URDF [deg], and gears of which the
@@ -80,12 +88,38 @@ ABSORBED = 4.0
 """Factor by which six numbers of a frame make errors of a robot smaller: they are half
 as large on six joints, and less than a third on three."""
 
+FARTHEST = 10
+"""Most lines by which joint positions may stand elsewhere."""
+
+SEVERAL, NEAREST = 2, 3
+"""Lines of a configuration from which these may stand elsewhere together, and how many
+of them."""
+
+FACTORS = {
+    1e-3: "mm read as m",
+    1e-2: "cm read as m",
+    0.0254: "inches read as m",
+    0.3048: "feet read as m",
+    0.9144: "yards read as m",
+    1e3: "m read as mm",
+    10.0: "cm read as mm",
+    25.4: "inches read as mm",
+    1.0 / 25.4: "mm read as inches",
+    1.0 / 0.0254: "m read as inches",
+    1.0 / 0.3048: "m read as feet",
+    0.1: "mm read as cm",
+    100.0: "m read as cm",
+    0.5: "counted there and back",
+    2.0: "halves of what they should be",
+}
+"""Mistakes of a unit by the factor that undoes them."""
+
 
 def joint_columns(case: Case) -> Iterator[Hypothesis]:
     """Joints reversed, offset, exchanged, in degrees, geared, coupled: likely first."""
     joints, of_base = case.data.joints, turned_by_base(case)
     count = len(joints)
-    turning = [j for j, joint in enumerate(joints) if case.unit(joint) == "rad"]
+    turning = [j for j, joint in enumerate(joints) if case.turns(joint)]
     for j in range(count):
         yield _joint("joint-reversed", joints, j, "is reversed", {j: -1.0})
     for j, turn in product(turning, TURNS):
@@ -111,8 +145,7 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
         yield geared(joints, j, factor)
     # Robots couple a joint to those before it.
     for (other, j), factor in product(combinations(turning, 2), (1.0, -1.0)):
-        words = f"is coupled to '{joints[other]}'"
-        yield _joint("joint-coupled", joints, j, words, {other: factor})
+        yield coupled(joints, j, other, factor)
 
 
 def offset_by(
@@ -127,7 +160,15 @@ def geared(joints: Sequence[str], joint: int, factor: float) -> Hypothesis:
     """A joint that moves some times as far as its column says."""
     words = f"moves {factor:.5g} times as far as read"
     found = _joint("joint-gear", joints, joint, words, {joint: factor})
-    return replace(found, joint="", figure="residuals-by-joint")
+    return replace(found, joint="")
+
+
+def coupled(
+    joints: Sequence[str], joint: int, other: int, factor: float, by: str = ""
+) -> Hypothesis:
+    """A joint whose column counts from another one, with words of how much."""
+    words = f"is coupled to '{joints[other]}'{by}"
+    return _joint("joint-coupled", joints, joint, words, {other: factor})
 
 
 def _joint(
@@ -143,8 +184,9 @@ def _joint(
     read.offsets[joint] = offset
     for column, factor in factors.items():
         read.factors[joint, column] = factor
-    words, of = f"joint '{name}' {words}", f"{code} {name}"
-    return Hypothesis(code, words, of, joints=read, joint=name)
+    of = f"{code} {name}"
+    found = Hypothesis(code, f"joint '{name}' {words}", of, joints=read, joint=name)
+    return replace(found, figure="by-joint")
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:
@@ -158,6 +200,40 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
             yield (*plain[:k], *some, *plain[k + 3 :])
     if count > 3:
         yield plain[::-1]
+
+
+def line_order(case: Case) -> Iterator[Hypothesis]:
+    """Explanations by the order of the joint positions, the likeliest kinds first."""
+    longest = max(map(len, in_files(case.data)))
+    for lines in range(1, min(FARTHEST, longest // 2) + 1):
+        yield _shifted(lines)
+        yield _shifted(-lines)
+    count = sum(int(number[-1]) + 1 for number in postures(case.data))
+    if SEVERAL * count < len(case.data):
+        for k in range(1, min(NEAREST, count // 2) + 1):
+            yield _shifted(k, "configuration")
+            yield _shifted(-k, "configuration")
+    said, of = "the joint positions stand in reversed order", "order of the lines"
+    yield Hypothesis("lines-reversed", said, of, ReadingSetup(reversed=True))
+
+
+def _shifted(number: int, of: str = "line") -> Hypothesis:
+    """Joint positions so many lines, or configurations, below or above their own."""
+    where, far = "below" if number > 0 else "above", abs(number)
+    said = f"the joint positions stand {far} {of}{'s' * (far > 1)} {where} their "
+    said += "measurement"
+    line = ReadingSetup(shift=number)
+    line = line if of == "line" else ReadingSetup(shift_configurations=number)
+    return Hypothesis("lines-shifted", said, "order of the lines", line)
+
+
+def units(case: Case) -> Iterator[Hypothesis]:
+    """Other units of all measured lengths."""
+    blocks = [b for b in case.data.blocks if not declared(b.model).contact]
+    if any(measured_lengths(block).any() for block in blocks):
+        for factor, words in FACTORS.items():
+            said, read = f"the measured lengths are {words}", ReadingSetup(scale=factor)
+            yield Hypothesis("unit", said, "unit of lengths", read, gross=True)
 
 
 def axes(case: Case) -> Iterator[Hypothesis]:
@@ -304,7 +380,7 @@ def targets(case: Case) -> Iterator[Hypothesis]:
         words = f"the measurements of target '{target.names[code]}' contradict all "
         reading = ReadingSetup(without=places_of(data, rows))
         found = Hypothesis("target", f"{words}others", "target", reading)
-        yield replace(found, figure="residuals-over-order")
+        yield replace(found, figure="over-order")
 
 
 def target_frames(case: Case) -> Iterator[Hypothesis]:
@@ -422,11 +498,11 @@ def joint_sets(case: Case) -> Iterator[Finding]:
         try:
             both = [some, _moved(some, columns, maps)]
             problems = [make_problem(case.chains, data, setup) for data in both]
-            here, there = (QuickFit.of(problem, STEPS) for problem in problems)
+            here, there = (QuickFit.of(problem, COMPARED) for problem in problems)
         except CalibPinError:
             continue  # No robot is there.
         ratio = here.left * float(np.log(here.rms / there.rms))
-        if not (here.redundant and abs(ratio) > UNLIKELY):
+        if not (here.redundant and abs(ratio) > unlikely()):
             continue
         better, names = ratio > 0.0, [*columns.values()]
         ends = " to ".join(f"'{n}'" for n in dict.fromkeys((names[0], names[-1])))
@@ -482,3 +558,7 @@ def _exchanged(columns: Mapping[str, str], maps: _Maps) -> dict[str, dict[str, A
             coupled = {new.get(c, c): factor for c, factor in own.coupled.items()}
             found[new.get(column, column)] = lines_of(replace(own, coupled=coupled))
     return found
+
+
+FAMILIES = (joint_columns, line_order, orientations, axes, units, robots, targets)
+"""Explanations of errors that no robot explains."""

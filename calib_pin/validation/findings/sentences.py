@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 from calib_pin.estimation.evidence import Finding, Severity
 from calib_pin.measurement_models.readings import places_of
 from calib_pin.observations import Observations
 from calib_pin.setup import ReadingSetup
+from calib_pin.setup.values import Section
 from calib_pin.units import DISPLAY
-from calib_pin.validation.findings.setup_lines import lines_of, written
 
 NAMED, SHORT = 3, 12
 """Things that a sentence names, and measurements that a remedy does; the lines of the
@@ -64,10 +65,16 @@ def listed(words: Sequence[str], more: int = 0) -> str:
 def named(data: Observations, rows: Sequence[int]) -> str:
     """Measurements in words, such as `lines 12, 31, 40 and 2 more`."""
     kind = "line" if data.files[rows[0]] else "measurement"
-    more = max(len(rows) - NAMED, 0)
-    return (
-        f"{kind}{'s' * (len(rows) > 1)} {listed(places_of(data, rows[:NAMED]), more)}"
-    )
+    kind += "s" * (len(rows) > 1)
+    places = places_of(data, rows[:NAMED])
+    return f"{kind} {listed(places, max(len(rows) - NAMED, 0))}"
+
+
+def estimating(names: Sequence[str], what: str) -> tuple[str, dict[str, Any]]:
+    """The remedy to estimate parameters of some names, and its setup lines."""
+    lines = {"parameters": [*names]}
+    remedy = f"estimate {what}: --parameters {','.join(names)}, or state in the setup "
+    return f"{remedy}file: {written(lines)}", lines
 
 
 def without(
@@ -78,3 +85,54 @@ def without(
     if len(rows) > SHORT:
         return f"{advice} ('reading: without' in the setup file)", lines
     return f"{advice} (in the setup file: {written(lines)})", lines
+
+
+def merged(readings: Iterable[ReadingSetup]) -> ReadingSetup:
+    """Everything that several readings change."""
+    result = ReadingSetup()
+    for reading in readings:
+        result = replace(result, **_changed(reading))
+    return result
+
+
+def _changed(section: Section) -> dict[str, Any]:
+    """The attributes of a section that are not at their defaults."""
+    assert is_dataclass(section)
+    values = [(f.name, getattr(section, f.name), f.default) for f in fields(section)]
+    return {k: v for k, v, default in values if v != default and v not in ({}, ())}
+
+
+def lines_of(section: Section) -> dict[str, Any]:
+    """The keys of a section that are not at their defaults, as plain data."""
+    return {name: _plain(value) for name, value in _changed(section).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, str) and value.isdigit():
+        return int(value)
+    return lines_of(value) if isinstance(value, Section) else value
+
+
+def written(lines: Any) -> str:
+    """Lines of a setup file as YAML on one line."""
+    if isinstance(lines, Mapping):
+        return ", ".join(f"{written(k)}: {_nested(v)}" for k, v in lines.items())
+    return _nested(lines)
+
+
+def _nested(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return f"{{{written(value)}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_nested, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.9g}"
+    text = str(value)
+    plain = text.replace("_", "").replace("-", "").replace(".", "").isalnum()
+    return text if plain and text.strip() == text else f"'{text}'"

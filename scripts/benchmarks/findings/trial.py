@@ -25,7 +25,7 @@ from calib_pin.io.urdf import other_robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.setup_lines import merged
+from calib_pin.validation.findings.sentences import merged
 from calib_pin.validation.result import CalibrationResult
 
 SEEDS = 20

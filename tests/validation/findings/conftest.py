@@ -1,4 +1,4 @@
-"""Measurements of a UR10, and jobs of which something was changed."""
+"""Measurements of robots with errors, and jobs of which something was changed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,29 @@ from calib_pin.setup import FrameSetup, Setup
 
 
 @pytest.fixture(scope="session")
-def ur10():
+def erring():
+    """Makes measurements: `erring(robot, setup, seed, model, changes, ...)`.
+
+    The robot has errors of its geometry, and beside these the changes alone, by name;
+    further arguments are those of `simulate`.
+    """
+
+    def make(robot, setup, seed, model="position", changes=None, noise=1e-4, **how):
+        chain = calib_pin.load_chain(robot) if isinstance(robot, str) else robot
+        problem = nominal_problem(chain, model, setup)
+        rng, names = np.random.default_rng(seed), problem.parameters.names
+        theta = calib_pin.draw_errors(problem.parameters, rng)
+        effects = {name for name in setup.parameters if name != "placement"}
+        theta[[name.split(".")[1] in effects for name in names]] = 0.0
+        for name, change in (changes or {}).items():
+            theta[names.index(name)] += change
+        return calib_pin.simulate(problem, theta, rng, noise=noise, **how)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def ur10(erring):
     """Makes measurements of a UR10 that errs by some millimeters."""
     chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
     frame = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))

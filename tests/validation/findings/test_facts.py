@@ -93,7 +93,7 @@ STATED: dict[str, dict[str, Any]] = {
             "a": SphereSetup((0.6, 0.3, 0.4), 0.15),
             "b": SphereSetup((0.6, -0.4, 0.5), 0.1),
             "c": SphereSetup((-0.3, 0.5, 0.6), 0.12),
-        },
+        }
     },
     "plane-contact": {
         "planes": {

@@ -1,9 +1,8 @@
-"""Gears, couplings and lag of joints are found in any fit, and nothing else is."""
+"""Motions of joints, lost motion and ripples are found in any fit, and nothing else."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,94 +11,98 @@ import calib_pin
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chains import Chains
-from calib_pin.observations import Measurements, Observations
+from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.hypotheses import Explanation, read_so, setup_lines
-from calib_pin.validation.findings.joint_motions import joint_motion
+from calib_pin.validation.findings.explanations import read_so, setup_lines
+from calib_pin.validation.findings.joint_motions import (
+    approach,
+    approach_order,
+    joint_motion,
+    periodogram,
+    ripples,
+)
 
 ARM = calib_pin.load_chain("space6")
-CHAINS = Chains.of(ARM)
 TOOL = FrameSetup((0.05, 0.08, 0.12))
 SETUP = Setup()
 
 
-def simulated(
-    model: str = "position", count: int = 50, setup: Setup = SETUP
-) -> Measurements:
-    problem = nominal_problem(ARM, model, replace(setup, tool_frame=TOOL))
-    rng = np.random.default_rng(3)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=1e-4).only
-    return replace(
-        rows, lines=np.arange(2, len(rows) + 2), files=("a.csv",) * len(rows)
-    )
+def case_of(rows, setup=SETUP, chain=ARM):
+    data = rows if isinstance(rows, Observations) else Observations.of(rows)
+    return Case.of(fit_model(chain, data, setup, 0).fit, Chains.of(chain))
 
 
-ROWS = simulated()
+@pytest.fixture(scope="module")
+def measured(erring):
+    def make(model="position", count=50, setup=SETUP):
+        setup = replace(setup, tool_frame=TOOL)
+        rows = erring(ARM, setup, 3, model, count=count).only
+        files = ("a.csv",) * len(rows)
+        return replace(rows, lines=np.arange(2, len(rows) + 2), files=files)
+
+    return make
 
 
-def case_of(rows: Measurements, setup: Setup = SETUP) -> Case:
-    data = Observations.of(rows)
-    return Case.of(fit_model(ARM, data, setup, 0).fit, CHAINS)
+@pytest.fixture(scope="module")
+def rows(measured):
+    return measured()
 
 
-def lagging(rows: Measurements, parts: np.ndarray) -> Measurements:
-    """What is read if the joints have still a part of their last motion before them."""
+def changed(rows, joint, change):
+    """Measurements of which the column of a joint is read otherwise."""
     q = rows.q.copy()
-    for k in range(1, len(q)):
-        q[k] = (rows.q[k] - parts * q[k - 1]) / (1.0 - parts)
+    q[:, joint] = change(q)
     return replace(rows, q=q)
 
 
-def code_of(found: Explanation | None) -> str:
-    return "" if found is None else found.faults[0].code
-
-
-def test_a_coupling() -> None:
-    q = ROWS.q.copy()
-    q[:, 2] -= 0.01 * q[:, 1]
-    case = case_of(replace(ROWS, q=q))
+def lines_of(case, part="joints"):
+    """The setup lines of the motion of joints that is found."""
     found = joint_motion(case)
-    lines = setup_lines(case, found.faults)["joints"][ARM.joints[2]]
-    assert lines["coupled"][ARM.joints[1]] == pytest.approx(0.01, abs=2e-4)
+    return setup_lines(case, found.faults)[part]
 
 
-def test_a_lag_of_all_joints() -> None:
-    wrong = lagging(ROWS, np.full(6, 0.004))
+def test_a_coupling(rows) -> None:
+    wrong = changed(rows, 2, lambda q: q[:, 2] - 0.01 * q[:, 1])
+    coupled = lines_of(case_of(wrong))[ARM.joints[2]]["coupled"]
+    assert coupled[ARM.joints[1]] == pytest.approx(0.01, abs=2e-4)
+
+
+def test_a_lag_of_all_joints(rows) -> None:
+    """What is read if the joints have still a part of their last motion before them."""
+    q = rows.q.copy()
+    for k in range(1, len(q)):
+        q[k] = (rows.q[k] - 0.004 * q[k - 1]) / (1.0 - 0.004)
+    wrong = replace(rows, q=q)
     case = case_of(wrong)
-    found = joint_motion(case)
-    lag = setup_lines(case, found.faults)["reading"]["lag"]
+    lag = lines_of(case, "reading")["lag"]
     assert lag == dict.fromkeys(ARM.joints, pytest.approx(0.004, abs=2e-4))
-    read = read_so(Observations.of(wrong), found.faults)
-    np.testing.assert_allclose(read.q, ROWS.q, atol=5e-4)
+    read = read_so(Observations.of(wrong), joint_motion(case).faults)
+    np.testing.assert_allclose(read.q, rows.q, atol=5e-4)
 
 
-def test_starts_of_relative_distances_have_the_gear() -> None:
-    rows = simulated("relative-distance", 80)
+def test_starts_of_relative_distances_have_the_gear(measured) -> None:
+    rows = measured("relative-distance", 80)
     q, start = rows.q.copy(), rows.start.copy()
     q[:, 2] /= 1.02
     start[:, 2] /= 1.02
     found = joint_motion(case_of(replace(rows, q=q, start=start)))
-    assert code_of(found) == "joint-gear"
+    assert found.faults[0].code == "joint-gear"
 
 
-def test_a_gear_that_the_fit_has_is_no_fault() -> None:
-    q = ROWS.q.copy()
-    q[:, 2] /= 1.01
+def test_a_gear_that_the_fit_has_is_no_fault(rows) -> None:
+    wrong = changed(rows, 2, lambda q: q[:, 2] / 1.01)
     setup = replace(SETUP, parameters=("placement", "transmission"))
-    assert joint_motion(case_of(replace(ROWS, q=q), setup)) is None
+    assert joint_motion(case_of(wrong, setup)) is None
 
 
-def test_an_offset_that_the_fit_has_found_is_a_round_angle() -> None:
-    q = ROWS.q.copy()
-    q[:, 2] -= np.radians(5.0)
-    found = joint_motion(case_of(replace(ROWS, q=q)))
-    lines = setup_lines(case_of(replace(ROWS, q=q)), found.faults)["joints"]
+def test_an_offset_that_the_fit_has_found_is_a_round_angle(rows) -> None:
+    wrong = changed(rows, 2, lambda q: q[:, 2] - np.radians(5.0))
     # The rest is an error of the robot.
-    assert lines[ARM.joints[2]]["offset"] == pytest.approx(np.radians(5.0))
-    q[:, 2] += np.radians(3.0)
-    assert joint_motion(case_of(replace(ROWS, q=q))) is None
+    offset = lines_of(case_of(wrong))[ARM.joints[2]]["offset"]
+    assert offset == pytest.approx(np.radians(5.0))
+    small = changed(rows, 2, lambda q: q[:, 2] - np.radians(2.0))
+    assert joint_motion(case_of(small)) is None
 
 
 @pytest.mark.parametrize("each", [False, True])
@@ -114,26 +117,23 @@ def test_joints_that_were_still_moving(each: bool) -> None:
     truth = calib_pin.draw_errors(problem.parameters, rng)
     rows = calib_pin.simulate(problem, truth, rng, q=q, noise=1e-4).only
     found = joint_motion(case_of(replace(rows, q=arrived)))
-    assert code_of(found) == "lag"
-    assert f"{'every joint' if each else 'the farthest'} has 6 deg to go" in (
-        found.faults[0].words
-    )
+    (fault,) = found.faults
+    said = f"{'every joint' if each else 'the farthest'} has 6 deg to go"
+    assert fault.code == "lag" and said in fault.words
     assert found.after < 1e-3
 
 
-def test_a_stated_base_that_is_turned_is_no_offset_of_the_first_joint() -> None:
+def test_a_stated_base_that_is_turned_is_no_offset_of_the_first_joint(measured) -> None:
     known = replace(SETUP, base_frame=FrameSetup(estimate=False))
-    rows = simulated("pose", setup=known)
-    q = rows.q - np.radians([40.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert joint_motion(case_of(replace(rows, q=q), known)) is None
+    rows = measured("pose", setup=known)
+    wrong = changed(rows, 0, lambda q: q[:, 0] - np.radians(40.0))
+    assert joint_motion(case_of(wrong, known)) is None
 
 
-def test_a_gear_that_no_robot_has() -> None:
-    q = ROWS.q.copy()
-    q[:, 5] /= 1.5
-    found = joint_motion(case_of(replace(ROWS, q=q)))
-    lines = setup_lines(case_of(ROWS), found.faults)["joints"][ARM.joints[5]]
-    assert lines["gear"] == pytest.approx(1.5, rel=0.02)
+def test_a_gear_that_no_robot_has(rows) -> None:
+    wrong = changed(rows, 5, lambda q: q[:, 5] / 1.5)
+    gear = lines_of(case_of(wrong))[ARM.joints[5]]["gear"]
+    assert gear == pytest.approx(1.5, rel=0.02)
 
 
 RAIL = """<robot name="rail">
@@ -149,16 +149,99 @@ RAIL = """<robot name="rail">
 
 
 @pytest.mark.parametrize("factor", [np.degrees(1.0), np.radians(1.0)])
-def test_a_rail_whose_column_is_converted_as_an_angle(
-    tmp_path: Path, factor: float
-) -> None:
+def test_a_rail_whose_column_is_converted_as_an_angle(tmp_path, erring, factor) -> None:
     (tmp_path / "rail.urdf").write_text(RAIL)
     chain = calib_pin.load_chain(tmp_path / "rail.urdf")
-    problem, rng = nominal_problem(chain, "position", SETUP), np.random.default_rng(3)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=40, noise=1e-4).only
-    q = rows.q * [factor, 1.0, 1.0]
-    case = Case.of_robot(Chains.of(chain), Observations.of(replace(rows, q=q)), SETUP)
-    found = joint_motion(case)
-    lines = setup_lines(case, found.faults)["joints"]
+    rows = erring(chain, SETUP, 3, count=40).only
+    wrong = Observations.of(replace(rows, q=rows.q * [factor, 1.0, 1.0]))
+    lines = lines_of(Case.of_robot(Chains.of(chain), wrong, SETUP))
     assert lines["rail"]["gear"] == pytest.approx(1.0 / factor, rel=0.02)
+
+
+PA10 = calib_pin.load_chain("pa10")
+PLACEMENT = Setup(tool_frame=FrameSetup((0.1, 0.05, 0.15), estimate=True))
+
+
+@pytest.fixture(scope="module")
+def loose(erring):
+    """Makes measurements of a robot with lost motion of some joints [rad]."""
+
+    def make(lost):
+        setup = replace(PLACEMENT, parameters=("placement", "hysteresis"))
+        changes = {f"{PA10.joints[j]}.hysteresis.backlash": v for j, v in lost.items()}
+        rows = erring(PA10, setup, 3, changes=changes, count=60, noise=3e-5).only
+        # As from a file that does not state the sides.
+        return replace(rows, conditions=replace(rows.conditions, source="order"))
+
+    return make
+
+
+def lost_in(rows):
+    return next(approach(case_of(rows, PLACEMENT, PA10)), None)
+
+
+def test_lost_motion_is_told_by_joint(loose) -> None:
+    lost = {1: 2e-3, 2: 5e-4, 4: 1e-3}
+    found = lost_in(loose(lost))
+    names = {PA10.joints[j]: size for j, size in lost.items()}
+    assert set(found.evidence["joints"].split(", ")) == set(names)
+    for name, size in names.items():
+        # Half of the smallest is a tenth of a millimeter here, beside the noise.
+        assert abs(found.evidence[name] - size) < 1e-4
+
+
+def test_lost_motion_that_is_estimated_is_not_sought(loose) -> None:
+    rows = loose({1: 2e-3, 2: 1e-3})
+    setup = replace(PLACEMENT, parameters=("placement", "hysteresis"))
+    result = calib_pin.calibrate(PA10, rows, setup, validate=False)
+    codes = {f.code: f.severity for f in result.findings}
+    assert "backlash" not in codes and codes["approach-by-order"] == "info"
+    stated = replace(rows, conditions=replace(rows.conditions, source="columns"))
+    assert not [*approach_order(case_of(stated, PLACEMENT, PA10))]
+
+
+def test_no_lost_motion_where_no_side_is_known(loose) -> None:
+    rows = loose({1: 2e-3})
+    assert lost_in(rows) is not None
+    assert lost_in(replace(rows, conditions=Conditions())) is None
+
+
+@pytest.fixture(scope="module")
+def rippling(erring):
+    """Makes the ripples of a robot with waves of some joints, noise of 20 um."""
+
+    def make(seed, waves):
+        tool = FrameSetup((0.0, 0.0, 0.1), estimate=True)
+        ratios = {"joint_2": 80.0, "joint_4": 101.0}
+        names = ("placement", "transmission")
+        setup = Setup(parameters=names, gear_ratios=ratios, tool_frame=tool)
+        rows = erring(ARM, setup, seed, changes=waves, count=120, noise=2e-5)
+        return list(ripples(case_of(rows, Setup(tool_frame=tool))))
+
+    return make
+
+
+def test_ripples_of_two_joints_are_told_apart(rippling) -> None:
+    names = ("joint_2.transmission.motor_sin2", "joint_4.transmission.motor_cos")
+    (finding,) = rippling(1, dict.fromkeys(names, 2e-4))
+    assert set(finding.setup["gear_ratios"]) == {"joint_2", "joint_4"}
+    assert finding.setup["gear_ratios"]["joint_4"] == 101.0
+
+
+def test_low_waves_are_no_ripples(rippling) -> None:
+    """Eccentric wheels have parameters of their own."""
+    names = [f"{joint}.transmission.sin1" for joint in ARM.joints]
+    assert not rippling(0, dict.fromkeys(names, 2e-4))
+
+
+def test_the_periodogram_is_least_squares() -> None:
+    rng = np.random.default_rng(0)
+    q, motion, r = rng.uniform(-2.0, 2.0, 40), rng.normal(size=40), rng.normal(size=40)
+    frequencies = 5.0 + 0.37 * np.arange(150)
+    expected = []
+    for frequency in frequencies:
+        waves = np.column_stack([np.sin(frequency * q), np.cos(frequency * q)])
+        A = motion[:, None] * waves
+        expected.append(float(r @ A @ np.linalg.lstsq(A, r, rcond=None)[0]))
+    found = periodogram(q, motion, r, frequencies)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)

@@ -1,9 +1,10 @@
-"""What is wrong with joint columns is found by trial, together with other faults."""
+"""Wrong joint columns are found by trial, and their lines do what was tried."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -20,9 +21,10 @@ from calib_pin.observations import Observations
 from calib_pin.setup import AnchorSetup, FrameSetup, JointMap, Setup
 from calib_pin.validation import findings
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.explanations import explain
-from calib_pin.validation.findings.hypotheses import (
+from calib_pin.validation.findings.explanations import (
     Explanation,
+    JointReading,
+    explain,
     finding,
     read_so,
     setup_lines,
@@ -60,12 +62,9 @@ def arm(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chains:
 
 
 @pytest.fixture(scope="module")
-def rows(arm: Chains) -> Observations:
+def rows(arm: Chains, erring: Callable[..., Observations]) -> Observations:
     """Positions of a robot with errors."""
-    problem = nominal_problem(arm, "position", SETUP)
-    rng = np.random.default_rng(7)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    return calib_pin.simulate(problem, truth, rng, count=30, noise=5e-5)
+    return erring(arm[""], SETUP, 7, count=30, noise=5e-5)
 
 
 def misread(rows: Observations, change: Callable[[Floats], None]) -> Observations:
@@ -114,10 +113,7 @@ def degrees(q: Floats) -> None:
     ],
 )
 def test_what_is_wrong_is_found(
-    change: Callable[[Floats], None],
-    codes: set[str],
-    arm: Chains,
-    rows: Observations,
+    change: Callable[[Floats], None], codes: set[str], arm: Chains, rows: Observations
 ) -> None:
     wrong = misread(rows, change)
     found = explained(case_of(arm, wrong, SETUP))
@@ -182,3 +178,57 @@ def test_refusals_say_what_explains_them(arm: Chains, rows: Observations) -> Non
         findings.explained(arm, wrong, SETUP),
     ):
         raise OptionError("no")
+
+
+ARM = calib_pin.load_chain("space6")
+JOINTS = ARM.joints
+
+
+def read_back(
+    path: Path, columns: np.ndarray, names: list[str], joints: dict
+) -> np.ndarray:
+    header = [*names, "x", "y", "z"]
+    rows = np.column_stack([columns, np.full((len(columns), 3), 0.5)])
+    text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
+    path.write_text(f"{','.join(header)}\n{text}\n", encoding="utf-8")
+    return calib_pin.read_measurements(path, ARM, joints=joints).q
+
+
+def drawn(rng: np.random.Generator) -> JointReading:
+    """Joints that are exchanged, reversed, geared, offset and coupled."""
+    order = np.arange(6)
+    if rng.uniform() < 0.7:
+        some = rng.choice(6, rng.integers(2, 4), replace=False)
+        order[some] = np.roll(some, 1)
+    factors = np.eye(6)[order] * rng.choice([-1.0, 1.0, 1.01], 6)[:, None]
+    for _ in range(rng.integers(3)):
+        j, k = sorted(rng.choice(6, 2, replace=False))
+        factors[k] += rng.choice([-1.0, 1.0, 0.01]) * factors[j]
+    return JointReading(factors, rng.choice([0.0, np.pi / 2, -0.1], 6))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_file_with_the_lines_is_what_was_tried(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    names, stated = list(JOINTS), {}
+    if seed % 2:
+        # The user's own maps: other names, a sign and a coupling.
+        names = [f"A{k}" for k in range(6)]
+        stated = {name: JointMap(j) for name, j in zip(names, JOINTS, strict=True)}
+        stated["A1"] = JointMap(JOINTS[1], sign=-1, gear=0.5, offset=0.2)
+        stated["A2"] = JointMap(JOINTS[2], coupled={"A1": 1.0})
+    columns = rng.uniform(-0.8, 0.8, (4, 6))
+    before = read_back(tmp_path / "before.csv", columns, names, stated)
+    reading = drawn(rng)
+    lines = reading.maps(JOINTS, stated)
+    maps = stated | {name: JointMap(**entry) for name, entry in lines.items()}
+    after = read_back(tmp_path / "after.csv", columns, names, maps)
+    np.testing.assert_allclose(after, reading.positions(before), atol=1e-12)
+
+
+def test_what_a_joint_was_stated_to_be_is_stated_anew() -> None:
+    """A map that is undone does not stay in the setup."""
+    stated = {JOINTS[0]: JointMap(JOINTS[0], sign=-1)}
+    factors = np.diag([-1.0, *[1.0] * 5])
+    lines = JointReading(factors, np.zeros(6)).maps(JOINTS, stated)
+    assert lines == {JOINTS[0]: {"joint": JOINTS[0]}}

@@ -1,0 +1,390 @@
+"""Other robots, links, frames, targets, columns and conventions are told from data."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import calib_pin
+from calib_pin.cli.files import open_chains, open_measurements
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io.measurements import encode_table
+from calib_pin.io.setup import read_setup
+from calib_pin.io.urdf import other_robots
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import Observations
+from calib_pin.setup import STATED, CameraSetup, FrameSetup, JointMap, PointSetup, Setup
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.explanations import explain, finding
+from calib_pin.validation.findings.readings import (
+    line_order,
+    orientations,
+    robots,
+    target_frames,
+    targets,
+)
+from calib_pin.validation.findings.sentences import written
+
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
+UR5, UR10 = "example:ur5_robot", "example:ur10_robot"
+
+
+def of_robot(chains, rows, setup=None, known=tuple):
+    case = Case.of_robot(Chains.of(chains), rows, setup or Setup(), known)
+    assert case.doubtful
+    found = explain(case, (robots,))
+    return [] if found is None else list(finding(case, found))
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory, ur10):
+    path = tmp_path_factory.mktemp("robot") / "rows.csv"
+    calib_pin.write_measurements(path, ur10(count=50))
+    return path
+
+
+def read(file):
+    return lambda chains: calib_pin.read_measurements(file, chains)
+
+
+def test_wrong_robot(file) -> None:
+    chains = calib_pin.load_chains(UR5, base="base_link", tip="tool0")
+    setup, rows = Setup(base="base_link", tip="tool0"), read(file)(chains)
+    (found,) = of_robot(chains, rows, setup, partial(other_robots, chains, setup))
+    assert (found.code, found.severity, found.setup) == ("robot", "error", {})
+    assert UR10 in found.message and UR10 in found.remedy and UR5 in found.remedy
+    assert of_robot(chains, rows, setup) == []
+
+
+@pytest.mark.parametrize(
+    ("code", "ends"),
+    [
+        ("tip-link", {"base": "base_link", "tip": "wrist_2_link"}),
+        ("base-link", {"base": "shoulder_link", "tip": "tool0"}),
+    ],
+)
+def test_wrong_link_of_which_the_file_has_the_joints(file, code, ends) -> None:
+    chains = calib_pin.load_chains(UR10, **ends)
+    (found,) = of_robot(chains, read(file)(chains))
+    assert found.code == code
+    lines = {"tip-link": {"tip": "wrist_3_link"}, "base-link": {"base": "base_link"}}
+    assert found.setup == lines[code]
+
+
+def test_tip_behind_the_measured_link() -> None:
+    """The joints of the measured link are among those that were read."""
+    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
+    short = calib_pin.load_chain(UR10, base="base_link", tip="wrist_1_link")
+    rng = np.random.default_rng(0)
+    q = chain.random_configurations(50, rng)
+    problem = nominal_problem(short, "position", Setup(tool_frame=TOOL))
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, theta, rng, q=q[:, :4], noise=1e-4).only
+    rows = calib_pin.Measurements(
+        model="position", joints=chain.joints, q=q, values=rows.values
+    )
+    (found,) = of_robot(chain, Observations.of(rows))
+    assert found.setup == {"tip": "wrist_1_link"}
+
+
+KNOWN = {
+    "base_frame": FrameSetup((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), estimate=False),
+    "tool_frame": replace(TOOL, estimate=False),
+}
+NEAR = FrameSetup((0.08, 0.08, 0.12), TOOL.rpy, estimate=False)
+
+
+@pytest.mark.parametrize(
+    ("code", "frame", "known"),
+    [
+        ("tool-frame", NEAR, {"parameters": ("joint-offset",)}),
+        ("base-frame", NEAR, {"parameters": ("joint-offset",)}),
+        ("base-frame", FrameSetup(rpy=(0.0, 0.0, np.pi)), KNOWN),
+        ("base-frame", FrameSetup(rpy=(np.pi, 0.0, 0.0)), KNOWN),
+        ("base-frame", FrameSetup((0.3, 0.0, 0.0)), KNOWN),
+        ("tool-frame", FrameSetup((0.05, 0.08, 0.27), TOOL.rpy), KNOWN),
+    ],
+)
+def test_a_frame_that_is_stated_wrongly(code, frame, known, ur10) -> None:
+    """Half a turn, too, where nothing is fitted from what was stated."""
+    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
+    end = code.removesuffix("-frame")
+    wrong = {f"{end}_frame": replace(frame, estimate=False)}
+    (found,) = of_robot(chain, ur10(count=50), Setup(**{**known, **wrong}))
+    assert found.code == code
+    assert found.setup == {"frames": {end: {"estimate": True}}}
+
+
+@pytest.mark.parametrize(
+    ("mount", "said", "away"), [("world", "hand", 4.0), ("hand", "world", 1.8)]
+)
+def test_a_camera_that_is_somewhere_else(mount, said, away) -> None:
+    """What stands still is said to move with the tool, or the other way round."""
+    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
+    board = {
+        name: PointSetup((0.1 + 0.05 * (k % 2), 0.05 * (k // 2), 0.15))
+        for k, name in enumerate("abcd")
+    }
+    camera = CameraSetup(mount, (900.0, 910.0), (4500.0, 4500.0))
+    setup = Setup(camera=camera, targets=board)
+    far = FrameSetup((0.1, -0.2, away))
+    problem = nominal_problem(chain, "camera", replace(setup, base_frame=far))
+    rng = np.random.default_rng(0)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    q = chain.random_configurations(2000, rng)
+    if mount == "hand":
+        # The board is below, in front of the lens.
+        T = chain.poses(q)
+        q = q[(T[:, 2, 2] < -0.9) & (T[:, 2, 3] > -0.5)]
+    q = np.repeat(q[:30], 4, axis=0)
+    names = tuple("abcd" * (len(q) // 4))
+    rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2)
+    wrong = replace(setup, camera=replace(camera, mount=said))
+    case = Case.of_none(Chains.of(chain), rows, wrong)
+    found = explain(case, (robots,))
+    assert found is not None
+    (one,) = finding(case, found)
+    assert (one.code, one.setup) == ("camera-mount", {"camera": {"mount": mount}})
+
+
+ARM = calib_pin.load_chain("space6")
+NAMES = ("a", "b", "c")
+
+
+def compared(data: Observations) -> Case:
+    return Case.of_robot(Chains.of(ARM), data, Setup())
+
+
+def test_a_target_is_left_out(erring) -> None:
+    """Three points of the tool, the last of which is off in a new way each time."""
+    points = {n: PointSetup((0.1 * k, 0.05, 0.2)) for k, n in enumerate(NAMES)}
+    rows = erring(ARM, Setup(targets=points), 4, count=90, target=NAMES * 30).only
+    values = rows.values.copy()
+    values[2::3] += 0.05 * np.random.default_rng(4).normal(size=(30, 3))
+    files, lines = ("m.csv",) * 90, np.arange(2, 92)
+    rows = replace(rows, values=values, lines=lines, files=files)
+    found = explain(compared(Observations.of(rows)), (targets,))
+    assert found is not None
+    (fault,) = found.faults
+    assert fault.code == "target"
+    assert fault.reading.without == tuple(str(line) for line in range(4, 92, 3))
+    assert found.after < 0.5 * found.before
+
+
+def test_groups_with_a_tool_of_their_own() -> None:
+    """Three points of one tool, and three of another that the file does not tell."""
+    names = [f"{tool}/{name}" for tool in ("old", "new") for name in NAMES]
+    points = {
+        n: PointSetup((0.1 * (k % 3), 0.05, 0.2), False) for k, n in enumerate(names)
+    }
+    tools = [
+        FrameSetup((0.0, 0.0, 0.1)),
+        FrameSetup((0.05, -0.2, 0.0), (0.3, 0.0, 1.0)),
+    ]
+    rng, parts = np.random.default_rng(4), []
+    for own, frame in zip((names[:3], names[3:]), tools, strict=True):
+        setup = Setup(targets={n: points[n] for n in own}, tool_frame=frame)
+        problem = nominal_problem(ARM, "position", setup)
+        none = np.zeros(len(problem.parameters))
+        parts.append(
+            calib_pin.simulate(
+                problem, none, rng, count=45, noise=1e-4, target=tuple(own) * 15
+            ).only
+        )
+    data = Observations.of(*(replace(part, sigma=None) for part in parts))
+    case = Case.of_robot(Chains.of(ARM), data, Setup(targets=points))
+    found = explain(case, (targets, target_frames))
+    assert found is not None
+    (fault,) = found.faults
+    assert fault.code == "target-frames"
+    assert fault.advice == "give each a tool of its own (a column 'tool')"
+
+
+@pytest.mark.slow
+def test_a_board_whose_lines_are_shifted_has_no_wrong_corner() -> None:
+    """Three of four corners keep their joints if the lines are shifted by one."""
+    board = {
+        name: PointSetup((0.1 + 0.05 * (k % 2), 0.05 * (k // 2), 0.15))
+        for k, name in enumerate("abcd")
+    }
+    camera = CameraSetup("world", (900.0, 910.0), (640.0, 500.0))
+    setup = Setup(camera=camera, targets=board)
+    away = FrameSetup((0.1, -0.2, 6.0), (0.3, -0.2, 0.4))
+    problem = nominal_problem(ARM, "camera", replace(setup, base_frame=away))
+    rng = np.random.default_rng(2)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    q = np.repeat(ARM.random_configurations(60, rng), 4, axis=0)
+    names = tuple("abcd" * 60)
+    rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2).only
+    below = replace(
+        rows.rows(np.arange(1, 240)),
+        q=rows.q[:-1],
+        lines=np.arange(2, 241),
+        files=("m.csv",) * 239,
+    )
+    case = Case.of_robot(Chains.of(ARM), Observations.of(below), setup)
+    found = explain(case, (line_order, targets))
+    assert found is not None
+    assert [fault.reading.shift for fault in found.faults] == [1]
+    assert found.after < 0.4
+
+
+Job = Callable[..., Any]
+Stated = Callable[[Rotation], Any]
+
+
+@pytest.fixture(scope="module")
+def found(quick_case: Job) -> Job:
+    """The findings of a job's measurements."""
+
+    def find(job: Any, data: Observations) -> list[Finding]:
+        case = quick_case(job.chain, data)
+        explanation = explain(case, (orientations,))
+        return [] if explanation is None else list(finding(case, explanation))
+
+    return find
+
+
+@pytest.mark.parametrize(
+    ("columns", "stated", "line"),
+    [
+        (
+            "quaternion",
+            lambda R: R.inv().as_quat()[:, [3, 0, 1, 2]],
+            "columns: quaternion, hold: wxyz, inverse: true",
+        ),
+        (
+            "rotation-vector",
+            lambda R: R.as_euler("ZYX"),
+            "columns: rotation-vector, hold: intrinsic-zyx",
+        ),
+        (
+            "roll-pitch-yaw",
+            lambda R: R.as_euler("zxy")[:, [1, 2, 0]],
+            "columns: roll-pitch-yaw, hold: rpy-zxy",
+        ),
+        (
+            "roll-pitch-yaw",
+            lambda R: R.as_euler("xyz") * np.pi / 180.0,
+            "columns: roll-pitch-yaw, factor: 57.2957795",
+        ),
+    ],
+)
+def test_the_convention_and_its_lines(
+    found: Job, moved_job: Job, tmp_path: Path, columns: str, stated: Stated, line: str
+) -> None:
+    """With the lines in the setup file the reader finds the true orientations."""
+    job = moved_job((), (), 30, model="pose")
+    true = job.plain.only
+    table = dict(zip(true.joints, true.q.T, strict=True))
+    table |= dict(zip("xyz", true.values[:, :3].T, strict=True))
+    numbers = stated(Rotation.from_quat(true.values[:, 3:]))
+    table |= dict(zip(STATED[columns], numbers.T, strict=True))
+    file, setup = tmp_path / "poses.csv", tmp_path / "setup.yaml"
+    file.write_bytes(encode_table(table, ()))
+    (one,) = found(job, calib_pin.read_measurements(file, job.chain))
+    assert (one.code, one.severity) == ("orientation-convention", "error")
+    lines = written(one.setup)
+    assert lines == f"reading: {{orientation: {{{line}}}}}" and lines in one.remedy
+    setup.write_text(lines)
+    again = calib_pin.read_measurements(
+        file, job.chain, reading=read_setup(setup).reading
+    )
+    cosine = np.abs(np.sum(again.only.values[:, 3:] * true.values[:, 3:], axis=1))
+    np.testing.assert_allclose(cosine, 1.0, atol=1e-12)
+
+
+TO_TOOL = Setup(base="base_link", tip="tool0")
+
+
+@pytest.fixture(scope="module")
+def rows_of_ur10(ur10):
+    return ur10(count=60).only
+
+
+@pytest.fixture
+def of_file(rows_of_ur10, tmp_path):
+    """The findings of a file with one column of each joint, and others beside."""
+
+    def of(q, columns, setup=TO_TOOL):
+        path = tmp_path / "rows.csv"
+        calib_pin.write_measurements(path, replace(rows_of_ur10, q=q), force=True)
+        with path.open() as file:
+            lines = list(csv.reader(file))
+        for name, values in columns.items():
+            cells = [name, *map(str, values)]
+            lines = [[*line, c] for line, c in zip(lines, cells, strict=True)]
+        with path.open("w") as file:
+            csv.writer(file).writerows(lines)
+        chains = open_chains("example:ur10_robot", setup)
+        chains, rows = open_measurements([path], chains, setup, quiet=True)
+        result = calib_pin.calibrate(chains, rows, setup, validate=False)
+        return {f.code: f for f in result.findings}
+
+    return of
+
+
+def commanded(rows_of_ur10, size):
+    rng = np.random.default_rng(1)
+    return rows_of_ur10.q + rng.normal(0.0, size, rows_of_ur10.q.shape)
+
+
+def in_degrees(q):
+    return {f"actual_{k} [deg]": np.degrees(column) for k, column in enumerate(q.T)}
+
+
+def test_measured_positions_fit_better(of_file, rows_of_ur10) -> None:
+    found = of_file(commanded(rows_of_ur10, 2e-3), in_degrees(rows_of_ur10.q))
+    finding = found["joint-columns"]
+    assert finding.severity == "error"
+    assert finding.setup == {
+        "joints": {
+            f"actual_{k}": {"joint": j} for k, j in enumerate(rows_of_ur10.joints)
+        }
+    }
+    assert finding.evidence["rms_after"] == pytest.approx(1.5e-4, rel=0.2)
+    assert "lag" not in found
+
+
+def test_worse_ones_are_a_remark(of_file, rows_of_ur10) -> None:
+    found = of_file(rows_of_ur10.q, in_degrees(commanded(rows_of_ur10, 1e-3)))
+    finding = found["joint-columns"]
+    assert (finding.severity, finding.setup) == ("info", {})
+
+
+def test_alike_ones_are_not_worth_a_word(of_file, rows_of_ur10) -> None:
+    """And columns that overflow are no joints."""
+    columns = in_degrees(commanded(rows_of_ur10, 1e-6))
+    columns["count"] = np.full(len(rows_of_ur10.q), 1e300)
+    assert of_file(rows_of_ur10.q, columns) == {}
+
+
+def test_maps_of_joints_are_kept(of_file, rows_of_ur10) -> None:
+    """The other column of a joint counts as the first one does."""
+    first, second = rows_of_ur10.joints[:2]
+    joints = {
+        "shoulder": JointMap(first, sign=-1, gear=2.0, offset=0.1),
+        second: JointMap(second, coupled={"shoulder": 0.5}),
+    }
+    there, q = commanded(rows_of_ur10, 1e-3), rows_of_ur10.q.copy()
+    columns = {}
+    for name, positions in (("shoulder", there), ("shoulder_measured", rows_of_ur10.q)):
+        columns[name] = (0.1 - positions[:, 0]) / 2.0
+    there[:, 1] -= 0.5 * columns["shoulder"]
+    setup = replace(TO_TOOL, joints=joints)
+    finding = of_file(
+        np.concatenate([q[:, :1], there[:, 1:2], q[:, 2:]], axis=1), columns, setup
+    )["joint-columns"]
+    assert finding.setup["joints"] == {
+        "shoulder_measured": {"joint": first, "sign": -1, "gear": 2.0, "offset": 0.1},
+        second: {"joint": second, "coupled": {"shoulder_measured": 0.5}},
+    }

@@ -14,9 +14,8 @@ from itertools import pairwise, product
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.control.avoiding import Free
 from calib_pin.control.joints import Joints, Kinematics
-from calib_pin.control.reaching import reach, search
+from calib_pin.control.reaching import Free, reach, search
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, adjoint, invert

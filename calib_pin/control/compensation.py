@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.control.avoiding import Free, free_solutions
 from calib_pin.control.calibrated import Frame, Point, has_sides, kinematics
 from calib_pin.control.joints import Joints, Kinematics, Solutions, Stacked
-from calib_pin.control.reaching import reach, search
+from calib_pin.control.reaching import Free, free_solutions, reach, search
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.observations import Signs, approached
 from calib_pin.progress import Progress
@@ -194,10 +193,7 @@ def compensate(
 
     def part(rows: slice) -> Solutions:
         near = None if start is None else start[rows]
-        T = targets[rows]
-        return commands(
-            model, T, near, frame=frame, point=point, orientation=orientation
-        )
+        return search(real, targets[rows], joints, near, orientation=orientation)
 
     found = _in_parts(part, len(targets), progress)
     collides = np.zeros(len(targets), bool)

@@ -11,15 +11,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.control import (
-    Joints,
-    Kinematics,
-    Solutions,
-    commands,
-    kinematics,
-    reach,
-    search,
-)
+from calib_pin.control.calibrated import kinematics
+from calib_pin.control.compensation import commands
+from calib_pin.control.joints import Joints, Kinematics, Solutions
+from calib_pin.control.reaching import reach, search
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.results import write_urdf
 from calib_pin.io.urdf import load_chain

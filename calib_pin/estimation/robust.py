@@ -54,6 +54,7 @@ from calib_pin.errors import CalibPinError, require_known
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.fitted import Fit, RobustDecision, balanced
 from calib_pin.estimation.identifiability import inverse_root
+from calib_pin.estimation.nominal import registered
 from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,
@@ -64,7 +65,6 @@ from calib_pin.estimation.problem import (
     numbered,
     reweighted,
 )
-from calib_pin.estimation.registration import registered
 from calib_pin.estimation.row_blocks import Priors, expected_places
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.statistics.distributions import chi_square_quantile

@@ -17,9 +17,13 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.estimation import learning
 from calib_pin.estimation.evidence import Finding, Gain
-from calib_pin.estimation.fit import FittedModel, fit_model
+from calib_pin.estimation.fit import (
+    FittedModel,
+    fit_model,
+    learned_without,
+    with_learned,
+)
 from calib_pin.estimation.fitted import (
     Fit,
     Posterior,
@@ -28,8 +32,8 @@ from calib_pin.estimation.fitted import (
     shared_variances,
 )
 from calib_pin.estimation.identifiability import half_covariance, visible_nuisances
+from calib_pin.estimation.nominal import extended
 from calib_pin.estimation.problem import EXACT, Problem, known_count
-from calib_pin.estimation.registration import extended
 from calib_pin.estimation.robust import by_size, spectrum
 from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
@@ -178,7 +182,7 @@ def left_out(
     if learned is not None:
         about, rng = fit.problem.rebased(fit.theta), np.random.default_rng(seed)
         parts = [masks[k] for k in found]
-        taught = learning.left_out(learned, fit, *about, parts, rng)
+        taught = learned_without(learned, fit, *about, parts, rng)
         anew = dict(zip(found, taught, strict=True))
     elif not fit.problem.many:
         effects = effect_rows(fit)
@@ -191,7 +195,7 @@ def left_out(
             step[of_error] = (theta - fit.theta)[of_error]
             # What was learned stands on the geometry; where it fades, that remains.
             correction = replace(anew[k], shift=anew[k].shift - step)
-            problem = learning.with_learned(model.problem, correction)
+            problem = with_learned(model.problem, correction)
             theta = model.theta + step
         elif not problem.many:
             deviations = _deviations(fit, robots[1], fitted, masks[k], effects)

@@ -18,9 +18,8 @@ import time
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fit import fit, learned_correction, with_learned
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.learning import learned_correction, with_learned
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats

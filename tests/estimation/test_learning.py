@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.fit import fit_model
+from calib_pin.estimation.fit import fit_model, training_rows
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.learning import training_rows
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats

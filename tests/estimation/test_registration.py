@@ -11,9 +11,8 @@ import pytest
 import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.nominal import register
+from calib_pin.estimation.nominal import extended, register, registered
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.registration import extended, registered
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations

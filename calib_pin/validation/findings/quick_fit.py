@@ -9,8 +9,8 @@ from typing import Any, Self
 import numpy as np
 
 from calib_pin.estimation.identifiability import column_space, nuisance_basis
+from calib_pin.estimation.nominal import registered
 from calib_pin.estimation.problem import Problem, error_table, measured_count
-from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import refine
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats

@@ -541,11 +541,6 @@ def absorbed(problem: Problem) -> int:
     return sum(map(len, problem.own_of_stations.values()))
 
 
-def reweighted(problem: Problem, weight: Floats) -> Problem:
-    """The problem with other weights of its measurements, shape (N,)."""
-    return replace(problem, data=problem.data.weighted(weight))
-
-
 def error_table(problem: Problem, theta: Floats) -> Floats:
     """Residuals as they are shown, NaN for absent components, shape (N, D).
 

@@ -26,14 +26,20 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import declared, measurement_model
+from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.measurement_models.pose import Pose
-from calib_pin.observations import BlockKey, Indices, Measurements, Observations
+from calib_pin.observations import (
+    UNSTATED,
+    BlockKey,
+    Conditions,
+    Indices,
+    Measurements,
+    Observations,
+)
 from calib_pin.parameters import ParameterSet
 from calib_pin.planning.criteria import Information
-from calib_pin.planning.rows import IdentificationRows, LookRows
-from calib_pin.planning.workspace import Aims, Candidates, Look, sides_tried
+from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.workspace import Aims, Candidates, sides_tried
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.result import RobotError
@@ -201,17 +207,14 @@ class TipTests:
         found = []
         terms = {key.chain: term for key, term in rows.problem.terms.items()}
         for chain, q in tests.items():
-            term = terms[chain]
-            # Whatever is measured, the pose of the tool is what counts [m, rad].
-            pose = measurement_model(Pose.declaration.name, rows.problem.setup)
-            sides = sides_tried(rows.problem)[:, term.columns]
-            look = Look(
-                replace(term, measurement=pose), ("",), True, np.zeros(1, int), sides
-            )
-            basis = rows.basis[term.of_error]
-            aim = np.arange(len(q)) % max(len(sides), 1)
-            J = LookRows(look, basis, np.ones(6)).rows(q, aim)
-            J = J.reshape(-1, 2, 3, len(basis.T))
+            term, held = terms[chain], UNSTATED
+            error, own = term.error, q[:, term.columns]
+            if len(sides := sides_tried(rows.problem)[:, term.columns]):
+                held = Conditions(direction=np.resize(sides, own.shape))
+            zero = np.zeros(len(error.screws))
+            poses = error.linearize(own, zero, error.basis(own, held))
+            J = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
+            J = (J @ rows.basis[term.of_error]).reshape(len(q), 2, 3, -1)
             found.append(np.einsum("npdi,npdj->pij", J, J, optimize=True) / len(q))
         return TipTests(*np.mean(found, axis=0))
 

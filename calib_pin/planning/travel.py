@@ -316,18 +316,20 @@ class Ways:
     def through(
         self,
         q: Floats,
-        rng: np.random.Generator,
+        rng: np.random.Generator | None,
         progress: Progress | None = None,
     ) -> Passage:
         """A motion through configurations in their order.
 
         Args:
             q: The configurations, shape (N, n) [rad, m].
-            rng: Source of chance; every way has its own.
+            rng: Source of chance; every way has its own. None where the straight ways
+                must not be changed.
             progress: Told the part that is done, 0 to 1.
         """
         parts, rows, blocked = [q[:1]], [np.arange(len(q[:1]))], []
-        for k, own in enumerate(rng.spawn(max(len(q) - 1, 0)), 1):
+        ways = max(len(q) - 1, 0)
+        for k, own in enumerate(rng.spawn(ways) if rng else [None] * ways, 1):
             if progress is not None:
                 progress(k / len(q))
             around = self.around(q[k - 1], q[k], own)
@@ -338,28 +340,15 @@ class Ways:
             rows += [np.full(len(around), VIA), np.array([k])]
         return Passage(np.concatenate(parts), np.concatenate(rows), tuple(blocked))
 
-    def checked(
-        self,
-        q: Floats,
-        rng: np.random.Generator | None = None,
-        progress: Progress | None = None,
-    ) -> Passage:
-        """The straight ways; the same as `through` for what must not be changed."""
-        blocked = []
-        for k in range(1, len(q)):
-            if progress is not None:
-                progress(k / len(q))
-            if not self.is_free(q[k - 1], q[k]):
-                blocked.append(k)
-        return Passage.straight(q, blocked)
-
-    def around(self, a: Floats, b: Floats, rng: np.random.Generator) -> Floats | None:
+    def around(
+        self, a: Floats, b: Floats, rng: np.random.Generator | None
+    ) -> Floats | None:
         """Configurations between two, by which straight ways are free.
 
         Args:
             a: The first, shape (n,) [rad, m].
             b: The last, shape (n,) [rad, m].
-            rng: Source of chance.
+            rng: Source of chance; None to look for no other way.
 
         Returns:
             The configurations, shape (V, n), none where the straight way is free; None
@@ -367,7 +356,7 @@ class Ways:
         """
         if self.is_free(a, b):
             return np.empty((0, len(a)))
-        if not self.collisions.free(np.array([a, b])).all():
+        if rng is None or not self.collisions.free(np.array([a, b])).all():
             return None
         path = _connected(self, a, b, rng)
         return None if path is None else self._shorter(path, rng)[1:-1]

@@ -28,7 +28,6 @@ from calib_pin.estimation.fitted import (
     Fit,
     Posterior,
     by_configuration,
-    effect_rows,
     shared_variances,
 )
 from calib_pin.estimation.identifiability import half_covariance, visible_nuisances
@@ -185,7 +184,7 @@ def left_out(
         taught = learned_without(learned, fit, *about, parts, rng)
         anew = dict(zip(found, taught, strict=True))
     elif not fit.problem.many:
-        effects = effect_rows(fit)
+        effects = fit.effect_rows
     for k, (nominal, fitted) in found.items():
         rows, theta = fit.problem.data.rows(masks[k]), fitted.theta
         problem, deviations = fit.problem, fit.posterior

@@ -17,7 +17,7 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.many_rows import ManyRows
 from calib_pin.estimation.population import PopulationCost
-from calib_pin.estimation.problem import Problem, RowByRow, reweighted
+from calib_pin.estimation.problem import Problem, RowByRow
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -47,6 +47,11 @@ LOADS = {"light": Payload(1.0, (0.1, 0.0, 0.0)), "heavy": Payload(9.0, (0.0, 0.2
 """What the robot carries in turn, beside nothing."""
 
 STATED = {"payloads": LOADS, "gear_ratios": {"*": -31.5}, "gravity": (1.0, -2.0, -9.5)}
+
+
+def reweighted(problem: Problem, weight: Floats) -> Problem:
+    """The problem with other weights of its measurements, shape (N,)."""
+    return replace(problem, data=problem.data.weighted(weight))
 
 
 @pytest.fixture(autouse=True)

@@ -173,12 +173,8 @@ def by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
     By orthonormal columns U of the rows, (M, r), and their variances, (K,).
     """
     layout, rank = problem.layout, U.shape[1]
-    rows, label = repetitions(problem)
     each = U[: len(layout.row)] * np.sqrt(problem.data.weight)[layout.row, None]
-    # Measurements that are no repetitions stand alone.
-    of_row = np.arange(len(problem.data)) + len(problem.data)
-    of_row[rows] = label
-    place = of_row[layout.row] * layout.width + layout.column
+    place = repetitions(problem)[layout.row] * layout.width + layout.column
     result = np.zeros((rank, rank))
     for own, variance in zip(layout.of_components, shared, strict=True):
         if variance:
@@ -187,21 +183,6 @@ def by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
             np.add.at(summed, group, each[own])
             result += variance * summed.T @ summed
     return result
-
-
-def noise_along(problem: Problem, U: Floats, noise: Floats, shared: Floats) -> Floats:
-    """Covariance of the errors of whitened rows along columns, shape (r, r).
-
-    Args:
-        problem: The problem.
-        U: Orthonormal columns of the rows, those of what is known last, shape (M, r).
-        noise: Variances of the quantities, shape (K,).
-        shared: The part of these that repetitions have in common, shape (K,).
-    """
-    of_row, component = np.ones(len(U)), problem.layout.component
-    of_row[: len(component)] = (noise - shared)[component]
-    result = (U.T * of_row) @ U
-    return result + by_configuration(problem, U, shared) if shared.any() else result
 
 
 @dataclass(frozen=True)
@@ -365,18 +346,17 @@ def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
         inverse = np.linalg.solve(spread, np.diag(1.0 / parameters.scales))
         held = np.asarray(inverse[alone])
         basis = np.eye(len(theta))[:, parameters.free]
-    rows = np.concatenate([jac, held])
-    half = half_covariance(rows, basis, parameters)
+    half = half_covariance(np.concatenate([jac, held]), basis, parameters)
     noise = variances(problem, effects)
     shared = shared_variances(problem, fitted.noise, noise)
     core, by_effects = np.eye(half.shape[1]), np.zeros((len(theta), 0))
-    if problem.many and effects is not None:
+    if effects is not None or shared.any():
         groups, prior = by_quantity(problem, theta, fun, jac, half), held @ half
-        weights = noise / current_units(problem) ** 2
+        weights = (noise - shared) / current_units(problem) ** 2
         core = prior.T @ prior + groups.known[:-1, :-1]
         core += np.tensordot(weights, groups.products[:, :-1, :-1], axes=1)
-    elif effects is not None or shared.any():
-        core = noise_along(problem, rows @ half, noise, shared)
+    if shared.any():
+        core += by_configuration(problem, jac @ half, shared)
     if effects is not None:
         J, X = fitted.absorbing
         inverse = half
@@ -825,7 +805,10 @@ def robot_rows(
     seen = basis @ Vt[shown].T
     effects = systematic(problem, theta, Directions(nuisances, seen, seen[:, :0]))
     noise = variances(problem, effects)
-    Q = noise_along(problem, U, noise, shared_variances(problem, components, noise))
+    shared = shared_variances(problem, components, noise)
+    of_row = np.ones(len(U))
+    of_row[:measured] = (noise - shared)[layout.component]
+    Q = (U.T * of_row) @ U + by_configuration(problem, U, shared)
     if effects is not None:
         X = U[:measured].T @ effects.rows(problem, theta)
         Q += X @ X.T

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.evidence import ByCount, PoseErrors, TipAccuracy, rms
+from calib_pin.estimation.evidence import FoundCurve, PoseErrors, TipAccuracy, rms
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.identifiability import visible_nuisances
 from calib_pin.estimation.problem import Problem
@@ -49,7 +48,7 @@ def tip_by_count(
     order: NDArray[np.int64],
     weight: float,
     total: int,
-) -> tuple[Floats, Floats]:
+) -> FoundCurve:
     """The error of the tip by the number of measurements.
 
     Args:
@@ -64,8 +63,7 @@ def tip_by_count(
         total: Number of all measurements.
 
     Returns:
-        Numbers of measurements, ascending, and errors [m], both of shape (K,). The
-        first number is as few as determine all, the last one all there are.
+        The curve, from as few as determine all to all there are.
     """
     _, J = problem.linearize_rows(theta)
     parameters, row = problem.parameters, problem.layout.row
@@ -93,8 +91,7 @@ def tip_by_count(
         if squares[0] > ROUNDING**2:
             W = V / np.sqrt(squares) / lengths[:, None]
             found.append((count, weight * np.sqrt(np.sum(W * (tests @ W)))))
-    numbers, errors = np.reshape(found, (-1, 2)).T
-    return numbers, errors
+    return FoundCurve(*np.reshape(found, (-1, 2)).T)
 
 
 @serial_blas
@@ -136,7 +133,7 @@ def tip_accuracy(
         orientation=orientation,
         rms=PoseErrors(rms(position), rms(orientation)),
         of_robot=PoseErrors(*alone),
-        by_count=ByCount(partial(tip_by_count, few, fitted.theta, *numbers)),
+        by_count=tip_by_count(few, fitted.theta, *numbers),
     )
 
 

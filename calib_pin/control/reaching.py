@@ -91,18 +91,36 @@ class Task(Stacked):
     """Targets that n joints shall reach.
 
     Attributes:
-        evaluate: The kinematics.
+        evaluate: The kinematics of the joints that move the chain.
         targets: Poses, shape (N, 4, 4).
+        joints: Limits, which are never left, and which joints follow others.
         start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
-        joints: Limits, which are never left.
+        given: Whether these are given; else those in the middle are preferred, and
+            redundant joints stay where they are found.
         orientation: Whether orientations count; else only positions do.
     """
 
     evaluate: Kinematics
     targets: Floats
-    start: Floats
     joints: Joints
+    start: Floats
+    given: bool
     orientation: bool
+
+    @staticmethod
+    def of(
+        evaluate: Kinematics,
+        targets: Floats,
+        joints: Joints,
+        start: Floats | None = None,
+        orientation: bool = True,
+    ) -> Task:
+        """The task of a chain, by its kinematics and positions of all its joints."""
+        near = np.tile(joints.home, (len(targets), 1))
+        if start is not None:
+            near = joints.driven(start)
+        given = near, start is not None, orientation
+        return Task(joints.driving(evaluate), targets, joints, *given)
 
     def errors(self, q: Floats) -> tuple[Floats, Floats]:
         """Errors in the axes of the tool, (N, m), and their derivative, (N, m, n)."""
@@ -115,25 +133,11 @@ class Task(Stacked):
         return np.hstack([position, turn]), J
 
 
-def reach(
-    evaluate: Kinematics,
-    targets: Floats,
-    start: Floats,
-    joints: Joints,
-    *,
-    orientation: bool = True,
-) -> Solutions:
-    """Solutions close to a start.
+def reach(task: Task) -> Solutions:
+    """Solutions close to the start.
 
     With more joints than a target has components, the sum of the squared ways of the
     joints from the start is least, among the solutions that a descent can slide to.
-
-    Args:
-        evaluate: The kinematics.
-        targets: Poses to reach, shape (N, 4, 4).
-        start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
-        joints: Limits, which are never left, and which joints follow others.
-        orientation: Whether orientations count; else only positions do.
 
     Examples:
         >>> import calib_pin
@@ -144,57 +148,25 @@ def reach(
         ...     linear = error.linearize(q, np.zeros(len(error.parameters)))
         ...     return linear.T, linear.joint_twists()
         >>> q = np.array([[0.1, -0.5, 0.4, 0.3, 0.6, 0.2]])
-        >>> found = reach(evaluate, evaluate(q)[0], q + 0.01, Joints.of(chain))
+        >>> T, joints = evaluate(q)[0], Joints.of(chain)
+        >>> found = reach(Task.of(evaluate, T, joints, q + 0.01))
         >>> bool(np.abs(found.q - q).max() < 1e-8)
         True
+        >>> bool(search(Task.of(evaluate, T, joints)).reached.all())
+        True
     """
-    near = joints.driven(start)
-    task = Task(joints.driving(evaluate), targets, near, joints, orientation)
-    return _commanded(_descended(task, near, FULL), joints)
+    return _commanded(_descended(task, task.start, FULL), task.joints)
 
 
-def search(
-    evaluate: Kinematics,
-    targets: Floats,
-    joints: Joints,
-    start: Floats | None = None,
-    *,
-    orientation: bool = True,
-) -> Solutions:
+def search(task: Task) -> Solutions:
     """Solutions anywhere within the limits.
 
     Descents begin at the start and, without one or where that fails, at samples of the
     joint space whose poses are near the target.
-
-    Args:
-        evaluate: The kinematics.
-        targets: Poses to reach, shape (N, 4, 4).
-        joints: Limits, which are never left, and which joints follow others.
-        start: Joint positions that solutions shall be close to, shape (N, n)
-            [rad, m]; by default those in the middle are preferred, and redundant
-            joints stay where they are found.
-        orientation: Whether orientations count; else only positions do.
-
-    Examples:
-        >>> import calib_pin
-        >>> from calib_pin.parameterizations.error_model import ErrorModel
-        >>> chain = calib_pin.load_chain("space6")
-        >>> error = ErrorModel.create(chain, [])
-        >>> def evaluate(q):
-        ...     linear = error.linearize(q, np.zeros(len(error.parameters)))
-        ...     return linear.T, linear.joint_twists()
-        >>> targets = evaluate(chain.random_configurations(
-        ...     5, np.random.default_rng(0)
-        ... ))[0]
-        >>> bool(search(evaluate, targets, Joints.of(chain)).reached.all())
-        True
     """
-    home = np.tile(joints.home, (len(targets), 1))
-    near = home if start is None else joints.driven(start)
-    task = Task(joints.driving(evaluate), targets, near, joints, orientation)
-    steps, guess = FULL, near
-    if start is None:
-        steps, guess = EXACT, joints.turned(_nearest(task, 1)[:, 0], near)
+    joints, steps, guess = task.joints, FULL, task.start
+    if not task.given:
+        steps, guess = EXACT, joints.turned(_nearest(task, 1)[:, 0], guess)
     found = _descended(task, guess, steps)
     lost = np.flatnonzero(~found.reached)
     if not len(lost):
@@ -454,16 +426,7 @@ SAME = 1e-3
 """Distance up to which two solutions are the same, whatever the turns [rad, m]."""
 
 
-def free_solutions(
-    evaluate: Kinematics,
-    targets: Floats,
-    own: Solutions,
-    joints: Joints,
-    free: Free,
-    *,
-    start: Floats | None = None,
-    orientation: bool = True,
-) -> Solutions:
+def free_solutions(task: Task, own: Solutions, free: Free) -> Solutions:
     """Solutions at which nothing touches; not reached where none was found.
 
     Of all that are found from many starts those are chosen that make the way from
@@ -472,27 +435,23 @@ def free_solutions(
     anything.
 
     Args:
-        evaluate: The kinematics.
-        targets: Poses to reach, shape (N, 4, 4).
+        task: The targets.
         own: Solutions for them, without regard to collisions.
-        joints: Limits, which are never left, and which joints follow others.
         free: Where nothing touches.
-        start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
-        orientation: Whether orientations count.
     """
-    driven = joints.driven(own.q)
-    near = driven if start is None else joints.driven(start)
-    task = Task(joints.driving(evaluate), targets, near, joints, orientation)
+    joints, driven = task.joints, task.joints.driven(own.q)
+    if not task.given:
+        task = replace(task, start=driven)
     found: list[Solutions] = []
-    for first in range(0, len(targets), BLOCK):
+    for first in range(0, len(driven), BLOCK):
         found += _each(task, driven, slice(first, first + BLOCK), free)
     options = [rows.q for rows in found]
-    if start is None:
-        chosen = _shortest(options, joints)
-    else:
-        pairs = zip(options, near, strict=True)
+    if task.given:
+        pairs = zip(options, task.start, strict=True)
         ways = [_ways(q, at[None], joints) for q, at in pairs]
         chosen = [int(way.argmin()) if len(way) else 0 for way in ways]
+    else:
+        chosen = _shortest(options, joints)
     none = Solutions(driven, own.reached & False, own.position, own.orientation)
     rows = [
         some.rows([k]) if len(some) else none.rows([at])

@@ -29,7 +29,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.observations import (
-    UNSTATED,
     BlockKey,
     Conditions,
     Indices,
@@ -207,10 +206,10 @@ class TipTests:
         found = []
         terms = {key.chain: term for key, term in rows.problem.terms.items()}
         for chain, q in tests.items():
-            term, held = terms[chain], UNSTATED
+            term = terms[chain]
             error, own = term.error, q[:, term.columns]
-            if len(sides := sides_tried(rows.problem)[:, term.columns]):
-                held = Conditions(direction=np.resize(sides, own.shape))
+            sides = sides_tried(rows.problem)[:, term.columns]
+            held = Conditions(direction=np.resize(sides, own.shape))
             zero = np.zeros(len(error.screws))
             poses = error.linearize(own, zero, error.basis(own, held))
             J = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))

@@ -15,7 +15,7 @@ from calib_pin.control.acceptance_poses import (
     acceptance_poses,
 )
 from calib_pin.control.joints import Joints
-from calib_pin.control.reaching import search
+from calib_pin.control.reaching import Task, search
 from calib_pin.errors import OptionError
 from calib_pin.io.collision import load_collisions
 from calib_pin.kinematics.chain import Chain
@@ -56,7 +56,8 @@ def check(found: AcceptancePoses, chain: Chain, tool: np.ndarray) -> None:
         T, J = chain.jacobian(q)
         return T @ tool, adjoint(invert(tool)) @ J
 
-    reached = search(evaluate, targets, Joints.of(chain), orientation=False).reached
+    task = Task.of(evaluate, targets, Joints.of(chain), orientation=False)
+    reached = search(task).reached
     assert reached.mean() > 0.97
 
 

@@ -168,7 +168,7 @@ def fit_model(
     # A generator of its own: what a search drew must not change what is learned.
     rng = np.random.default_rng(seed)
     tell = portion(progress, part, 1.0 - part)
-    learned = learned_correction(setup.learned, fitted, problem, theta, rng, tell)
+    learned = learned_correction(setup.learned, fitted, rng, tell)
     if learned is None:
         plain = replace(problem, setup=replace(setup, learned=None))
         return FittedModel(fitted, plain, theta, rejected=setup.learned)
@@ -367,27 +367,20 @@ def _carried(problem: Terms, term: Term) -> Floats | None:
 
 
 def learned_correction(
-    name: str,
-    fitted: Fit,
-    problem: Problem,
-    theta: Floats,
-    rng: np.random.Generator,
-    progress: Progress | None = None,
+    name: str, fitted: Fit, rng: np.random.Generator, progress: Progress | None = None
 ) -> LearnedCorrection | None:
     """The correction that a residual model learns; None without a gain.
 
     Args:
         name: Name of the residual model.
         fitted: The fit.
-        problem: Its problem, about the solution.
-        theta: Parameter values about that, shape (P,).
         rng: Random generator of the residual model.
         progress: Told how much is done, 0 to 1.
 
     Raises:
         InputError: If the measurements are too few to learn from.
     """
-    directions, rows = _learnable(fitted, problem, theta)
+    directions, rows = _learnable(fitted)
     found = RESIDUAL_MODELS[name](rows, rng, progress=progress)
     if not (found.shift.any() or found(rows.q[:SAMPLE]).any()):
         # Nothing held on the validation measurements.
@@ -398,8 +391,6 @@ def learned_correction(
 def learned_without(
     learned: LearnedCorrection,
     fitted: Fit,
-    problem: Problem,
-    theta: Floats,
     masks: Sequence[NDArray[np.bool_]],
     rng: np.random.Generator,
 ) -> list[LearnedCorrection]:
@@ -411,12 +402,10 @@ def learned_without(
     Args:
         learned: The correction.
         fitted: The fit.
-        problem: Its problem, about the solution.
-        theta: Parameter values about that, shape (P,).
         masks: Those to leave out, shape (N,) each.
         rng: Random generator of the residual model.
     """
-    directions, rows = _learnable(fitted, problem, theta)
+    directions, rows = _learnable(fitted)
     found = learned.model.left_out(rows, masks, rng)
     return [LearnedCorrection(one, directions @ one.shift) for one in found]
 
@@ -497,19 +486,13 @@ class _Given:
         return np.ones(len(q))
 
 
-def _learnable(
-    fitted: Fit, problem: Problem, theta: Floats
-) -> tuple[Floats, TrainingRows]:
+def _learnable(fitted: Fit) -> tuple[Floats, TrainingRows]:
     """Directions that the fit could tell, (P, k), and the rows to learn from.
 
     Those of the robot, in the scales of parameters, and free ones of the frames; the
     instruments stay as they were fitted.
-
-    Args:
-        fitted: The fit.
-        problem: Its problem, about any reference.
-        theta: Parameter values of the solution about that, shape (P,).
     """
+    problem, theta = fitted.problem.rebased(fitted.theta)
     parameters, robot = problem.parameters, fitted.directions.robot
     frames = visible_nuisances(problem.linearize(theta)[1], parameters)
     for term in problem.terms.values():

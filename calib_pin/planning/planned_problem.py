@@ -60,20 +60,16 @@ def planned_keys(
     Raises:
         OptionError: If there are none, or nothing shows yet where an instrument is.
     """
-    if not isinstance(measured, str):
-        keys = tuple(measured)
-    elif data is None:
-        keys = (BlockKey(measured),)
-    else:
-        keys = tuple(key for key in data.keys if key.model == measured)
-    missing = [measured] if not keys else []
-    if data is not None:
-        missing += [str(key) for key in keys if key not in data.keys]
+    keys = (BlockKey(measured),) if isinstance(measured, str) else tuple(measured)
+    known = keys if data is None else data.keys
+    if isinstance(measured, str):
+        keys = tuple(key for key in known if key.model == measured)
+    missing = [key for key in keys if key not in known] if keys else [measured]
     if missing:
         raise OptionError(
             "there are no measurements of this kind to add to",
-            value=missing[0],
-            allowed="; ".join(map(str, data.keys)) if data is not None else None,
+            value=str(missing[0]),
+            allowed="; ".join(map(str, known)) or None,
         )
     return keys
 

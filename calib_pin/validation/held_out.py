@@ -179,9 +179,9 @@ def left_out(
             found[k] = before, after
     effects, anew = None, dict[int, LearnedCorrection]()
     if learned is not None:
-        about, rng = fit.problem.rebased(fit.theta), np.random.default_rng(seed)
+        rng = np.random.default_rng(seed)
         parts = [masks[k] for k in found]
-        taught = learned_without(learned, fit, *about, parts, rng)
+        taught = learned_without(learned, fit, parts, rng)
         anew = dict(zip(found, taught, strict=True))
     elif not fit.problem.many:
         effects = fit.effect_rows

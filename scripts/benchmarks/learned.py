@@ -80,7 +80,7 @@ def _measure(size: int) -> dict[str, object]:
     fitted = fit(make_problem(chain, data, Setup(tool_frame=FrameSetup(TOOL))), rng)
     problem, theta = fitted.problem.rebased(fitted.theta)
     middle = time.perf_counter()
-    learned = learned_correction("gaussian-process", fitted, problem, theta, rng)
+    learned = learned_correction("gaussian-process", fitted, rng)
     end = time.perf_counter(), time.process_time()
     assert learned is not None
     term = problem.only

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import zip_longest
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,12 +226,14 @@ class Shared:
         setup: What the user states.
         terms: The terms; their references may differ.
         evaluators: The last evaluators.
+        many: Whether they are part of very many.
     """
 
     data: Observations
     setup: Setup
     terms: Mapping[BlockKey, Term]
     evaluators: Sequence[Evaluator] = ()
+    many: bool = False
 
     def holds(self, problem: Problem) -> bool:
         """Whether a problem differs in weights, references and priors alone."""
@@ -417,6 +419,12 @@ class Problem(Terms):
         jac[:, shared] = R[:, :-1]
         return self._whole(theta, [(R[:, -1], jac)])
 
+    def part(self, rows: NDArray[np.bool_]) -> Self:
+        """The problem of some measurements, which are evaluated as all are, (N,)."""
+        some = replace(self, data=self.data.rows(rows))
+        some._known.many = self.many
+        return some
+
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same with a row for every measured value, however many there are."""
         if not self.many:
@@ -477,7 +485,7 @@ class Problem(Terms):
 
     @cached_property
     def _large(self) -> bool:
-        return len(self.layout.row) * len(self.given) >= MANY
+        return self._known.many or len(self.layout.row) * len(self.given) >= MANY
 
     @cached_property
     def _eliminated(self) -> dict[bytes, list[Station]]:

@@ -245,7 +245,7 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     problem, F = robot.problem, robot.factor
     alone, fun = np.zeros(F.shape[0], bool), robot.fun
     if problem.many:
-        some = replace(problem, data=problem.data.rows(mask))
+        some = problem.part(mask)
         r, jac = some.linearize(robot.theta)
         count = len(r) - len(some.further)
         B, r = jac[:count] @ F, r[:count]

@@ -31,7 +31,6 @@ from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.observations import (
     BlockKey,
     Conditions,
-    Indices,
     Measurements,
     Observations,
 )
@@ -145,7 +144,10 @@ def identification(
     """
     zero = np.zeros(len(problem.parameters))
     first = slice(SAMPLES)
-    at = _looked_at(problem, aims, candidates.q[first], candidates.aim[first])
+    q, aim, at = candidates.q[first], candidates.aim[first], list[Measurements]()
+    for look in aims.looks:  # With all targets that each measures in a configuration.
+        rows, target = look.measured(q, aim)
+        at.append(asked(problem, look.term.key, q[rows], target))
     if measured is not None:
         at += measured.sample(SAMPLES).blocks
     structure, J = structure_at(problem, zero, at)
@@ -158,25 +160,13 @@ def identification(
             file=problem.setup.file or problem.chains.robot.file,
         )
     basis = problem.parameters.scales[:, None] * np.column_stack([nuisances, robot])
-    rows = IdentificationRows(problem, basis, nuisances.shape[1], aims)
-    if measured is None:
-        # The problem's own rows only name the targets; priors count.
-        U = problem.further.jacobian(zero) @ basis
-    else:
-        _, derivative = problem.linearize_rows(zero)
-        U = derivative @ basis
-    return structure, rows, U.T @ U
-
-
-def _looked_at(
-    problem: Problem, aims: Aims, q: Floats, aim: Indices
-) -> list[Measurements]:
-    """The configurations with all targets that each instrument measures in them."""
-    result: list[Measurements] = []
-    for look in aims.looks:
-        rows, target = look.measured(q, aim)
-        result.append(asked(problem, look.term.key, q[rows], target))
-    return result
+    rows_of = IdentificationRows(problem, basis, nuisances.shape[1], aims)
+    # Without measurements the problem's own rows only name the targets; priors count.
+    known = problem.further.jacobian(zero)
+    if measured is not None:
+        _, known = problem.linearize_rows(zero)
+    U = known @ basis
+    return structure, rows_of, U.T @ U
 
 
 @dataclass(frozen=True)

@@ -315,7 +315,7 @@ class Fit:
         return self.effects.rows(self.problem, self.theta)
 
     @cached_property
-    def absorbing(self) -> tuple[Floats, Floats]:
+    def _absorbing(self) -> tuple[Floats, Floats]:
         """Jacobian, (M, P), and residuals by effects, (M, S); of very many rows some.
 
         These absorb as much of effects as all of them do.
@@ -358,7 +358,7 @@ def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
     if shared.any():
         core += by_configuration(problem, jac @ half, shared)
     if effects is not None:
-        J, X = fitted.absorbing
+        J, X = fitted._absorbing
         inverse = half
         if J is not jac:
             inverse = half_covariance(np.concatenate([J, held]), basis, parameters)

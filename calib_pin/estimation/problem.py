@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Self, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -419,12 +419,6 @@ class Problem(Terms):
         jac[:, shared] = R[:, :-1]
         return self._whole(theta, [(R[:, -1], jac)])
 
-    def part(self, rows: NDArray[np.bool_]) -> Self:
-        """The problem of some measurements, which are evaluated as all are, (N,)."""
-        some = replace(self, data=self.data.rows(rows))
-        some._known.many = self.many
-        return some
-
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same with a row for every measured value, however many there are."""
         if not self.many:
@@ -514,6 +508,13 @@ class Problem(Terms):
             return parts[0]
         r, J = zip(*parts, strict=True)
         return np.concatenate(r), np.concatenate(J)
+
+
+def part_of(problem: Problem, rows: NDArray[np.bool_]) -> Problem:
+    """The problem of some measurements, which are evaluated as all are, (N,)."""
+    part = replace(problem, data=problem.data.rows(rows))
+    part._known.many = problem.many
+    return part
 
 
 def current_units(problem: Problem) -> Floats:

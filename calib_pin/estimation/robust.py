@@ -119,13 +119,6 @@ class RobustOptions:
         looked_at: Measurements that are looked at; more do not make a better start.
         corners: The same of corners in images.
         images: Images of a subset: three tell where a camera is, and its intrinsics.
-        blamed: Share of the rows of a target that must be out to blame the target.
-        few: Rows below which a share says nothing.
-        shared: Probability that what outliers share comes about by chance.
-        pairs: Rows among which exchanged pairs are sought; with more, that is not
-            the trouble.
-        fits: Part of its own size that the residual of an exchanged value may have;
-            less where so many pairs of so few values fit as well by chance.
     """
 
     chance: float = 1e-5
@@ -148,11 +141,6 @@ class RobustOptions:
     looked_at: int = 200
     corners: int = 2000
     images: int = 5
-    blamed: float = 0.7
-    few: int = 3
-    shared: float = 0.01
-    pairs: int = 100
-    fits: float = 0.2
 
 
 OPTIONS = RobustOptions()
@@ -634,6 +622,29 @@ def _better(squares: Floats, rows: Indices) -> Indices:
 # What outliers have in common.
 
 
+@dataclass(frozen=True)
+class CauseOptions:
+    """Limits from which outliers share a cause.
+
+    Attributes:
+        blamed: Share of the rows of a target that must be out to blame the target.
+        few: Rows below which a share says nothing.
+        chance: Probability that what outliers share comes about by chance.
+        pairs: Rows among which exchanged pairs are sought; with more, that is not
+            the trouble.
+        fits: Part of its own size that the residual of an exchanged value may have;
+            less where so many pairs of so few values fit as well by chance.
+    """
+
+    blamed: float = 0.7
+    few: int = 3
+    chance: float = 0.01
+    pairs: int = 100
+    fits: float = 0.2
+
+
+SHARED = CauseOptions()
+
 _Causes: TypeAlias = Iterator[tuple[list[int], str]]
 """Rows, and the cause that they share."""
 
@@ -674,8 +685,8 @@ def _targets(problem: Problem, out: Flags) -> _Causes:
         return
     for k in np.flatnonzero(lost).tolist():
         others = (int(out.sum()) - lost[k]) / max(len(target) - counts[k], 1)
-        most = max(OPTIONS.few, OPTIONS.blamed * counts[k])
-        if lost[k] >= most and others < 0.5 * OPTIONS.blamed:
+        most = max(SHARED.few, SHARED.blamed * counts[k])
+        if lost[k] >= most and others < 0.5 * SHARED.blamed:
             rows = np.flatnonzero(out & (target.codes == k)).tolist()
             yield rows, f"target {target.names[k]}"
 
@@ -690,10 +701,10 @@ def _places(problem: Problem, out: Flags) -> _Causes:
     counts, lost = Counter(place.tolist()), Counter(place[out].tolist())
     name, number = lost.most_common(1)[0]
     share, total = counts[name] / len(place), int(out.sum())
-    if not name or len(counts) < 2 or number < max(OPTIONS.few, 0.5 * total):
+    if not name or len(counts) < 2 or number < max(SHARED.few, 0.5 * total):
         return
     # Binomial: so many there if it were a place like the others.
-    if bdtrc(number - 1, total, share) < OPTIONS.shared:
+    if bdtrc(number - 1, total, share) < SHARED.chance:
         yield np.flatnonzero(out & (place == name)).tolist(), f"place {name}"
 
 
@@ -711,8 +722,8 @@ def _stretches(problem: Problem, out: Flags) -> _Causes:
         # Rows of one configuration are out together anyway.
         length = len(np.unique(labels[rows]))
         one_file = len(np.unique(data.files.codes[rows])) == 1
-        unlikely = len(out) * share**length < OPTIONS.shared
-        if one_file and length >= OPTIONS.few and unlikely:
+        unlikely = len(out) * share**length < SHARED.chance
+        if one_file and length >= SHARED.few and unlikely:
             first, last = rows[0], rows[-1]
             where = f"rows {first} to {last}"
             if data.files[first]:
@@ -733,7 +744,7 @@ def _exchanged(
     problem: Problem, theta: Floats, out: Flags, found: Studentized, scale: Floats
 ) -> _Causes:
     """Pairs of rows each of which fits what was measured in the other."""
-    if not 2 <= out.sum() <= OPTIONS.pairs:
+    if not 2 <= out.sum() <= SHARED.pairs:
         return
     own, data = found.sizes(scale), problem.data
     units = scale * current_units(problem)
@@ -756,8 +767,8 @@ def _exchanged(
                 r = block.term.measurement.residual(T, instrument, there)
                 size = np.linalg.norm(r / block.table(sigma)[a], axis=1)
             # The parts of wrong values are anywhere in a ball of two pairs of values.
-            by_chance = (OPTIONS.shared / max(len(i), 1)) ** (0.5 / r.shape[1])
-            fits.append(size < min(OPTIONS.fits, by_chance) * own[block.rows][a])
+            by_chance = (SHARED.chance / max(len(i), 1)) ** (0.5 / r.shape[1])
+            fits.append(size < min(SHARED.fits, by_chance) * own[block.rows][a])
         for k in np.flatnonzero(fits[0] & fits[1]).tolist():
             a, b = int(i[k]) + block.rows.start, int(j[k]) + block.rows.start
             yield [a], exchanged_with(data, b)

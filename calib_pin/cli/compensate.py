@@ -228,9 +228,8 @@ def compensate(asked: Commands, context: typer.Context) -> int:
         (rows,) = np.nonzero(found.good)
         passage = Passage.straight(found.q[rows])
         if ways is not None:
-            find = ways.checked if motion else ways.through
-            rng = np.random.default_rng(0)
-            passage = find(found.q[rows], rng, printing.stage(bar, "ways"))
+            rng = None if motion else np.random.default_rng(0)
+            passage = ways.through(found.q[rows], rng, printing.stage(bar, "ways"))
     shut, row = lines[rows[list(passage.blocked)]].tolist(), passage.of(rows)
     times, hasty = None, list[int]()
     if timed is not None and len(rows):

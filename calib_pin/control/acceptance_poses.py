@@ -14,9 +14,8 @@ from itertools import pairwise, product
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.control.avoiding import Free
 from calib_pin.control.joints import Joints, Kinematics
-from calib_pin.control.reaching import reach, search
+from calib_pin.control.reaching import Free, Task, reach, search
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
@@ -182,7 +181,7 @@ def _cubes(
     targets = np.tile(np.eye(4), (len(chosen), len(grid), 1, 1))
     targets[:, :, :3, 3] = chosen[:, None] + 0.5 * edge * grid
     every = targets.reshape(-1, 4, 4)
-    found = search(evaluate, every, joints, orientation=False).reached
+    found = search(Task.of(evaluate, every, joints, orientation=False)).reached
     return chosen[found.reshape(len(chosen), len(grid)).all(axis=1)]
 
 
@@ -198,7 +197,7 @@ def _posed(
     """Poses in the planes of a cube, (5, 4, 4), and their configurations, (5, n)."""
     first = np.tile(np.eye(4), (len(turns), 1, 1))
     first[:, :3, :3], first[:, :3, 3] = turns, center
-    middle = search(evaluate, first, joints, orientation=oriented)
+    middle = search(Task.of(evaluate, first, joints, orientation=oriented))
     for T_1, q_1, there in zip(first, middle.q, middle.reached, strict=True):
         if not there:
             continue
@@ -207,7 +206,7 @@ def _posed(
             T[1:, :3, 3] += (0.5 - INSET) * edge * plane
             # Near the center, so that an elbow stays where it is.
             near = np.tile(q_1, (5, 1))
-            found = reach(evaluate, T, near, joints, orientation=oriented)
+            found = reach(Task.of(evaluate, T, joints, near, oriented))
             if found.reached.all() and (free is None or free(found.q).all()):
                 yield T, found.q
 

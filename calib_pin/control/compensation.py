@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.control.avoiding import Free, free_solutions
 from calib_pin.control.calibrated import Frame, Point, has_sides, kinematics
-from calib_pin.control.joints import Joints, Kinematics, Solutions, Stacked
-from calib_pin.control.reaching import reach, search
-from calib_pin.kinematics.spatial import Floats, so3_log
+from calib_pin.control.joints import Joints, Solutions, Stacked
+from calib_pin.control.reaching import Free, Task, free_solutions, reach, search
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Signs, approached
 from calib_pin.progress import Progress
 from calib_pin.setup.arguments import Brief, as_array
@@ -134,13 +133,8 @@ def commands(
         >>> bool(found.reached.all())
         True
     """
-    return search(
-        kinematics(model, frame=frame, point=point),
-        targets,
-        Joints.of(model.chain),
-        start,
-        orientation=orientation,
-    )
+    real = kinematics(model, frame=frame, point=point)
+    return search(Task.of(real, targets, Joints.of(model.chain), start, orientation))
 
 
 @serial_blas
@@ -191,20 +185,11 @@ def compensate(
     targets = as_array("targets", targets, "N", 4, 4)
     start = start if start is None else as_array("start", start, len(targets), count)
     before = before if before is None else as_array("before", before, count)
-
-    def part(rows: slice) -> Solutions:
-        near = None if start is None else start[rows]
-        T = targets[rows]
-        return commands(
-            model, T, near, frame=frame, point=point, orientation=orientation
-        )
-
-    found = _in_parts(part, len(targets), progress)
+    task = Task.of(real, targets, joints, start, orientation)
+    found = _in_parts(search, task, progress)
     collides = np.zeros(len(targets), bool)
     if free is not None:
-        others = free_solutions(
-            real, targets, found, joints, free, start=start, orientation=orientation
-        )
+        others = free_solutions(task, found, free)
         collides = found.reached & ~others.reached
         found = found.replaced(others.reached, others.rows(others.reached))
     if start is None:
@@ -212,15 +197,14 @@ def compensate(
         driven = joints.driven(found.q[kept])
         unwound = joints.unwound(driven)
         turned = (unwound != driven).any(axis=1)
-        rows, near = kept[turned], joints.positions(unwound[turned])
+        rows = kept[turned]
         # Corrections need not be periodic: another turn is another descent.
-        others = reach(real, targets[rows], near, joints, orientation=orientation)
+        others = reach(replace(task.rows(rows), start=unwound[turned]))
         found = found.replaced(rows[others.reached], others.rows(others.reached))
     imagined = kinematics(model, frame=frame, point=point, nominal=True)
-    nominal = reach(imagined, targets, found.q, joints, orientation=orientation)
+    nominal = reach(Task.of(imagined, targets, joints, found.q, orientation))
     plain = np.where(nominal.reached[:, None], nominal.q, np.nan)
-    result = _compensation(model, real, targets, found, plain, orientation)
-    result = replace(result, collides=collides)
+    result = replace(_compensation(model, task, found, plain), collides=collides)
     return _from_sides(model, targets, result, before, frame, point)
 
 
@@ -249,13 +233,8 @@ def follow(
     """
     targets = model.chain.poses(q)
     real = kinematics(model, frame="base", point="tip")
-    joints = Joints.of(model.chain)
-
-    def part(rows: slice) -> Solutions:
-        return reach(real, targets[rows], q[rows], joints, orientation=orientation)
-
-    solved = _in_parts(part, len(q), progress)
-    found = _compensation(model, real, targets, solved, q, orientation)
+    task = Task.of(real, targets, Joints.of(model.chain), q, orientation)
+    found = _compensation(model, task, _in_parts(reach, task, progress), q)
     found = _from_sides(model, targets, found, before, "base", "tip")
     return found if free is None else replace(found, collides=~free(found.q))
 
@@ -289,50 +268,45 @@ def _from_sides(
             rows = kept[changed][which.reshape(-1) == k]
             own, T = found.rows(rows), targets[rows]
             real = kinematics(model, frame=frame, point=point, side=side)
-            others = reach(real, T, own.q, joints, orientation=own.oriented)
-            moved = _compensation(model, real, T, others, own.nominal, own.oriented)
+            task = Task.of(real, T, joints, own.q, own.oriented)
+            moved = _compensation(model, task, reach(task), own.nominal)
             moved = replace(moved, sides=np.tile(side, (len(rows), 1)))
             found = found.replaced(rows, moved)
     return found
 
 
 def _in_parts(
-    solve: Callable[[slice], Solutions], count: int, progress: Progress | None
+    solve: Callable[[Task], Solutions], task: Task, progress: Progress | None
 ) -> Solutions:
     """All rows, some at a time; nobody can tell how far a single descent is."""
-    parts = []
-    for start in range(0, max(count, 1), BLOCK):
+    parts, count = [], max(len(task.targets), 1)
+    for start in range(0, count, BLOCK):
         if progress is not None:
-            progress(start / max(count, 1))
-        parts.append(solve(slice(start, start + BLOCK)))
+            progress(start / count)
+        parts.append(solve(task.rows(slice(start, start + BLOCK))))
     return Solutions.joined(parts)
 
 
 def _compensation(
-    model: CalibratedChain,
-    real: Kinematics,
-    targets: Floats,
-    found: Solutions,
-    nominal: Floats,
-    orientation: bool,
+    model: CalibratedChain, task: Task, found: Solutions, nominal: Floats
 ) -> Compensation:
-    joints, known = Joints.of(model.chain), np.isfinite(nominal).all(axis=1)
-    T = np.full((len(targets), 4, 4), np.nan)
-    if known.any():
-        T[known] = real(nominal[known])[0]
-    turned = T[:, :3, :3] @ np.swapaxes(targets[:, :3, :3], 1, 2)
-    angles = np.linalg.norm(so3_log(turned), axis=1)
+    joints, before = task.joints, np.full((2, len(nominal)), np.nan)
+    (known,) = np.nonzero(np.isfinite(nominal).all(axis=1))
+    if len(known):
+        e, _ = task.rows(known).errors(joints.driven(nominal[known]))
+        for sizes, part in zip(before, np.split(e, [3], axis=1), strict=True):
+            sizes[known] = np.linalg.norm(part, axis=1)
     return Compensation(
         q=found.q,
         nominal=nominal,
         reached=found.reached,
         position=found.position,
         orientation=found.orientation,
-        position_before=np.linalg.norm((T - targets)[:, :3, 3], axis=1),
-        orientation_before=angles if orientation else 0.0 * angles,
+        position_before=before[0],
+        orientation_before=before[1],
         at_limit=np.asarray(joints.at_limit(joints.driven(found.q)).any(axis=1)),
         outside=model.outside(found.q),
-        collides=np.zeros(len(targets), bool),
+        collides=np.zeros(len(nominal), bool),
         sides=np.zeros(found.q.shape, np.int8),
-        oriented=orientation,
+        oriented=task.orientation,
     )

@@ -1,4 +1,4 @@
-"""Input and output of inverse kinematics: joints, targets and solutions."""
+"""The joints of a chain, and solutions of its inverse kinematics."""
 
 from __future__ import annotations
 
@@ -7,20 +7,17 @@ from dataclasses import Field, dataclass, replace
 from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.joint_space import JointSpace, quasi_random
-from calib_pin.kinematics.spatial import Floats, so3_log, times
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.turns import shortest_turns
+from calib_pin.observations import Booleans, Indices
 
 Kinematics: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """Joint positions (N, n) to tool poses (N, 4, 4) and the tool's body twists by joint
 position (N, 6, n). The twists may neglect small terms; that costs a step or two."""
-
-Booleans: TypeAlias = NDArray[np.bool_]
-Indices: TypeAlias = NDArray[np.int64]
 
 
 class Stacked:
@@ -193,65 +190,3 @@ class Solutions(Stacked):
     def score(self) -> Floats:
         """Zero where reached, else the error with a radian as a meter, shape (N,)."""
         return np.where(self.reached, 0.0, self.position + self.orientation)
-
-
-@dataclass(frozen=True)
-class Task(Stacked):
-    """Targets that n joints shall reach.
-
-    Attributes:
-        evaluate: The kinematics.
-        targets: Poses, shape (N, 4, 4).
-        start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
-        joints: Limits, which are never left.
-        orientation: Whether orientations count; else only positions do.
-    """
-
-    evaluate: Kinematics
-    targets: Floats
-    start: Floats
-    joints: Joints
-    orientation: bool
-
-    @property
-    def size(self) -> int:
-        """Number m of components of a target."""
-        return 6 if self.orientation else 3
-
-    @property
-    def rank(self) -> int:
-        """Number of components that the joints can move."""
-        _, J = self.evaluate(self.joints.samples(8))
-        return int(np.linalg.matrix_rank(J[:, : self.size], tol=1e-9).max())
-
-    def errors(self, q: Floats) -> tuple[Floats, Floats]:
-        """Errors in the axes of the tool, (N, m), and body twists, (N, 6, n)."""
-        T, J = self.evaluate(q)
-        R_transposed = np.swapaxes(T[:, :3, :3], 1, 2)
-        position = times(R_transposed, self.targets[:, :3, 3] - T[:, :3, 3])
-        if not self.orientation:
-            return position, J
-        turn = so3_log(R_transposed @ self.targets[:, :3, :3])
-        return np.hstack([position, turn]), J
-
-
-@dataclass(frozen=True)
-class Effort:
-    """Tolerance and number of steps of a descent.
-
-    Attributes:
-        error: Error at which a row is finished [m, rad].
-        iterations: Largest number of steps.
-        slides: Steps along the self-motion, before the joints stop where they are.
-    """
-
-    error: float
-    iterations: int
-    slides: int
-
-
-EXACT = Effort(1e-10, 30, 0)
-"""To the target, on no particular way."""
-
-FULL = Effort(1e-10, 100, 60)
-"""To the target, and along the self-motion to the start."""

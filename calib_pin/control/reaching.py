@@ -1,29 +1,51 @@
-"""Inverse kinematics from a start and, where there is none or it fails, from many."""
+"""Inverse kinematics: from a start, from many, and around what the robot touches.
+
+A descent is by damped least squares for many targets at once: the damping is in
+proportion to the squared error (Sugihara, IEEE Trans. Robotics 27(5), 2011), so that it
+ends as fast as Newton's method. With more joints than a target has components, every
+step solves
+
+    min  |q + dq - start|^2     such that     J dq = e,
+
+so that the joints slide along their self-motion to the solution closest to the start. A
+joint that a step would lead beyond a limit stops there, and the others go on.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 
-from calib_pin.control.descent import descend
-from calib_pin.control.joints import (
-    EXACT,
-    FULL,
-    Effort,
-    Joints,
-    Kinematics,
-    Solutions,
-    Task,
-)
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.control.joints import Joints, Kinematics, Solutions, Stacked
+from calib_pin.kinematics.spatial import Floats, so3_log, times
+from calib_pin.observations import Booleans, Indices
 
 
 @dataclass(frozen=True)
-class SearchOptions:
-    """Sizes and weights of a search.
+class ReachingOptions:
+    """Tolerances of a descent, sizes and weights of a search.
 
     Attributes:
+        reached: Error of a target that counts as reached [m, rad]: rounding of a large
+            arm.
+        exact: Error at which a descent is finished [m, rad].
+        settled: Motion towards the start that is not worth a step [rad, m].
+        near: Error below which joints slide towards the start [m, rad]: farther, a step
+            along the self-motion is one of another target.
+        longest: Longest step of a joint [rad, m], for which twists still say where it
+            leads.
+        damping: Damping by squared error: first, least, and that with which no step is
+            better.
+        floor: Least square of a singular value that is inverted: rounding of double
+            precision.
+        farthest: Largest part of the way to the start that a step tries, where a slide
+            bends away.
+        stalled: Part of the squared error that a step must promise to remove.
+        rows: Rows that are solved together; more would need gigabytes.
         samples: Configurations among which those with poses near a target are looked
             for.
         rounds: Samples from which a target is tried at once, round after round: most
@@ -34,40 +56,88 @@ class SearchOptions:
             turns more easily than an arm reaches.
         away: Weight of a joint's way from the start beside a position by its spread
             [1/rad].
-        block: Targets that are compared with all samples at a time: what a cache holds.
+        compared: Targets that are compared with all samples at a time: what a cache
+            holds.
     """
 
+    reached: float = 1e-9
+    exact: float = 1e-10
+    settled: float = 1e-8
+    near: float = 0.05
+    longest: float = 1.0
+    damping: tuple[float, float, float] = 0.05, 0.01, 1e10
+    floor: float = 1e-12
+    farthest: float = 4.0
+    stalled: float = 1e-5
+    rows: int = 16384
     samples: int = 2048
     rounds: tuple[int, ...] = (2, 6, 24)
     spread: int = 4
     turn: float = 0.25
     away: float = 0.15
-    block: int = 256
+    compared: int = 256
 
 
-OPTIONS = SearchOptions()
+OPTIONS = ReachingOptions()
 """The default options."""
 
+EXACT, FULL = (30, 0), (100, 60)
+"""Most steps of a descent, and most along the self-motion to the start, before joints
+stop where they are: for any way to the target, and for the one close to the start."""
 
-def reach(
-    evaluate: Kinematics,
-    targets: Floats,
-    start: Floats,
-    joints: Joints,
-    *,
-    orientation: bool = True,
-) -> Solutions:
-    """Solutions close to a start.
+
+@dataclass(frozen=True)
+class Task(Stacked):
+    """Targets that n joints shall reach.
+
+    Attributes:
+        evaluate: The kinematics of the joints that move the chain.
+        targets: Poses, shape (N, 4, 4).
+        joints: Limits, which are never left, and which joints follow others.
+        start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
+        given: Whether these are given; else those in the middle are preferred, and
+            redundant joints stay where they are found.
+        orientation: Whether orientations count; else only positions do.
+    """
+
+    evaluate: Kinematics
+    targets: Floats
+    joints: Joints
+    start: Floats
+    given: bool
+    orientation: bool
+
+    @staticmethod
+    def of(
+        evaluate: Kinematics,
+        targets: Floats,
+        joints: Joints,
+        start: Floats | None = None,
+        orientation: bool = True,
+    ) -> Task:
+        """The task of a chain, by its kinematics and positions of all its joints."""
+        near = np.tile(joints.home, (len(targets), 1))
+        if start is not None:
+            near = joints.driven(start)
+        given = near, start is not None, orientation
+        return Task(joints.driving(evaluate), targets, joints, *given)
+
+    def errors(self, q: Floats) -> tuple[Floats, Floats]:
+        """Errors in the axes of the tool, (N, m), and their derivative, (N, m, n)."""
+        T, J = self.evaluate(q)
+        R_transposed = np.swapaxes(T[:, :3, :3], 1, 2)
+        position = times(R_transposed, self.targets[:, :3, 3] - T[:, :3, 3])
+        if not self.orientation:
+            return position, J[:, :3]
+        turn = so3_log(R_transposed @ self.targets[:, :3, :3])
+        return np.hstack([position, turn]), J
+
+
+def reach(task: Task) -> Solutions:
+    """Solutions close to the start.
 
     With more joints than a target has components, the sum of the squared ways of the
     joints from the start is least, among the solutions that a descent can slide to.
-
-    Args:
-        evaluate: The kinematics.
-        targets: Poses to reach, shape (N, 4, 4).
-        start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
-        joints: Limits, which are never left, and which joints follow others.
-        orientation: Whether orientations count; else only positions do.
 
     Examples:
         >>> import calib_pin
@@ -78,58 +148,26 @@ def reach(
         ...     linear = error.linearize(q, np.zeros(len(error.parameters)))
         ...     return linear.T, linear.joint_twists()
         >>> q = np.array([[0.1, -0.5, 0.4, 0.3, 0.6, 0.2]])
-        >>> found = reach(evaluate, evaluate(q)[0], q + 0.01, Joints.of(chain))
+        >>> T, joints = evaluate(q)[0], Joints.of(chain)
+        >>> found = reach(Task.of(evaluate, T, joints, q + 0.01))
         >>> bool(np.abs(found.q - q).max() < 1e-8)
         True
+        >>> bool(search(Task.of(evaluate, T, joints)).reached.all())
+        True
     """
-    near = joints.driven(start)
-    task = Task(joints.driving(evaluate), targets, near, joints, orientation)
-    return _commanded(_descended(task, near, FULL), joints)
+    return _commanded(_descended(task, task.start, FULL), task.joints)
 
 
-def search(
-    evaluate: Kinematics,
-    targets: Floats,
-    joints: Joints,
-    start: Floats | None = None,
-    *,
-    orientation: bool = True,
-) -> Solutions:
+def search(task: Task) -> Solutions:
     """Solutions anywhere within the limits.
 
     Descents begin at the start and, without one or where that fails, at samples of the
     joint space whose poses are near the target.
-
-    Args:
-        evaluate: The kinematics.
-        targets: Poses to reach, shape (N, 4, 4).
-        joints: Limits, which are never left, and which joints follow others.
-        start: Joint positions that solutions shall be close to, shape (N, n)
-            [rad, m]; by default those in the middle are preferred, and redundant
-            joints stay where they are found.
-        orientation: Whether orientations count; else only positions do.
-
-    Examples:
-        >>> import calib_pin
-        >>> from calib_pin.parameterizations.error_model import ErrorModel
-        >>> chain = calib_pin.load_chain("space6")
-        >>> error = ErrorModel.create(chain, [])
-        >>> def evaluate(q):
-        ...     linear = error.linearize(q, np.zeros(len(error.parameters)))
-        ...     return linear.T, linear.joint_twists()
-        >>> targets = evaluate(chain.random_configurations(
-        ...     5, np.random.default_rng(0)
-        ... ))[0]
-        >>> bool(search(evaluate, targets, Joints.of(chain)).reached.all())
-        True
     """
-    home = np.tile(joints.home, (len(targets), 1))
-    near = home if start is None else joints.driven(start)
-    task = Task(joints.driving(evaluate), targets, near, joints, orientation)
-    effort, guess = FULL, near
-    if start is None:
-        effort, guess = EXACT, joints.turned(_nearest(task, 1)[:, 0], near)
-    found = _descended(task, guess, effort)
+    joints, steps, guess = task.joints, FULL, task.start
+    if not task.given:
+        steps, guess = EXACT, joints.turned(_nearest(task, 1)[:, 0], guess)
+    found = _descended(task, guess, steps)
     lost = np.flatnonzero(~found.reached)
     if not len(lost):
         return _commanded(found, joints)
@@ -140,7 +178,7 @@ def search(
         tried, pool = pool[:, :count], pool[:, count:]
         each = task.rows(np.repeat(lost, count))
         guess = joints.turned(tried.reshape(-1, tried.shape[2]), each.start)
-        tries = _descended(each, guess, effort)
+        tries = _descended(each, guess, steps)
         best = tries.score.reshape(-1, count).argmin(axis=1)
         tries = tries.rows(count * np.arange(len(lost)) + best)
         better = tries.score < found.score[lost]
@@ -149,13 +187,13 @@ def search(
     return _commanded(found, joints)
 
 
-def _descended(task: Task, guess: Floats, effort: Effort) -> Solutions:
+def _descended(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
     """Solutions from a guess, in the turns nearest to the start."""
-    found = descend(task, guess, effort)
+    found = descend(task, guess, steps)
     turned = task.joints.turned(found.q, task.start)
     (far,) = np.nonzero((turned != found.q).any(axis=1))
     # Corrections need not be periodic: another turn is another descent.
-    others = descend(task.rows(far), turned[far], effort)
+    others = descend(task.rows(far), turned[far], steps)
     closer = others.reached | ~found.reached[far]
     return found.replaced(far[closer], others.rows(closer))
 
@@ -181,8 +219,8 @@ def _nearest(task: Task, count: int) -> Floats:
     # Half the squared distance, without the part that all samples share.
     half = 0.5 * (known**2).sum(axis=1)
     result = np.empty((len(wanted), count, samples.shape[1]))
-    for first in range(0, len(result), OPTIONS.block):
-        rows = slice(first, first + OPTIONS.block)
+    for first in range(0, len(result), OPTIONS.compared):
+        rows = slice(first, first + OPTIONS.compared)
         distances = half - wanted[rows] @ known.T
         if count == 1:  # Sooner than a partition.
             result[rows, 0] = samples[distances.argmin(axis=1)]
@@ -191,3 +229,279 @@ def _nearest(task: Task, count: int) -> Floats:
         order = np.take_along_axis(distances, some, axis=1).argsort(axis=1)
         result[rows] = samples[np.take_along_axis(some, order, axis=1)]
     return result
+
+
+# Descents.
+
+
+@dataclass
+class _Rows(Stacked):
+    """Rows that are not finished, A of N.
+
+    Attributes:
+        index: Their indices among all rows, shape (A,).
+        q: Joint positions, shape (A, n).
+        e: Errors, as far as they count, in the axes of the tool, shape (A, m).
+        J: Motion of the tool in these by joint position, shape (A, m, n).
+        damping: Damping by squared error, shape (A,).
+        pull: Part of the way to the start that a step tries, shape (A,).
+        dq: The next step, shape (A, n).
+        slide: Step to the start with all of the pull, shape (A, n).
+        moved: The last step, zero where it was not taken, shape (A, n).
+    """
+
+    index: Indices
+    q: Floats
+    e: Floats
+    J: Floats
+    damping: Floats
+    pull: Floats
+    dq: Floats
+    slide: Floats
+    moved: Floats
+
+
+def descend(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
+    """Solutions from a guess.
+
+    Args:
+        task: The targets.
+        guess: Joint positions to begin at, shape (N, n) [rad, m].
+        steps: `EXACT` or `FULL`.
+    """
+    if not len(guess):
+        none = np.zeros(0)
+        return Solutions(guess, none > 0.0, none, none)
+    most, slides = steps
+    # Not by their number: the three joints of a planar arm are redundant as well.
+    _, J = task.rows(slice(1)).errors(task.joints.samples(8))
+    if guess.shape[1] <= np.linalg.matrix_rank(J, tol=1e-9).max():
+        slides = 0
+    blocks = [slice(k, k + OPTIONS.rows) for k in range(0, len(guess), OPTIONS.rows)]
+    return Solutions.joined(
+        [_together(task.rows(rows), guess[rows], most, slides) for rows in blocks]
+    )
+
+
+def _together(task: Task, guess: Floats, most: int, slides: int) -> Solutions:
+    """Solutions of rows that are solved together."""
+    q = task.joints.within(guess)
+    e, J = task.errors(q)
+    count = len(q)
+    first = np.full(count, OPTIONS.damping[0]), np.full(count, 0.5)
+    none = 0.0 * q, 0.0 * q, 0.0 * q
+    rows = _Rows(np.arange(count), q.copy(), e.copy(), J, *first, *none)
+    for iteration in range(most + 1):
+        exact = _below(rows.e, OPTIONS.exact)
+        # At the end joints stop where they are.
+        sliding = (iteration < slides) & (np.linalg.norm(rows.e, axis=1) < OPTIONS.near)
+        sliding &= rows.pull > 1e-3
+        way = np.where(sliding, rows.pull, 0.0)[:, None]
+        way = way * (task.start[rows.index] - rows.q)
+        squared = (rows.e**2).sum(axis=1)
+        damping = rows.damping * squared + OPTIONS.floor
+        rows.dq = _step(task.joints, rows.q, rows.J, rows.e, way, damping)
+        _adapt(rows)
+        left = ((rows.e - times(rows.J, rows.dq)) ** 2).sum(axis=1)
+        stalled = ~exact & (squared - left <= OPTIONS.stalled * squared)
+        # Before it gives up, a row tries without being pulled to the start.
+        rows.pull[stalled] *= 0.25
+        moves = sliding & (np.abs(rows.dq).max(axis=1, initial=0.0) > OPTIONS.settled)
+        done = (
+            (exact & ~moves)
+            | (stalled & ~sliding)
+            | (rows.damping > OPTIONS.damping[2])
+        )
+        # Where an error is not a number, nothing is.
+        done |= np.isnan(squared) | (iteration == most)
+        q[rows.index[done]], e[rows.index[done]] = rows.q[done], rows.e[done]
+        rows, sliding = rows.rows(~done), sliding[~done]
+        if not len(rows.index):
+            break
+        _move(task, rows, sliding)
+    position = np.linalg.norm(e[:, :3], axis=1)
+    angle = np.linalg.norm(e[:, 3:], axis=1)
+    return Solutions(q, _below(e, OPTIONS.reached), position, angle)
+
+
+def _adapt(rows: _Rows) -> None:
+    """The part of the way with which the next slide ends, by the last one's curvature.
+
+    As in a secant method: it is superlinear along one self-motion.
+    """
+    slide = rows.dq / rows.pull[:, None]
+    curved = (rows.moved * (rows.slide - slide)).sum(axis=1)
+    size = (rows.moved**2).sum(axis=1)
+    ratio = np.full(len(size), OPTIONS.farthest)
+    np.divide(size, curved, out=ratio, where=curved > size / OPTIONS.farthest)
+    rows.pull, rows.slide = np.where(size > 0.0, ratio, rows.pull), slide
+
+
+def _below(e: Floats, error: float) -> Booleans:
+    """Whether position and orientation are off by less, shape (A,)."""
+    position = np.linalg.norm(e[:, :3], axis=1)
+    angle = np.linalg.norm(e[:, 3:], axis=1)
+    return np.asarray((position < error) & (angle < error))
+
+
+def _step(
+    joints: Joints, q: Floats, J: Floats, e: Floats, way: Floats, damping: Floats
+) -> Floats:
+    """Steps that stay within the limits, shape (A, n).
+
+    Of the joints that would leave, the one that does so first is held at its limit,
+    until none leaves.
+
+    Args:
+        joints: The limits.
+        q: Joint positions, shape (A, n).
+        J: Derivative of the components of the target, shape (A, m, n).
+        e: Errors, shape (A, m).
+        way: Step that is wanted beside them, shape (A, n).
+        damping: Squares of singular values below it are not inverted, shape (A,).
+    """
+    m, n = J.shape[1:]
+    held, moves, e = np.zeros(q.shape, bool), way.copy(), e.copy()
+    dq, some = np.empty_like(q), np.arange(len(q))
+    for k in range(n + 1):
+        free = np.where(held[some, None], 0.0, J[some])
+        S = free @ np.swapaxes(free, 1, 2)
+        S[:, range(m), range(m)] += damping[some, None]
+        rest = e[some] - times(J[some], moves[some])
+        y = np.linalg.solve(S, rest[:, :, None])[:, :, 0]
+        dq[some] = moves[some] + times(np.swapaxes(free, 1, 2), y)
+        if k == 0:
+            # Before limits are looked at: many would be in the way of a long step.
+            longest = np.abs(dq).max(axis=1, initial=OPTIONS.longest)[:, None]
+            for whole in (dq, moves, e):
+                whole *= OPTIONS.longest / longest
+        room = np.where(dq > 0.0, joints.upper - q, q - joints.lower)
+        leaves = ~held & (np.abs(dq) > room)
+        parts = np.full(q.shape, np.inf)
+        np.divide(room, np.abs(dq), out=parts, where=leaves)
+        some = np.flatnonzero(leaves.any(axis=1))
+        if not len(some):
+            break
+        first = some, parts[some].argmin(axis=1)
+        held[first], moves[first] = True, (np.sign(dq) * room)[first]
+    # Held joints may have been in the way of a step that was shorter before.
+    longest = np.abs(dq).max(axis=1, initial=OPTIONS.longest)[:, None]
+    return np.asarray(dq * (OPTIONS.longest / longest))
+
+
+def _move(task: Task, rows: _Rows, sliding: Booleans) -> None:
+    """Take the steps that lead closer to the targets, or slide beside them."""
+    q = task.joints.within(rows.q + rows.dq)
+    e, J = task.rows(rows.index).errors(q)
+    error, before = np.linalg.norm(e, axis=1), np.linalg.norm(rows.e, axis=1)
+    better = error < before
+    taken = better | (sliding & (error < 2.0 * OPTIONS.near))
+    away, was = (
+        np.linalg.norm(at - task.start[rows.index], axis=1) for at in (q, rows.q)
+    )
+    # Where the error is small, a step along the self-motion must come closer.
+    worse = (away > was) & (before < 0.1 * np.abs(rows.dq).max(axis=1))
+    rows.pull = np.where(sliding & (~taken | worse), 0.5 * rows.pull, rows.pull)
+    eased = np.maximum(0.5 * rows.damping, OPTIONS.damping[1])
+    rows.damping = np.where(better | sliding, eased, 8.0 * rows.damping)
+    rows.moved = np.where(taken[:, None], q - rows.q, 0.0)
+    rows.q = np.where(taken[:, None], q, rows.q)
+    rows.e = np.where(taken[:, None], e, rows.e)
+    rows.J = np.where(taken[:, None, None], J, rows.J)
+
+
+# Solutions that collide with nothing, near one another.
+
+Free: TypeAlias = Callable[[Floats], Booleans]
+"""Joint positions of a chain, (N, n), to whether nothing touches there, (N,)."""
+
+STARTS = 48
+"""Configurations from which solutions for a target are sought: from half as many, ways
+to a start are a sixth longer."""
+
+BLOCK = 64
+"""Targets that are solved together: one at a time they take four times as long."""
+
+SAME = 1e-3
+"""Distance up to which two solutions are the same, whatever the turns [rad, m]."""
+
+
+def free_solutions(task: Task, own: Solutions, free: Free) -> Solutions:
+    """Solutions at which nothing touches; not reached where none was found.
+
+    Of all that are found from many starts those are chosen that make the way from
+    target to target the shortest (by dynamic programming), or that are nearest to
+    given joint positions. An arm that keeps its elbow up has seldom to go around
+    anything.
+
+    Args:
+        task: The targets.
+        own: Solutions for them, without regard to collisions.
+        free: Where nothing touches.
+    """
+    joints, driven = task.joints, task.joints.driven(own.q)
+    if not task.given:
+        task = replace(task, start=driven)
+    found: list[Solutions] = []
+    for first in range(0, len(driven), BLOCK):
+        found += _each(task, driven, slice(first, first + BLOCK), free)
+    options = [rows.q for rows in found]
+    if task.given:
+        pairs = zip(options, task.start, strict=True)
+        ways = [_ways(q, at[None], joints) for q, at in pairs]
+        chosen = [int(way.argmin()) if len(way) else 0 for way in ways]
+    else:
+        chosen = _shortest(options, joints)
+    none = Solutions(driven, own.reached & False, own.position, own.orientation)
+    rows = [
+        some.rows([k]) if len(some) else none.rows([at])
+        for at, (some, k) in enumerate(zip(found, chosen, strict=True))
+    ]
+    best = Solutions.joined([none.rows([]), *rows])
+    return replace(best, q=joints.positions(best.q))
+
+
+def _each(task: Task, own: Floats, rows: slice, free: Free) -> Iterator[Solutions]:
+    """The solutions of each of some targets that differ and are free."""
+    joints, count = task.joints, len(own[rows])
+    some = np.tile(joints.samples(STARTS), (count, 1, 1))
+    guess = np.concatenate([own[rows, None], some], axis=1)
+    each = np.repeat(np.arange(count), guess.shape[1])
+    repeated = task.rows(rows).rows(each)
+    tries = _descended(repeated, guess.reshape(len(each), -1), EXACT)
+    for k in range(count):
+        (reached,) = np.nonzero(tries.reached & (each == k))
+        kept: list[int] = []
+        for row in reached:
+            if all(joints.distances(tries.q[row], tries.q[kept]) > SAME**2):
+                kept.append(int(row))
+        found = tries.rows(kept)
+        yield found.rows(free(joints.positions(found.q)))
+
+
+def _ways(a: Floats, b: Floats, joints: Joints) -> Floats:
+    """Ways between solutions, (K, n) and (L, n), whatever the turns, shape (K, L)."""
+    way = a[:, None] - b[None]
+    turns = np.where(joints.revolute, np.round(way / (2.0 * np.pi)), 0.0)
+    return np.asarray(np.abs(way - 2.0 * np.pi * turns).sum(axis=2))
+
+
+def _shortest(options: Sequence[Floats], joints: Joints) -> list[int]:
+    """One of the solutions of each target, none of targets without; the rest is 0."""
+    known = [k for k, q in enumerate(options) if len(q)]
+    chosen = [0] * len(options)
+    if not known:
+        return chosen
+    # The first ones are compared by their way from the middle.
+    total = _ways(options[known[0]], joints.home[None], joints)[:, 0] * SAME
+    best = []
+    for last, k in pairwise(known):
+        ways = total[:, None] + _ways(options[last], options[k], joints)
+        best.append(ways.argmin(axis=0))
+        total = ways.min(axis=0)
+    at = int(total.argmin())
+    for k, back in zip(reversed(known[1:]), reversed(best), strict=True):
+        chosen[k] = at
+        at = int(back[at])
+    chosen[known[0]] = at
+    return chosen

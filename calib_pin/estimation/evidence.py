@@ -6,9 +6,8 @@ files read them from here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -169,30 +168,9 @@ class ExpectedAccuracy:
     share: float
 
 
-class ByCount:
-    """The error of the tip by the number of measurements; found when it is asked for.
-
-    Args:
-        find: Finds numbers of measurements, ascending, and errors [m], shape (K,) both.
-    """
-
-    def __init__(self, find: Callable[[], tuple[Floats, Floats]]) -> None:
-        """Find nothing yet."""
-        self._find = find
-
-    @cached_property
-    def curve(self) -> tuple[Floats, Floats]:
-        """Numbers of measurements, ascending, and errors [m], both of shape (K,)."""
-        return self._find()
-
-    def _asdict(self) -> dict[str, Floats]:
-        """The curve as `FoundCurve` is written."""
-        return dict(zip(("measurements", "position"), self.curve, strict=True))
-
-
 @dataclass(frozen=True)
 class FoundCurve:
-    """A curve that was found before, as a file has it; see `ByCount`."""
+    """Numbers of measurements, ascending, and errors of the tip [m], (K,) both."""
 
     measurements: Floats
     position: Floats
@@ -232,7 +210,7 @@ class TipAccuracy:
     orientation: Floats = field(metadata={"key": "samples.orientation"})
     rms: PoseErrors = field(metadata={"key": ""})
     of_robot: PoseErrors = field(metadata={"key": "robot"})
-    by_count: FoundCurve | ByCount
+    by_count: FoundCurve
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not belong together."""

@@ -173,12 +173,8 @@ def by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
     By orthonormal columns U of the rows, (M, r), and their variances, (K,).
     """
     layout, rank = problem.layout, U.shape[1]
-    rows, label = repetitions(problem)
     each = U[: len(layout.row)] * np.sqrt(problem.data.weight)[layout.row, None]
-    # Measurements that are no repetitions stand alone.
-    of_row = np.arange(len(problem.data)) + len(problem.data)
-    of_row[rows] = label
-    place = of_row[layout.row] * layout.width + layout.column
+    place = repetitions(problem)[layout.row] * layout.width + layout.column
     result = np.zeros((rank, rank))
     for own, variance in zip(layout.of_components, shared, strict=True):
         if variance:
@@ -187,21 +183,6 @@ def by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
             np.add.at(summed, group, each[own])
             result += variance * summed.T @ summed
     return result
-
-
-def noise_along(problem: Problem, U: Floats, noise: Floats, shared: Floats) -> Floats:
-    """Covariance of the errors of whitened rows along columns, shape (r, r).
-
-    Args:
-        problem: The problem.
-        U: Orthonormal columns of the rows, those of what is known last, shape (M, r).
-        noise: Variances of the quantities, shape (K,).
-        shared: The part of these that repetitions have in common, shape (K,).
-    """
-    of_row, component = np.ones(len(U)), problem.layout.component
-    of_row[: len(component)] = (noise - shared)[component]
-    result = (U.T * of_row) @ U
-    return result + by_configuration(problem, U, shared) if shared.any() else result
 
 
 @dataclass(frozen=True)
@@ -293,11 +274,8 @@ class Fit:
         if self.evidence is None or not self.evidence.matters:
             return self.problem, self.result, self.directions.basis
         problem = replace(self.problem, expected=self.evidence.expected)
-        found, further = self.result, problem.further
-        own = len(found.fun) - len(self.problem.further)
-        fun = np.append(found.fun[:own], further.residual(self.theta))
-        jac = np.vstack([found.jac[:own], further.jacobian(self.theta)])
-        return problem, replace(found, fun=fun, jac=jac), self.directions.every
+        result = _of_problem(self.result, self.problem, problem)
+        return problem, result, self.directions.every
 
     @cached_property
     def singular_values(self) -> Floats:
@@ -320,7 +298,9 @@ class Fit:
     @cached_property
     def posterior(self) -> Posterior:
         """Deviations of the parameters about the references of the problem."""
-        return posterior_about(self, self.problem, self.theta)
+        return posterior_with(
+            self, None if self.evidence is None else self.evidence.sizes
+        )
 
     @cached_property
     def registered(self) -> tuple[Floats, Floats]:
@@ -328,40 +308,36 @@ class Fit:
         return self.problem.linearize(self.before)
 
     @cached_property
-    def _by_effects(self) -> Floats | None:
-        """Residuals by effects that the model does not have, shape (M, S)."""
+    def effect_rows(self) -> Floats:
+        """Whitened residuals by effects that the model does not have, shape (M, S)."""
         if self.effects is None:
-            return None
+            return np.zeros((len(self.problem.layout.row), 0))
+        return self.effects.rows(self.problem, self.theta)
+
+    @cached_property
+    def _absorbing(self) -> tuple[Floats, Floats]:
+        """Jacobian, (M, P), and residuals by effects, (M, S); of very many rows some.
+
+        These absorb as much of effects as all of them do.
+        """
+        if len(self.problem.data) <= ROWS and not self.problem.many:
+            return self.result.jac, self.effect_rows
         few = replace(self.problem, data=sampled(self.problem))
-        return self.effects.rows(few, self.theta)
+        there = replace(self, problem=few)
+        return few.linearize_rows(self.theta)[1], there.effect_rows
 
 
-def effect_rows(fitted: Fit) -> Floats | None:
-    """Whitened residuals by effects that the model does not have, shape (M, S)."""
-    if fitted.effects is not None and len(fitted.problem.data) > ROWS:
-        return fitted.effects.rows(fitted.problem, fitted.theta)
-    return fitted._by_effects  # Of a sample, which has all of them here.
-
-
-def posterior_about(
-    fitted: Fit, problem: Problem, theta: Floats, sizes: Floats | None = None
-) -> Posterior:
-    """Deviations of a fit about any references.
+def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
+    """Deviations of a fit.
 
     Args:
         fitted: The fit.
-        problem: Its problem about these.
-        theta: The solution about them, shape (P,).
-        sizes: Expected size of every error, in scales, in place of the likeliest ones,
-            shape (P,).
+        sizes: Expected size of every error, in scales, shape (P,); None where the
+            measurements alone decide.
     """
-    own, effects = problem is fitted.problem, fitted.effects
-    parameters, result = problem.parameters, fitted.result
-    fun, jac = (result.fun, result.jac) if own else problem.linearize(theta)
-    stations = problem.stations(theta)
+    problem, theta, effects = fitted.problem, fitted.theta, fitted.effects
+    parameters, fun, jac = problem.parameters, fitted.result.fun, fitted.result.jac
     basis, held = fitted.directions.basis, np.zeros((0, len(theta)))
-    if sizes is None and fitted.evidence is not None:
-        sizes = fitted.evidence.sizes
     if sizes is not None:
         # Under a prior all errors of the robot move, those too that nominal geometry
         # hides: away from it they show a little.
@@ -370,34 +346,29 @@ def posterior_about(
         inverse = np.linalg.solve(spread, np.diag(1.0 / parameters.scales))
         held = np.asarray(inverse[alone])
         basis = np.eye(len(theta))[:, parameters.free]
-    rows = np.concatenate([jac, held])
-    half = half_covariance(rows, basis, parameters)
+    half = half_covariance(np.concatenate([jac, held]), basis, parameters)
     noise = variances(problem, effects)
     shared = shared_variances(problem, fitted.noise, noise)
-    core = np.eye(half.shape[1])
-    if problem.many and effects is not None:
+    core, by_effects = np.eye(half.shape[1]), np.zeros((len(theta), 0))
+    if effects is not None or shared.any():
         groups, prior = by_quantity(problem, theta, fun, jac, half), held @ half
-        weights = noise / current_units(problem) ** 2
+        weights = (noise - shared) / current_units(problem) ** 2
         core = prior.T @ prior + groups.known[:-1, :-1]
         core += np.tensordot(weights, groups.products[:, :-1, :-1], axes=1)
-    elif effects is not None or shared.any():
-        core = noise_along(problem, rows @ half, noise, shared)
+    if shared.any():
+        core += by_configuration(problem, jac @ half, shared)
+    if effects is not None:
+        J, X = fitted._absorbing
+        inverse = half
+        if J is not jac:
+            inverse = half_covariance(np.concatenate([J, held]), basis, parameters)
+        by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
     values, vectors = np.linalg.eigh(core)
     by_noise = half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    by_effects = np.zeros((len(theta), 0))
-    if effects is not None:
-        # Of very many rows a sample absorbs as much as all of them.
-        few, J, inverse = problem, jac, half
-        if len(problem.data) > ROWS:
-            few = replace(problem, data=sampled(problem))
-            _, J = few.linearize_rows(theta)
-            inverse = half_covariance(np.concatenate([J, held]), basis, parameters)
-        known = fitted._by_effects if own else None
-        X = effects.rows(few, theta) if known is None else known
-        by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
     # Without redundancy nobody knows, and the unit is not a number.
-    by_noise = fitted.unit * with_response(stations, by_noise)
-    by_station = fitted.unit * own_deviations(stations, len(theta))
+    stations, unit = problem.stations(theta), fitted.unit
+    by_noise = unit * with_response(stations, by_noise)
+    by_station = unit * own_deviations(stations, len(theta))
     return Posterior(problem, theta, by_noise, by_effects, by_station, effects, noise)
 
 
@@ -405,9 +376,7 @@ def likely_posteriors(fitted: Fit) -> tuple[Posterior, ...]:
     """Posteriors for each of the likely sizes of errors, see `Evidence.likely`."""
     if fitted.evidence is None:
         return (fitted.posterior,)
-    problem, theta = fitted.problem, fitted.theta
-    likely = fitted.evidence.likely
-    return tuple(posterior_about(fitted, problem, theta, sizes) for sizes in likely)
+    return tuple(posterior_with(fitted, sizes) for sizes in fitted.evidence.likely)
 
 
 SURPRISE = 10.0
@@ -730,13 +699,17 @@ def shrunk(fitted: Fit) -> Fit:
     # Whitened like the rows, whose unit weight is not in their standard deviations.
     expected = replace(evidence.expected, rows=evidence.expected.rows * unit)
     basis = problem.parameters.scales[:, None] * fitted.directions.every
-    found = refine(replace(problem, expected=expected), result.x, basis)
-    # The rows of the prior stand before those of priors of the setup.
-    stop = len(found.fun) - len(problem.further.priors)
-    rows = np.delete(np.arange(len(found.fun)), np.s_[stop - len(expected) : stop])
-    fun, jac = found.fun[rows], found.jac[rows]
-    found = replace(found, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))
+    held = replace(problem, expected=expected)
+    found = _of_problem(refine(held, result.x, basis), held, problem)
     return replace(fitted, evidence=evidence, result=found.after(result))
+
+
+def _of_problem(found: Solution, last: Problem, problem: Problem) -> Solution:
+    """The solution of a problem with the further rows of another, of the same rows."""
+    own, further = len(found.fun) - len(last.further), problem.further
+    fun = np.append(found.fun[:own], further.residual(found.x))
+    jac = np.vstack([found.jac[:own], further.jacobian(found.x)])
+    return replace(found, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))
 
 
 def expected_errors(fitted: Fit) -> Evidence:
@@ -832,7 +805,10 @@ def robot_rows(
     seen = basis @ Vt[shown].T
     effects = systematic(problem, theta, Directions(nuisances, seen, seen[:, :0]))
     noise = variances(problem, effects)
-    Q = noise_along(problem, U, noise, shared_variances(problem, components, noise))
+    shared = shared_variances(problem, components, noise)
+    of_row = np.ones(len(U))
+    of_row[:measured] = (noise - shared)[layout.component]
+    Q = (U.T * of_row) @ U + by_configuration(problem, U, shared)
     if effects is not None:
         X = U[:measured].T @ effects.rows(problem, theta)
         Q += X @ X.T

@@ -445,16 +445,13 @@ def with_parameters(
     parameters: tuple[str, ...],
 ) -> Setup:
     """The setup with other parameterizations, and without parameters they lack."""
-    names = parameter_names(chains, measurements, setup, parameters)
-    return restricted(replace(setup, parameters=parameters), names)
+    setup = replace(setup, parameters=parameters)
+    return restricted(setup, parameter_names(chains, measurements, setup))
 
 
 def parameter_names(
-    chains: Robots,
-    measurements: Observations,
-    setup: Setup,
-    parameters: tuple[str, ...],
+    chains: Robots, measurements: Observations, setup: Setup
 ) -> tuple[str, ...]:
-    """Names of the parameters of some parameterizations, frames and instrument."""
-    plain = replace(setup, parameters=parameters, fixed=(), bounds={}, prior={})
+    """Names of the parameters of a robot, its frames and its instrument."""
+    plain = replace(setup, fixed=(), bounds={}, prior={})
     return make_problem(chains, measurements, plain).parameters.names

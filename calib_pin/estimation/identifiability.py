@@ -162,7 +162,7 @@ def structure(
     _, s, Vt = np.linalg.svd(np.linalg.qr(A, mode="r"), full_matrices=False)
     tolerance = rounding(A) * (s[0] if len(s) else 0.0)
     rank = int((s > tolerance).sum())
-    robot, relations = robot_values(J, parameters), s[:rank, None] * Vt[:rank]
+    robot, relations = _visible(J, parameters)[0], s[:rank, None] * Vt[:rank]
     return Structure(s, rank, robot, configurations, relations, parameters)
 
 
@@ -632,11 +632,6 @@ def robot_singular_values(
     A = J * parameters.scales
     columns = projected(A @ directions.robot, A, parameters)
     return np.asarray(np.linalg.svd(np.linalg.qr(columns, mode="r"), compute_uv=False))
-
-
-def robot_values(J: Floats, parameters: ParameterSet) -> Floats:
-    """Nonzero singular values of `visible_directions`, descending, shape (r,)."""
-    return _visible(J, parameters)[0]
 
 
 def _visible(J: Floats, parameters: ParameterSet) -> tuple[Floats, Floats]:

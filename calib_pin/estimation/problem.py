@@ -226,12 +226,14 @@ class Shared:
         setup: What the user states.
         terms: The terms; their references may differ.
         evaluators: The last evaluators.
+        many: Whether they are part of very many.
     """
 
     data: Observations
     setup: Setup
     terms: Mapping[BlockKey, Term]
     evaluators: Sequence[Evaluator] = ()
+    many: bool = False
 
     def holds(self, problem: Problem) -> bool:
         """Whether a problem differs in weights, references and priors alone."""
@@ -477,7 +479,7 @@ class Problem(Terms):
 
     @cached_property
     def _large(self) -> bool:
-        return len(self.layout.row) * len(self.given) >= MANY
+        return self._known.many or len(self.layout.row) * len(self.given) >= MANY
 
     @cached_property
     def _eliminated(self) -> dict[bytes, list[Station]]:
@@ -506,6 +508,13 @@ class Problem(Terms):
             return parts[0]
         r, J = zip(*parts, strict=True)
         return np.concatenate(r), np.concatenate(J)
+
+
+def part_of(problem: Problem, rows: NDArray[np.bool_]) -> Problem:
+    """The problem of some measurements, which are evaluated as all are, (N,)."""
+    part = replace(problem, data=problem.data.rows(rows))
+    part._known.many = problem.many
+    return part
 
 
 def current_units(problem: Problem) -> Floats:
@@ -539,11 +548,6 @@ def tool_points(problem: Problem, theta: Floats) -> list[Floats]:
 def absorbed(problem: Problem) -> int:
     """Number of parameters that are eliminated."""
     return sum(map(len, problem.own_of_stations.values()))
-
-
-def reweighted(problem: Problem, weight: Floats) -> Problem:
-    """The problem with other weights of its measurements, shape (N,)."""
-    return replace(problem, data=problem.data.weighted(weight))
 
 
 def error_table(problem: Problem, theta: Floats) -> Floats:

@@ -54,6 +54,7 @@ from calib_pin.errors import CalibPinError, require_known
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.fitted import Fit, RobustDecision, balanced
 from calib_pin.estimation.identifiability import inverse_root
+from calib_pin.estimation.nominal import registered
 from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,
@@ -62,9 +63,7 @@ from calib_pin.estimation.problem import (
     known_values,
     measured_count,
     numbered,
-    reweighted,
 )
-from calib_pin.estimation.registration import registered
 from calib_pin.estimation.row_blocks import Priors, expected_places
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
@@ -383,14 +382,12 @@ def _quantiles(counts: Floats, tail: float) -> Floats:
 # Decisions.
 
 
-def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
-    """The problem with a weight for each configuration, shape (G,)."""
-    return reweighted(problem, weight.astype(float)[failing(problem)])
-
-
-def _plain(problem: Problem) -> Problem:
-    """The problem with all measurements at full weight."""
-    return reweighted(problem, np.ones(len(problem.data)))
+def _weighted(problem: Problem, weight: NDArray[np.generic] | None = None) -> Problem:
+    """The problem with a weight for each configuration, shape (G,); default one."""
+    each = np.ones(len(problem.data))
+    if weight is not None:
+        each = weight.astype(float)[failing(problem)]
+    return replace(problem, data=problem.data.weighted(each))
 
 
 def _judged(fitted: Fit, accepted: Flags) -> Studentized:
@@ -398,7 +395,7 @@ def _judged(fitted: Fit, accepted: Flags) -> Studentized:
     held, _, moved = fitted.held
     basis = held.parameters.scales[:, None] * moved
     rows = accepted[failing(held)]
-    return studentized(_plain(held), fitted.theta, basis, rows)
+    return studentized(_weighted(held), fitted.theta, basis, rows)
 
 
 def _passed(found: Studentized, scale: Floats) -> Flags:
@@ -456,7 +453,7 @@ def _sought(
     sizes = np.full(len(parameters), OPTIONS.size)
     places = expected_places(problem, parameters)
     expected = Priors.expected(robot, sizes, parameters.scales, places)
-    every = _consensus(_plain(problem), rng)
+    every = _consensus(_weighted(problem), rng)
     every = replace(every, expected=expected, units=np.zeros(0))
     few = replace(every, data=every.data.sample(SAMPLE)) if every.many else every
     theta, weight = np.zeros(len(parameters)), np.zeros(0)

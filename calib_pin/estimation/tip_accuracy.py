@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.evidence import ByCount, PoseErrors, TipAccuracy, rms
+from calib_pin.estimation.evidence import FoundCurve, PoseErrors, TipAccuracy, rms
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.identifiability import visible_nuisances
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
 
 SAMPLES = 300
 """Configurations that stand for the workspace."""
@@ -40,48 +40,38 @@ only positions were measured, orientations are known poorly or not at all.
 
 
 @serial_blas
-def tip_by_count(
-    problem: Problem,
-    theta: Floats,
-    robot: Floats,
-    index: NDArray[np.intp],
-    of_tip: Floats,
-    order: NDArray[np.int64],
-    weight: float,
-    total: int,
-) -> tuple[Floats, Floats]:
+def _by_count(
+    fitted: Fit, data: Observations, term: Term, J_tip: Floats, rng: np.random.Generator
+) -> FoundCurve:
     """The error of the tip by the number of measurements.
 
     Args:
-        problem: The problem of a fit, with some of its rows.
-        theta: Its solution, shape (P,).
-        robot: Directions of the robot that were estimated, shape (P, k).
-        index: Positions of the parameters of the error model of the tip, shape (p,).
-        of_tip: Derivative of the tip's position by these at the configurations of the
-            workspace, shape (N, 3, p).
-        order: Place of each measurement when they are counted, shape (N,).
-        weight: Standard deviation of unit weight.
-        total: Number of all measurements.
+        fitted: The fit.
+        data: The measurements that were fitted.
+        term: The term of the tip.
+        J_tip: Derivative of the tip's position by the parameters of its error model at
+            the configurations of the workspace, shape (N, 3, p).
+        rng: Source of the order in which measurements are counted.
 
     Returns:
-        Numbers of measurements, ascending, and errors [m], both of shape (K,). The
-        first number is as few as determine all, the last one all there are.
+        The curve, from as few as determine all to all there are.
     """
-    _, J = problem.linearize_rows(theta)
-    parameters, row = problem.parameters, problem.layout.row
+    few = replace(fitted.problem, data=data.sample(ROWS))
+    _, J = few.linearize_rows(fitted.theta)
+    parameters, row = few.parameters, few.layout.row
     nuisances = visible_nuisances(J, parameters)
-    directions = np.column_stack([nuisances, robot])
+    directions = np.column_stack([nuisances, fitted.directions.robot])
     basis = parameters.scales[:, None] * directions
-    along = of_tip @ basis[index]
+    along = J_tip @ basis[term.of_error]
     tests = np.einsum("ndi,ndj->ij", along, along, optimize=True) / len(along)
-    rows, found = len(problem.data), []
+    rows, found = len(few.data), []
     own, further = np.split(J @ basis, [len(row)])
     known = further.T @ further
     # The measurements in the order in which they are counted.
-    place = order[row]
+    place = np.argsort(rng.permutation(rows))[row]
     least = max(2, basis.shape[1] * rows // len(row))
     counts = np.geomspace(least, rows, COUNTS).round().astype(int)
-    for count in np.unique([*counts, total]):
+    for count in np.unique([*counts, len(data)]):
         some = own[place < count]
         # Those beyond the rows at hand tell what these do on average.
         M = known + some.T @ some * max(1.0, count / rows)
@@ -92,9 +82,8 @@ def tip_by_count(
         squares, V = np.linalg.eigh(M / np.outer(lengths, lengths))
         if squares[0] > ROUNDING**2:
             W = V / np.sqrt(squares) / lengths[:, None]
-            found.append((count, weight * np.sqrt(np.sum(W * (tests @ W)))))
-    numbers, errors = np.reshape(found, (-1, 2)).T
-    return numbers, errors
+            found.append((count, fitted.unit * np.sqrt(np.sum(W * (tests @ W)))))
+    return FoundCurve(*np.reshape(found, (-1, 2)).T)
 
 
 @serial_blas
@@ -124,10 +113,6 @@ def tip_accuracy(
     twists = fitted.posterior.twists(replace(term, error=error), q, J)
     position, orientation = _deviations(twists)
     alone = map(rms, _deviations(without_frames(twists, J)))
-    few = replace(fitted.problem, data=problem.data.sample(ROWS))
-    order, total = np.argsort(rng.permutation(len(few.data))), len(problem.data)
-    robot = fitted.directions.robot
-    numbers = robot, own, J[:, :3], order, fitted.unit, total
     to_base = error.base.inverse().homogeneous
     return TipAccuracy(
         q=q,
@@ -136,7 +121,7 @@ def tip_accuracy(
         orientation=orientation,
         rms=PoseErrors(rms(position), rms(orientation)),
         of_robot=PoseErrors(*alone),
-        by_count=ByCount(partial(tip_by_count, few, fitted.theta, *numbers)),
+        by_count=_by_count(fitted, problem.data, term, J[:, :3], rng),
     )
 
 

@@ -33,8 +33,8 @@ import calib_pin.io.measurement_errors as measurement_errors
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
 from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.estimation.fit import with_learned
 from calib_pin.estimation.formulation import make_terms
-from calib_pin.estimation.learning import with_learned
 from calib_pin.estimation.terms import Terms
 from calib_pin.io.files import listed, read_bytes, settled, sha256, write_atomically
 from calib_pin.io.json_text import Json, decoded, encode, merged, plain, reading, typed

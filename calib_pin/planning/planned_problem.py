@@ -26,14 +26,18 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import declared, measurement_model
+from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.measurement_models.pose import Pose
-from calib_pin.observations import BlockKey, Indices, Measurements, Observations
+from calib_pin.observations import (
+    BlockKey,
+    Conditions,
+    Measurements,
+    Observations,
+)
 from calib_pin.parameters import ParameterSet
 from calib_pin.planning.criteria import Information
-from calib_pin.planning.rows import IdentificationRows, LookRows
-from calib_pin.planning.workspace import Aims, Candidates, Look, sides_tried
+from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.workspace import Aims, Candidates, sides_tried
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.result import RobotError
@@ -55,20 +59,16 @@ def planned_keys(
     Raises:
         OptionError: If there are none, or nothing shows yet where an instrument is.
     """
-    if not isinstance(measured, str):
-        keys = tuple(measured)
-    elif data is None:
-        keys = (BlockKey(measured),)
-    else:
-        keys = tuple(key for key in data.keys if key.model == measured)
-    missing = [measured] if not keys else []
-    if data is not None:
-        missing += [str(key) for key in keys if key not in data.keys]
+    keys = (BlockKey(measured),) if isinstance(measured, str) else tuple(measured)
+    known = keys if data is None else data.keys
+    if isinstance(measured, str):
+        keys = tuple(key for key in known if key.model == measured)
+    missing = [key for key in keys if key not in known] if keys else [measured]
     if missing:
         raise OptionError(
             "there are no measurements of this kind to add to",
-            value=missing[0],
-            allowed="; ".join(map(str, data.keys)) if data is not None else None,
+            value=str(missing[0]),
+            allowed="; ".join(map(str, known)) or None,
         )
     return keys
 
@@ -144,7 +144,10 @@ def identification(
     """
     zero = np.zeros(len(problem.parameters))
     first = slice(SAMPLES)
-    at = _looked_at(problem, aims, candidates.q[first], candidates.aim[first])
+    q, aim, at = candidates.q[first], candidates.aim[first], list[Measurements]()
+    for look in aims.looks:  # With all targets that each measures in a configuration.
+        rows, target = look.measured(q, aim)
+        at.append(asked(problem, look.term.key, q[rows], target))
     if measured is not None:
         at += measured.sample(SAMPLES).blocks
     structure, J = structure_at(problem, zero, at)
@@ -157,25 +160,13 @@ def identification(
             file=problem.setup.file or problem.chains.robot.file,
         )
     basis = problem.parameters.scales[:, None] * np.column_stack([nuisances, robot])
-    rows = IdentificationRows(problem, basis, nuisances.shape[1], aims)
-    if measured is None:
-        # The problem's own rows only name the targets; priors count.
-        U = problem.further.jacobian(zero) @ basis
-    else:
-        _, derivative = problem.linearize_rows(zero)
-        U = derivative @ basis
-    return structure, rows, U.T @ U
-
-
-def _looked_at(
-    problem: Problem, aims: Aims, q: Floats, aim: Indices
-) -> list[Measurements]:
-    """The configurations with all targets that each instrument measures in them."""
-    result: list[Measurements] = []
-    for look in aims.looks:
-        rows, target = look.measured(q, aim)
-        result.append(asked(problem, look.term.key, q[rows], target))
-    return result
+    rows_of = IdentificationRows(problem, basis, nuisances.shape[1], aims)
+    # Without measurements the problem's own rows only name the targets; priors count.
+    known = problem.further.jacobian(zero)
+    if measured is not None:
+        _, known = problem.linearize_rows(zero)
+    U = known @ basis
+    return structure, rows_of, U.T @ U
 
 
 @dataclass(frozen=True)
@@ -202,16 +193,13 @@ class TipTests:
         terms = {key.chain: term for key, term in rows.problem.terms.items()}
         for chain, q in tests.items():
             term = terms[chain]
-            # Whatever is measured, the pose of the tool is what counts [m, rad].
-            pose = measurement_model(Pose.declaration.name, rows.problem.setup)
+            error, own = term.error, q[:, term.columns]
             sides = sides_tried(rows.problem)[:, term.columns]
-            look = Look(
-                replace(term, measurement=pose), ("",), True, np.zeros(1, int), sides
-            )
-            basis = rows.basis[term.of_error]
-            aim = np.arange(len(q)) % max(len(sides), 1)
-            J = LookRows(look, basis, np.ones(6)).rows(q, aim)
-            J = J.reshape(-1, 2, 3, len(basis.T))
+            held = Conditions(direction=np.resize(sides, own.shape))
+            zero = np.zeros(len(error.screws))
+            poses = error.linearize(own, zero, error.basis(own, held))
+            J = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
+            J = (J @ rows.basis[term.of_error]).reshape(len(q), 2, 3, -1)
             found.append(np.einsum("npdi,npdj->pij", J, J, optimize=True) / len(q))
         return TipTests(*np.mean(found, axis=0))
 

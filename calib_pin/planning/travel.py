@@ -26,7 +26,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.turns import TURN, shortest_turns
 from calib_pin.observations import Indices
 from calib_pin.planning.rows import IdentificationRows
-from calib_pin.planning.workspace import Aim, Workspace
+from calib_pin.planning.workspace import Workspace
 from calib_pin.progress import Progress
 
 ROUNDS = 30
@@ -87,7 +87,16 @@ def visits(
     middle = 0.5 * (lower + upper)
     turned = q - np.where(free, np.round((q - middle) / TURN), 0.0) * TURN
     q = turned if allowed(turned, q, aim) else q
-    order, closed = _ordered(q, aim, workspace.aims.each, start, blocked)
+    # A tool is mounted and an instrument placed only once.
+    places: dict[tuple[str, ...], list[int]] = {}
+    for k, one in enumerate(aim):
+        places.setdefault(workspace.aims.each[one].key[1:], []).append(k)
+    order, closed, ahead = np.empty(0, np.intp), tuple[int, ...](), start
+    for members in map(np.array, places.values()):
+        found, shut = shortest_order(q[members], ahead, blocked)
+        closed += tuple(len(order) + place for place in shut)
+        order = np.concatenate([order, members[found]])
+        ahead = q[order[-1]]
     q, aim = q[order], aim[order]
     turned = shortest_turns(q, lower, upper, free, start)
     if not np.array_equal(turned, q) and allowed(turned, q, aim):
@@ -105,38 +114,6 @@ def _same(rows: IdentificationRows, a: Floats, b: Floats, aim: Indices) -> bool:
     # Rows of the same information may differ by a rotation.
     G, H = (np.swapaxes(R, 1, 2) @ R for R in (first, second))
     return bool(np.abs(G - H).max(initial=0.0) <= SAME * np.abs(G).max(initial=1.0))
-
-
-def _ordered(
-    q: Floats,
-    aims: Indices,
-    among: Sequence[Aim],
-    start: Floats | None,
-    blocked: Callable[[Floats, Floats], bool] | None,
-) -> tuple[NDArray[np.intp], tuple[int, ...]]:
-    """Short travel, and a tool is mounted and an instrument placed only once.
-
-    Args:
-        q: The configurations, shape (K, n) [rad, m].
-        aims: What is measured at each, shape (K,).
-        among: What can be measured.
-        start: Where the robot stands before the first, shape (n,).
-        blocked: Whether the straight move between two configurations is blocked.
-
-    Returns:
-        The order, shape (K,), and the places in it to which the move is blocked.
-    """
-    places: dict[tuple[str, ...], list[int]] = {}
-    for k, aim in enumerate(aims):
-        places.setdefault(among[aim].key[1:], []).append(k)
-    order, closed = np.empty(0, np.intp), list[int]()
-    for members in places.values():
-        rows = np.array(members)
-        found, shut = shortest_order(q[rows], start, blocked)
-        closed += [len(order) + place for place in shut]
-        order = np.concatenate([order, rows[found]])
-        start = q[order[-1]]
-    return order, tuple(closed)
 
 
 def shortest_order(
@@ -316,18 +293,20 @@ class Ways:
     def through(
         self,
         q: Floats,
-        rng: np.random.Generator,
+        rng: np.random.Generator | None,
         progress: Progress | None = None,
     ) -> Passage:
         """A motion through configurations in their order.
 
         Args:
             q: The configurations, shape (N, n) [rad, m].
-            rng: Source of chance; every way has its own.
+            rng: Source of chance; every way has its own. None where the straight ways
+                must not be changed.
             progress: Told the part that is done, 0 to 1.
         """
         parts, rows, blocked = [q[:1]], [np.arange(len(q[:1]))], []
-        for k, own in enumerate(rng.spawn(max(len(q) - 1, 0)), 1):
+        ways = max(len(q) - 1, 0)
+        for k, own in enumerate(rng.spawn(ways) if rng else [None] * ways, 1):
             if progress is not None:
                 progress(k / len(q))
             around = self.around(q[k - 1], q[k], own)
@@ -338,28 +317,15 @@ class Ways:
             rows += [np.full(len(around), VIA), np.array([k])]
         return Passage(np.concatenate(parts), np.concatenate(rows), tuple(blocked))
 
-    def checked(
-        self,
-        q: Floats,
-        rng: np.random.Generator | None = None,
-        progress: Progress | None = None,
-    ) -> Passage:
-        """The straight ways; the same as `through` for what must not be changed."""
-        blocked = []
-        for k in range(1, len(q)):
-            if progress is not None:
-                progress(k / len(q))
-            if not self.is_free(q[k - 1], q[k]):
-                blocked.append(k)
-        return Passage.straight(q, blocked)
-
-    def around(self, a: Floats, b: Floats, rng: np.random.Generator) -> Floats | None:
+    def around(
+        self, a: Floats, b: Floats, rng: np.random.Generator | None
+    ) -> Floats | None:
         """Configurations between two, by which straight ways are free.
 
         Args:
             a: The first, shape (n,) [rad, m].
             b: The last, shape (n,) [rad, m].
-            rng: Source of chance.
+            rng: Source of chance; None to look for no other way.
 
         Returns:
             The configurations, shape (V, n), none where the straight way is free; None
@@ -367,7 +333,7 @@ class Ways:
         """
         if self.is_free(a, b):
             return np.empty((0, len(a)))
-        if not self.collisions.free(np.array([a, b])).all():
+        if rng is None or not self.collisions.free(np.array([a, b])).all():
             return None
         path = _connected(self, a, b, rng)
         return None if path is None else self._shorter(path, rng)[1:-1]

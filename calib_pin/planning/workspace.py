@@ -9,7 +9,7 @@ measured at one configuration.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -155,51 +155,44 @@ class Aims:
             OptionError: If none of them is of a chain that moves.
         """
         places: dict[tuple[str, ...], dict[BlockKey, tuple[str, ...]]] = {}
+        codes: dict[BlockKey, list[int]] = {}
         for key in keys:
             term = problem.terms[key]
             if term.error.chain.joints:
                 names = tuple(term.measurement.targets) or ("",)
-                places.setdefault(key[1:], {})[key] = names
+                places.setdefault(key[1:], {})[key], codes[key] = names, []
         if not places:
             raise OptionError("nothing that is measured moves with the robot")
         aims: list[Aim] = []
-        members: dict[BlockKey, dict[int, int]] = {}
         for group in places.values():
             shared = [key for key in group if declared(key.model).at_once]
-            single = [
-                (key, name) for key in group if key not in shared for name in group[key]
-            ]
             distinct = {name for key in shared for name in group[key]}
             only = distinct.pop() if len(distinct) == 1 else ""
-            for key, name in single or [(shared[0], only)]:
-                if single:
-                    place = group[key].index(name)
-                    members.setdefault(key, {})[len(aims)] = place
-                for other in shared:
-                    members.setdefault(other, {})[len(aims)] = 0
+            single = [
+                (key, place, name)
+                for key in (key for key in group if key not in shared)
+                for place, name in enumerate(group[key])
+            ]
+            for own, place, name in single or [(shared[0], 0, only)]:
                 aims.append(Aim(next(iter(group)), name))
-        looks = []
-        for key, of_aim in members.items():
-            codes = np.full(len(aims), -1)
-            codes[list(of_aim)] = list(of_aim.values())
-            names, at_once = places[key[1:]][key], declared(key.model).at_once
-            looks.append(Look(problem.terms[key], names, at_once, codes))
-        looks.sort(key=lambda look: not look.at_once)
+                for key, of_aim in codes.items():
+                    together = 0 if key in shared else -1
+                    of_aim.append(place if key == own else together)
         sides = sides_tried(problem)
-        if not len(sides):
-            return Aims(tuple(aims), tuple(looks))
-        count = len(aims)
-        return Aims(
-            tuple(aim._replace(side=tuple(side)) for aim in aims for side in sides),
-            tuple(
-                replace(
-                    look,
-                    of_aim=np.repeat(look.of_aim, len(sides)),
-                    sides=np.tile(sides[:, look.term.columns], (count, 1)),
-                )
-                for look in looks
-            ),
-        )
+        every = sides.tolist() or [()]
+        looks = [
+            Look(
+                problem.terms[key],
+                places[key[1:]][key],
+                declared(key.model).at_once,
+                np.repeat(of_aim, len(every)),
+                np.tile(sides[:, problem.terms[key].columns], (len(aims), 1)),
+            )
+            for key, of_aim in codes.items()
+        ]
+        looks.sort(key=lambda look: not look.at_once)
+        turned = (aim._replace(side=tuple(side)) for aim in aims for side in every)
+        return Aims(tuple(turned), tuple(looks))
 
 
 def sides_tried(problem: Problem) -> Signs:

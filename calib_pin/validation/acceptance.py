@@ -37,9 +37,8 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, enumerated
 from calib_pin.estimation.formulation import make_problem, with_parameters
 from calib_pin.estimation.identifiability import column_space
-from calib_pin.estimation.nominal import register
+from calib_pin.estimation.nominal import extended, register, registered, relocated
 from calib_pin.estimation.problem import Problem, error_table
-from calib_pin.estimation.registration import extended, registered, relocated
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,

@@ -17,9 +17,8 @@ from calib_pin.estimation.formulation import (
     require_conditions,
     setup_of,
 )
-from calib_pin.estimation.nominal import register
+from calib_pin.estimation.nominal import extended, register
 from calib_pin.estimation.problem import Problem, error_table
-from calib_pin.estimation.registration import extended
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import as_stated

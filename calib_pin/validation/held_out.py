@@ -17,19 +17,22 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.estimation import learning
 from calib_pin.estimation.evidence import Finding, Gain
-from calib_pin.estimation.fit import FittedModel, fit_model
+from calib_pin.estimation.fit import (
+    FittedModel,
+    fit_model,
+    learned_without,
+    with_learned,
+)
 from calib_pin.estimation.fitted import (
     Fit,
     Posterior,
-    effect_rows,
-    noise_along,
+    by_configuration,
     shared_variances,
 )
 from calib_pin.estimation.identifiability import half_covariance, visible_nuisances
-from calib_pin.estimation.problem import EXACT, Problem, known_count
-from calib_pin.estimation.registration import extended
+from calib_pin.estimation.nominal import extended
+from calib_pin.estimation.problem import EXACT, Problem, known_count, part_of
 from calib_pin.estimation.robust import by_size, spectrum
 from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
@@ -173,12 +176,12 @@ def left_out(
             found[k] = before, after
     effects, anew = None, dict[int, LearnedCorrection]()
     if learned is not None:
-        about, rng = fit.problem.rebased(fit.theta), np.random.default_rng(seed)
+        rng = np.random.default_rng(seed)
         parts = [masks[k] for k in found]
-        taught = learning.left_out(learned, fit, *about, parts, rng)
+        taught = learned_without(learned, fit, parts, rng)
         anew = dict(zip(found, taught, strict=True))
     elif not fit.problem.many:
-        effects = effect_rows(fit)
+        effects = fit.effect_rows
     for k, (nominal, fitted) in found.items():
         rows, theta = fit.problem.data.rows(masks[k]), fitted.theta
         problem, deviations = fit.problem, fit.posterior
@@ -188,7 +191,7 @@ def left_out(
             step[of_error] = (theta - fit.theta)[of_error]
             # What was learned stands on the geometry; where it fades, that remains.
             correction = replace(anew[k], shift=anew[k].shift - step)
-            problem = learning.with_learned(model.problem, correction)
+            problem = with_learned(model.problem, correction)
             theta = model.theta + step
         elif not problem.many:
             deviations = _deviations(fit, robots[1], fitted, effects)
@@ -241,7 +244,7 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     problem, F = robot.problem, robot.factor
     fun, out, alone = robot.fun, np.zeros(0, bool), np.zeros(len(F), bool)
     if problem.many:
-        some = replace(problem, data=problem.data.rows(mask))
+        some = part_of(problem, mask)
         r, jac = some.linearize(robot.theta)
         count = len(r) - len(some.further)
         B, r = jac[:count] @ F, r[:count]
@@ -305,15 +308,22 @@ def _deviations(
         rest: That without the group.
         effects: Effects of gears and compliance in all rows, shape (M, S).
     """
-    noise, moved = fit.posterior.noise, robot.factor @ rest.inner
-    others = np.where(rest.out[:, None], 0.0, robot.columns @ rest.inner)
+    problem, layout, noise = fit.problem, fit.problem.layout, fit.posterior.noise
+    shared = shared_variances(problem, fit.noise, noise)
+    count, moved = len(layout.row), robot.factor @ rest.inner
+    others = robot.columns[:count] @ rest.inner
+    others[rest.out[:count]] = 0.0
     by_effects = np.zeros((len(moved), 0))
     if effects is not None:
-        by_effects = moved @ (others[: len(effects)].T @ effects)
-    shared = shared_variances(fit.problem, fit.noise, noise)
-    values, V = np.linalg.eigh(noise_along(fit.problem, others, noise, shared))
-    by_noise = fit.unit * moved @ (V * np.sqrt(np.maximum(values, 0.0)))
-    return replace(fit.posterior, by_noise=by_noise, by_effects=by_effects)
+        by_effects = moved @ (others.T @ effects)
+    # Where their noise is not one, and repetitions have a part of it in common.
+    less = (1.0 - noise + shared)[layout.component]
+    if less.any():
+        core = np.eye(others.shape[1]) - (others.T * less) @ others
+        core += by_configuration(problem, others, shared)
+        values, V = np.linalg.eigh(core)
+        moved = moved @ (V * np.sqrt(np.maximum(values, 0.0)))
+    return replace(fit.posterior, by_noise=fit.unit * moved, by_effects=by_effects)
 
 
 def gains(

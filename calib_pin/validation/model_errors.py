@@ -13,6 +13,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, Posterior
 from calib_pin.estimation.identifiability import column_space
+from calib_pin.estimation.nominal import extended
 from calib_pin.estimation.problem import (
     PIECE,
     Problem,
@@ -20,7 +21,6 @@ from calib_pin.estimation.problem import (
     distinct_values,
     error_table,
 )
-from calib_pin.estimation.registration import extended
 from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.terms import FRAME

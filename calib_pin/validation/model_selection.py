@@ -372,7 +372,8 @@ def _require_patterns(
     names: list[str] = []
     for name in parameterizations:
         with suppress(OptionError):  # The candidate will say so.
-            names += parameter_names(chains, measurements, setup, (name,))
+            alone = replace(setup, parameters=(name,))
+            names += parameter_names(chains, measurements, alone)
     for pattern in (*setup.fixed, *setup.bounds, *setup.prior_by_glob):
         if not matching(pattern, names):
             reason = f"no parameter matches '{pattern}'{nearest(pattern, names)}"

@@ -22,8 +22,8 @@ from calib_pin.estimation.evidence import TRUSTED, VarianceComponent, rms
 from calib_pin.estimation.fitted import robot_rows
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import nuisance_basis
+from calib_pin.estimation.nominal import registered
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.population_prior import (
     Cause,

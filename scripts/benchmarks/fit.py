@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 import calib_pin
 from benchmarks.timing import DATA, best, show, simulated
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.registration import registered
+from calib_pin.estimation.nominal import registered
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup

@@ -18,9 +18,8 @@ import time
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fit import fit, learned_correction, with_learned
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.learning import learned_correction, with_learned
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -81,7 +80,7 @@ def _measure(size: int) -> dict[str, object]:
     fitted = fit(make_problem(chain, data, Setup(tool_frame=FrameSetup(TOOL))), rng)
     problem, theta = fitted.problem.rebased(fitted.theta)
     middle = time.perf_counter()
-    learned = learned_correction("gaussian-process", fitted, problem, theta, rng)
+    learned = learned_correction("gaussian-process", fitted, rng)
     end = time.perf_counter(), time.process_time()
     assert learned is not None
     term = problem.only

@@ -26,7 +26,7 @@ from benchmarks.report import page_of, scatter_of
 from benchmarks.timing import simulated
 from calib_pin.control.compensation import compensate
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.registration import registered
+from calib_pin.estimation.nominal import registered
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup, SolverSetup

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.control import Joints, search
 from calib_pin.control.acceptance_poses import (
     EDGES,
     ORDER,
     AcceptancePoses,
     acceptance_poses,
 )
+from calib_pin.control.joints import Joints
+from calib_pin.control.reaching import Task, search
 from calib_pin.errors import OptionError
 from calib_pin.io.collision import load_collisions
 from calib_pin.kinematics.chain import Chain
@@ -55,7 +56,8 @@ def check(found: AcceptancePoses, chain: Chain, tool: np.ndarray) -> None:
         T, J = chain.jacobian(q)
         return T @ tool, adjoint(invert(tool)) @ J
 
-    reached = search(evaluate, targets, Joints.of(chain), orientation=False).reached
+    task = Task.of(evaluate, targets, Joints.of(chain), orientation=False)
+    reached = search(task).reached
     assert reached.mean() > 0.97
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.control import Joints
 from calib_pin.control.compensation import JUMP, compensate, follow
+from calib_pin.control.joints import Joints
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, invert

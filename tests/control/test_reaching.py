@@ -11,15 +11,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.control import (
-    Joints,
-    Kinematics,
-    Solutions,
-    commands,
-    kinematics,
-    reach,
-    search,
-)
+from calib_pin.control.calibrated import kinematics
+from calib_pin.control.compensation import commands
+from calib_pin.control.joints import Joints, Kinematics, Solutions
+from calib_pin.control.reaching import Task, reach, search
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.results import write_urdf
 from calib_pin.io.urdf import load_chain
@@ -280,7 +275,7 @@ def test_limits_are_never_left(name):
     q[::2] = narrow.within(q[::2])
     q[::8, 1] = narrow.upper[1]
     targets = model.poses(q)
-    found = search(watched, targets, narrow, q + 0.5)
+    found = search(Task.of(watched, targets, narrow, q + 0.5))
     assert found.reached[::2].mean() > 0.9
     every = np.concatenate([found.q, *seen])
     assert (every >= narrow.lower).all()
@@ -376,7 +371,7 @@ def test_closest_to_the_start(name, size):
     q = configurations(chain, 50)
     targets, start = model.poses(q), beside(chain, q, size)
     evaluate = kinematics(model)
-    found = reach(evaluate, targets, start, joints)
+    found = reach(Task.of(evaluate, targets, joints, start))
     assert found.reached.mean() >= 0.98
     left = optimality(evaluate, found, start, joints)[found.reached]
     assert np.quantile(left, 0.95) < 1e-7

@@ -16,7 +16,7 @@ from calib_pin.estimation.fitted import (
     Fit,
     Posterior,
     expected_sizes,
-    posterior_about,
+    posterior_with,
 )
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
@@ -91,8 +91,7 @@ def job(seed: int, times: float, *, repeats: int = 1, noise: float = 2e-5) -> Jo
     data = Observations.of(replace(rows.only, sigma=None))
     problem = replace(plain, data=data)
     fitted = with_effects(fit(problem, np.random.default_rng(0)))
-    moved, at = fitted.problem.rebased(fitted.theta)
-    return Job(true, theta, fitted, fitted.effects, posterior_about(fitted, moved, at))
+    return Job(true, theta, fitted, fitted.effects, fitted.posterior)
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +142,7 @@ def test_without_effects_it_is_the_covariance_of_the_fit() -> None:
     assert fitted.evidence is not None
     sizes = fitted.evidence.sizes
     plain = replace(fitted, evidence=None, noise=(), unit=1.0)
-    again = posterior_about(plain, fitted.problem, fitted.theta, sizes)
+    again = posterior_with(plain, sizes)
     deviations = np.sqrt(np.diag(fitted.covariance))
     deviations[deviations == 0.0] = 1.0
     unit = np.outer(deviations, deviations)

@@ -14,8 +14,8 @@ import pytest
 import calib_pin
 import calib_pin.io.results as results
 from calib_pin.errors import InputError, OptionError
+from calib_pin.estimation.fit import with_learned
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.learning import with_learned
 from calib_pin.io.json_text import encode
 from calib_pin.observations import BlockKey
 from calib_pin.residual_models import LearnedCorrection

@@ -14,8 +14,8 @@ import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.identifiability import observability
+from calib_pin.estimation.nominal import registered
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose

@@ -80,7 +80,7 @@ from calib_pin.estimation.statistics.distributions import (
     chi_square_tail,
     f_tail,
 )
-from calib_pin.estimation.terms import Term, assembled
+from calib_pin.estimation.terms import Term, assembled, kept
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
@@ -446,20 +446,16 @@ def _pure_errors(
         theta: Its solution, shape (P,).
         leverages: Leverage of every measured value, shape (M,).
     """
-    layout, (used, label) = problem.layout, repetitions(problem)
-    sizes, found = np.bincount(label), list[PureError | None]()
-    if not (sizes > 1).any():
+    layout, label = problem.layout, repetitions(problem)
+    found, many = list[PureError | None](), np.bincount(label)[label]
+    if many.max(initial=1) == 1:
         return [None] * len(layout.components)
     weight = problem.data.weight[layout.row]
-    residual = problem.errors(theta) / problem.given_sigma
-    # Repetitions of a row, and its configuration, of all those that are used.
-    many, of_row = np.ones(len(problem.data)), np.full(len(problem.data), -1)
-    many[used], of_row[used] = sizes[label], label
-    place = of_row[layout.row] * layout.width + layout.column
+    residual = kept(problem.errors(theta) / problem.given_sigma, weight == 0.0)
+    place = label[layout.row] * layout.width + layout.column
     for own in layout.of_components:
-        rows = own[of_row[layout.row[own]] >= 0]
-        r, w = residual[rows], weight[rows]
-        _, group = np.unique(place[rows], return_inverse=True)
+        r, w = residual[own], weight[own]
+        _, group = np.unique(place[own], return_inverse=True)
         total = np.bincount(group, w)
         mean = np.bincount(group, w * r) / np.where(total > 0.0, total, 1.0)
         squares = float(np.sum(w * (r - mean[group]) ** 2))
@@ -471,16 +467,17 @@ def _pure_errors(
     return found
 
 
-def repetitions(problem: Problem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows that can be repetitions, and the configuration of each, shape (n,) both."""
+def repetitions(problem: Problem) -> NDArray[np.intp]:
+    """Label of the configuration of each row, its own for one that is alone, (N,)."""
     used = problem.data.weight > 0.0
     for _, data, own, _ in problem.blocks:
         # Of contacts the joint positions are measured, and from another start it is
         # another distance.
         if not data.values.shape[1] or data.start.size:
             used[own] = False
-    rows = np.flatnonzero(used)
-    return rows, numbered(repeated(problem)[rows])[1]
+    labels = np.arange(len(used), 2 * len(used))
+    labels[used] = numbered(repeated(problem)[used])[1]
+    return labels
 
 
 # Gears and compliance.

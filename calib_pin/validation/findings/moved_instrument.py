@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.nominal import relocated
 from calib_pin.estimation.problem import Problem, distinct_values, measured_count
-from calib_pin.estimation.registration import relocated
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.terms import BASE, FRAME
 from calib_pin.validation.findings.case import CHANCE, by_chance

@@ -13,9 +13,8 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import fit, fit_model
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.nominal import growth
+from calib_pin.estimation.nominal import growth, registered
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import AnchorSetup, DistanceSetup, FrameSetup, PointSetup, Setup

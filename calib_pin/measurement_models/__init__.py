@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
-    Curvature,
-    CurvedModel,
     DeclaredModel,
     Linearization,
     MeasurementModel,
@@ -30,8 +28,6 @@ __all__ = [
     "MEASUREMENT_MODELS",
     "Batch",
     "BatchedModel",
-    "Curvature",
-    "CurvedModel",
     "Declaration",
     "DeclaredModel",
     "Inference",

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.kinematics.spatial import Floats, skew
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Declaration, Quantity
 from calib_pin.measurement_models.references import ReferenceObject, slices
 from calib_pin.observations import Booleans, Indices, Measurements, Targets
@@ -228,40 +228,3 @@ class BatchedModel(Protocol):
             weights: Reciprocal standard deviations of the residual, shape (N, d).
         """
         ...
-
-
-@dataclass(frozen=True)
-class Curvature:
-    """How a linearization at noise-free values changes as the tool moves.
-
-    Attributes:
-        J_pose: Derivative of `Linearization.J_pose` by the tool's body twist,
-            shape (N, d, 6, 6), the twist last.
-        J_instrument: The same of `Linearization.J_instrument`, shape (N, d, K, 6).
-    """
-
-    J_pose: Floats
-    J_instrument: Floats
-
-
-@runtime_checkable
-class CurvedModel(Protocol):
-    """A measurement model with second derivatives by the configuration."""
-
-    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
-        """Second derivatives where the measured values are the predicted ones.
-
-        Args:
-            T: Tool poses in the measurement frame, shape (N, 4, 4).
-            instrument: Values of the model's parameters, shape (K,).
-            target: Name of the target of each row.
-        """
-        ...
-
-
-def rotation_curvature(R: Floats) -> Floats:
-    """Derivative of rotations by a body twist, (N, 3, 3) -> (N, 3, 3, 6)."""
-    result = np.zeros((len(R), 3, 3, 6))
-    # R Exp(w) = R + R [w]x
-    result[..., 3:] = np.einsum("naj,cjb->nabc", R, skew(np.eye(3)))
-    return result

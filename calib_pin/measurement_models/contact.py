@@ -32,7 +32,6 @@ from calib_pin.measurement_models.references import (
     turned_rows,
 )
 from calib_pin.measurement_models.tool_point import (
-    PointCurvature,
     PointMeasurement,
     PointModel,
 )
@@ -135,13 +134,6 @@ class PlaneContact(SiteModel):
         planes = [plane for plane in self.sites if isinstance(plane, Plane)]
         return turned_planes(planes, values)
 
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """A plane is flat; what it turns about is as far as the point."""
-        _, _, by_turn = turned_rows(self.sites, site, values)
-        by_plane = np.zeros((len(p), 1, 3, 3))
-        by_plane[:, 0, :2] = np.swapaxes(by_turn, 1, 2)
-        return PointCurvature(np.zeros((len(p), 1, 3, 3)), by_plane)
-
     def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> tuple[Floats, Plane]:
@@ -175,10 +167,6 @@ class RoundModel(SiteModel):
         """Centers, and these numbers."""
         moved = values.reshape(len(values), -1, 4) * [1.0, 1.0, 1.0, self.sign]
         return np.column_stack([_centers(self.sites), self.added]) + moved
-
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """As round as the point is far from the center."""
-        return round_bend(*rays(p, self.sites, site, values))
 
 
 @dataclass(frozen=True)
@@ -280,11 +268,3 @@ def directions(x: Floats) -> tuple[Floats, Floats]:
     length = np.linalg.norm(x, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return x / length[:, None], length
-
-
-def round_bend(e: Floats, distance: Floats) -> PointCurvature:
-    """How a distance bends; its place has three coordinates and one number more."""
-    across = np.eye(3) - e[:, :, None] * e[:, None, :]
-    H = across / distance[:, None, None]
-    by_site = np.concatenate([-H, np.zeros((len(e), 1, 3))], axis=1)
-    return PointCurvature(H[:, None], by_site[:, None])

@@ -12,7 +12,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.contact import (
     RoundModel,
     directions,
-    round_bend,
 )
 from calib_pin.measurement_models.contact_registration import (
     register_distances,
@@ -32,7 +31,6 @@ from calib_pin.measurement_models.named_points import (
 )
 from calib_pin.measurement_models.references import Anchor, ReferenceObject
 from calib_pin.measurement_models.tool_point import (
-    PointCurvature,
     PointMeasurement,
     PointModel,
 )
@@ -113,11 +111,6 @@ class RelativeDistance(PointModel):
     def seen(self, values: Floats) -> Floats:
         """The start, from which on the kernel counts."""
         return np.zeros((len(values), 1, 4))
-
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """As round as the way is long."""
-        across = round_bend(*directions(p)).by_point
-        return PointCurvature(across, np.zeros((len(p), 1, 0, 3)))
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -24,7 +23,7 @@ from calib_pin.measurement_models.named_points import (
     xyz_or_none,
 )
 from calib_pin.measurement_models.references import (
-    Anchor,
+    Center,
     Plane,
     ReferenceObject,
     Sphere,
@@ -151,10 +150,28 @@ class RoundModel(SiteModel):
     sign: ClassVar[float] = 1.0
     """Derivative by the last parameter of a site."""
 
+    sites_kind: ClassVar[type[Center]]
+    """Class of the sites."""
+
+    @classmethod
+    def unknown(cls, name: str) -> Center:
+        """A site that nobody has given."""
+        return cls.sites_kind(name)
+
+    @classmethod
+    def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Center, ...]:
+        """The sites; a number that is not given is estimated."""
+        kind, sites = cls.sites_kind, list[Center]()
+        for name, stated in getattr(setup, f"{kind.kind}s").items():
+            xyz, (size, free) = xyz_or_none(stated.xyz), stated.sized
+            sites.append(kind(name, xyz, size, stated.estimate, free))
+        return tuple(sites) or tuple(map(kind, given_names(names, kind.kind)))
+
     @property
-    @abstractmethod
     def added(self) -> Floats:
         """The number that is added at each site, shape (L,) [m]."""
+        sizes = [site.size for site in self.sites if isinstance(site, Center)]
+        return self.sign * np.array(sizes, float)
 
     def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The distance with that number."""
@@ -185,38 +202,18 @@ class SphereContact(RoundModel):
         naming=Naming("sphere", "all or none"),
         yardstick="the radius of the sphere",
     )
-    unknown = staticmethod(Sphere)
+    sites_kind = Sphere
     sign = -1.0
-
-    @classmethod
-    def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Sphere, ...]:
-        """The spheres; a radius that is not given is estimated."""
-        spheres = []
-        for name, stated in setup.spheres.items():
-            free = stated.estimate_radius
-            if free is None:
-                free = stated.radius is None
-            xyz = xyz_or_none(stated.xyz)
-            spheres.append(Sphere(name, xyz, stated.radius, stated.estimate, free))
-        return tuple(spheres) or tuple(map(Sphere, given_names(names, "sphere")))
-
-    @property
-    def added(self) -> Floats:
-        """Radii, which are subtracted."""
-        spheres = [s for s in self.sites if isinstance(s, Sphere)]
-        return -np.array([sphere.radius for sphere in spheres], float)
 
     def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> tuple[Floats, Sphere]:
         """The sphere through the points, with its radius where that was unknown."""
         assert isinstance(site, Sphere)
-        known = None
-        if site.radius is not None:
-            known = site.radius + deviations(data)
+        known = None if site.size is None else site.size + deviations(data)
         reached = register_distances(F, known, point)
-        radius = reached.size if site.radius is None else site.radius
-        return reached.point, replace(site, xyz=reached.site, radius=radius)
+        radius = reached.size if site.size is None else site.size
+        return reached.point, replace(site, xyz=reached.site, size=radius)
 
 
 def deviations(data: Measurements) -> Floats:
@@ -260,7 +257,7 @@ def rays(
 
 
 def _centers(sites: Sequence[ReferenceObject]) -> Floats:
-    return np.array([s.xyz for s in sites if isinstance(s, Sphere | Anchor)])
+    return np.array([s.xyz for s in sites if isinstance(s, Center)])
 
 
 def directions(x: Floats) -> tuple[Floats, Floats]:

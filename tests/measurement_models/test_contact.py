@@ -213,7 +213,7 @@ def test_spheres_and_the_point_that_touches_them(
     np.testing.assert_allclose(found_tool.translation, TIP, atol=1e-10)
     (sphere,) = found.references
     np.testing.assert_allclose(sphere.xyz, BALL.xyz, atol=1e-10)
-    assert sphere.radius == pytest.approx(0.15, abs=1e-10)
+    assert sphere.size == pytest.approx(0.15, abs=1e-10)
     # A radius that is stated is known, one that is not is estimated.
     assert [p.free for p in found.parameters] == [True] * 3 + [radius is None]
 

@@ -73,7 +73,7 @@ def test_anchors_and_points_are_registered(
     np.testing.assert_allclose(found_tool.translation, TIP, atol=1e-9)
     (anchor,) = found.references
     np.testing.assert_allclose(anchor.xyz, AT, atol=1e-9)
-    assert anchor.bias == pytest.approx(bias, abs=1e-9)
+    assert anchor.size == pytest.approx(bias, abs=1e-9)
     assert [p.free for p in found.parameters] == [True] * 3 + [estimate]
 
 

@@ -23,8 +23,7 @@ from calib_pin.estimation.terms import (
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import declared, measurement_model
-from calib_pin.measurement_models.catalog import require_values
+from calib_pin.measurement_models import declared, measurement_model, require_values
 from calib_pin.measurement_models.references import Plane, ReferenceObject
 from calib_pin.observations import (
     UNSTATED,
@@ -33,7 +32,6 @@ from calib_pin.observations import (
     Measurements,
     Observations,
 )
-from calib_pin.observations.blocks import of_joints
 from calib_pin.parameterizations import (
     NOTHING,
     frame_pose,
@@ -171,7 +169,7 @@ def fitting(
             raise data.error(0, reason, allowed=", ".join(chains.joints))
         for block in data.blocks:
             require_values(block)
-    return chains, [of_joints(data, chains.joints) for data in measured]
+    return chains, [data.of_joints(chains.joints) for data in measured]
 
 
 def require_known(

@@ -264,15 +264,7 @@ class Term:
 
     def of_chain(self, at: Measurements) -> Measurements:
         """Configurations of all joints with those of its chain alone."""
-        if at.joints == self.error.chain.joints:
-            return at
-        return replace(
-            at,
-            joints=self.error.chain.joints,
-            q=at.q[:, self.columns],
-            start=at.start[:, self.columns] if at.start.size else at.start,
-            conditions=at.conditions.of_joints(self.columns),
-        )
+        return at.of_joints(self.error.chain.joints)
 
     def poses(self, theta: Floats, at: Measurements) -> Floats:
         """Tool poses as in `ToolLinearization`, shape (N, 4, 4).

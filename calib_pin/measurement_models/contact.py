@@ -30,10 +30,7 @@ from calib_pin.measurement_models.references import (
     turned_planes,
     turned_rows,
 )
-from calib_pin.measurement_models.tool_point import (
-    PointMeasurement,
-    PointModel,
-)
+from calib_pin.measurement_models.tool_point import PointMeasurement, PointModel
 from calib_pin.observations import Indices, Measurements
 from calib_pin.setup import Setup
 

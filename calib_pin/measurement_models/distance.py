@@ -9,10 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.contact import (
-    RoundModel,
-    directions,
-)
+from calib_pin.measurement_models.contact import RoundModel, directions
 from calib_pin.measurement_models.contact_registration import (
     register_distances,
     register_relative_distances,
@@ -23,15 +20,9 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.named_points import (
-    located_tool,
-    tip_points,
-)
+from calib_pin.measurement_models.named_points import located_tool, tip_points
 from calib_pin.measurement_models.references import Anchor, ReferenceObject
-from calib_pin.measurement_models.tool_point import (
-    PointMeasurement,
-    PointModel,
-)
+from calib_pin.measurement_models.tool_point import PointMeasurement, PointModel
 from calib_pin.observations import AT, Indices, Measurements
 
 QUANTITIES = (Quantity("distance", "m", slice(0, 1), 1e-4),)

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.kinematics.spatial import from_quaternion
-from calib_pin.measurement_models.catalog import declared
+from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.orientations import inverse
 from calib_pin.observations import (
     Booleans,

@@ -22,10 +22,7 @@ from calib_pin.measurement_models.base import (
     Geometry,
     Linearization,
 )
-from calib_pin.measurement_models.named_points import (
-    named_points,
-    split_names,
-)
+from calib_pin.measurement_models.named_points import named_points, split_names
 from calib_pin.measurement_models.references import Point, ReferenceObject, locate
 from calib_pin.observations import AT, Indices, Labels, Measurements, Targets
 from calib_pin.setup import Setup

@@ -163,6 +163,12 @@ class Observations(SourcedRows):
         ]
         return Observations(tuple(b for b in picked if len(b)) or (picked[0],))
 
+    def of_joints(self, joints: tuple[str, ...]) -> Observations:
+        """The same of other joints; those that it does not state are zero."""
+        if joints == self.joints:
+            return self
+        return Observations(tuple(block.of_joints(joints) for block in self.blocks))
+
     def weighted(self, weight: Floats) -> Observations:
         """The same with other weights, shape (N,)."""
         if np.array_equal(weight, self.weight):
@@ -283,21 +289,3 @@ def fitted_and_held_out(data: Observations) -> tuple[Observations, Observations]
     if not data.validate.any():
         return data, data.rows(data.validate)
     return data.rows(~data.validate), data.rows(data.validate)
-
-
-def of_joints(data: Observations, joints: tuple[str, ...]) -> Observations:
-    """Measurements with the columns of some of their joints, in another order."""
-    if joints == data.joints:
-        return data
-    columns = [data.joints.index(joint) for joint in joints]
-    blocks = (
-        replace(
-            block,
-            joints=joints,
-            q=block.q[:, columns],
-            start=block.start[:, columns] if block.start.size else block.start,
-            conditions=block.conditions.of_joints(columns),
-        )
-        for block in data.blocks
-    )
-    return Observations(tuple(blocks))

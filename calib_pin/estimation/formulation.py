@@ -32,6 +32,7 @@ from calib_pin.observations import (
     Measurements,
     Observations,
 )
+from calib_pin.observations.blocks import of_joints
 from calib_pin.parameterizations import (
     NOTHING,
     frame_pose,
@@ -169,7 +170,7 @@ def fitting(
             raise data.error(0, reason, allowed=", ".join(chains.joints))
         for block in data.blocks:
             require_values(block)
-    return chains, [data.of_joints(chains.joints) for data in measured]
+    return chains, [of_joints(data, chains.joints) for data in measured]
 
 
 def require_known(

@@ -247,7 +247,7 @@ class Chain:
         gravity: Sequence[float],
         payload: Payload | None,
     ) -> Floats:
-        """What gravity does to the joints, which stand in the order of the tree."""
+        """Loads of the joints, which stand in the order of the tree."""
         q, bodies = self._rows(q), [*self._bodies]
         tip = self._model.frames[self._tip_id]
         if payload is not None and tip.parentJoint:

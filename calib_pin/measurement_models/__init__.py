@@ -1,6 +1,6 @@
 """Measurement models: how the pose of the tool becomes a measured value.
 
-A new one is a file with a `DeclaredModel` and its line in the list here, or an entry
+A new one is a file with a `MeasurementModel` and its line in the list here, or an entry
 point of another package, see `plugins`.
 """
 
@@ -14,7 +14,6 @@ from calib_pin.errors import require_known
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
-    DeclaredModel,
     Linearization,
     MeasurementModel,
 )
@@ -45,20 +44,20 @@ __all__ = [
 
 def _fault(name: str, model: object) -> str:
     """Why an object of another package cannot be a member; empty where it can."""
-    if not (isinstance(model, type) and issubclass(model, DeclaredModel)):
-        return "it is no DeclaredModel"
+    if not (isinstance(model, type) and issubclass(model, MeasurementModel)):
+        return "it is no MeasurementModel"
     stated = getattr(model, "declaration", None)
     if not isinstance(stated, Declaration):
         return "it has no declaration"
     return "" if stated.name == name else f"it declares the name '{stated.name}'"
 
 
-MEMBERS: Sequence[type[DeclaredModel]] = (
+MEMBERS: Sequence[type[MeasurementModel]] = (
     *(Position, Pose, PlaneDistance, PointDistance, RelativeDistance),
     *(FixedPoint, PlaneContact, SphereContact, CameraModel),
 )
 
-MEASUREMENT_MODELS: Mapping[str, type[DeclaredModel]] = Members(
+MEASUREMENT_MODELS: Mapping[str, type[MeasurementModel]] = Members(
     "calib_pin.measurement_models",
     {model.declaration.name: model for model in MEMBERS},
     _fault,

@@ -43,10 +43,21 @@ class MeasurementModel(ABC):
     reference objects, nothing to be named, and noise adds to its values.
     """
 
-    @property
+    declaration: ClassVar[Declaration]
+    """Name, columns, components and scope, as users and other rooms see them."""
+
+    @classmethod
     @abstractmethod
-    def declaration(self) -> Declaration:
-        """Name, columns, components and scope, as users and other rooms see them."""
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> Self:
+        """The model as a setup states it.
+
+        Args:
+            setup: The setup of the user.
+            targets: The targets that measurements name, each once.
+
+        Raises:
+            OptionError: If the setup lacks something, or states it wrongly.
+        """
 
     @property
     def name(self) -> str:
@@ -155,26 +166,6 @@ class MeasurementModel(ABC):
 
         Returns:
             The model about its registered references, the base and the tool frame.
-        """
-
-
-class DeclaredModel(MeasurementModel):
-    """A member of the family, which its declaration introduces to all."""
-
-    declaration: ClassVar[Declaration]
-    """Name, columns, components and scope, as users and other rooms see them."""
-
-    @classmethod
-    @abstractmethod
-    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> MeasurementModel:
-        """The model as a setup states it.
-
-        Args:
-            setup: The setup of the user.
-            targets: The targets that measurements name, each once.
-
-        Raises:
-            OptionError: If the setup lacks something, or states it wrongly.
         """
 
 

@@ -20,9 +20,9 @@ from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models.base import (
     Batch,
-    DeclaredModel,
     Geometry,
     Linearization,
+    MeasurementModel,
 )
 from calib_pin.measurement_models.camera_start import Rays
 from calib_pin.measurement_models.declaration import (
@@ -54,7 +54,7 @@ OBLIQUE = 0.25
 
 
 @dataclass(frozen=True)
-class CameraModel(DeclaredModel):
+class CameraModel(MeasurementModel):
     """Predicted minus measured pixel.
 
     Attributes:

@@ -11,9 +11,9 @@ import pinocchio as pin
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
-    DeclaredModel,
     Geometry,
     Linearization,
+    MeasurementModel,
 )
 from calib_pin.measurement_models.contact import planes_of_setup
 from calib_pin.measurement_models.declaration import (
@@ -39,7 +39,7 @@ GRAZING = 1e-3
 
 
 @dataclass(frozen=True)
-class PlaneDistance(DeclaredModel):
+class PlaneDistance(MeasurementModel):
     """`h = -(n . p + f) / (n . b)`, p the tool origin and b the tool's z axis.
 
     Attributes:

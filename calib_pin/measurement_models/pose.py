@@ -18,9 +18,9 @@ from calib_pin.kinematics.spatial import (
 )
 from calib_pin.measurement_models.base import (
     Batch,
-    DeclaredModel,
     Geometry,
     Linearization,
+    MeasurementModel,
 )
 from calib_pin.measurement_models.declaration import (
     INSTRUMENT,
@@ -34,7 +34,7 @@ from calib_pin.setup import Setup
 
 
 @dataclass(frozen=True)
-class Pose(DeclaredModel):
+class Pose(MeasurementModel):
     """Position in the measurement frame [m] and rotation vector in the tool [rad].
 
     `residual = (p(T) - y, log(R_y^T R))`; values are x y z and qx qy qz qw.

@@ -18,9 +18,9 @@ from calib_pin.errors import InputError, enumerated
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
-    DeclaredModel,
     Geometry,
     Linearization,
+    MeasurementModel,
 )
 from calib_pin.measurement_models.named_points import named_points, split_names
 from calib_pin.measurement_models.references import Point, ReferenceObject, locate
@@ -44,7 +44,7 @@ class PointMeasurement:
 
 
 @dataclass(frozen=True)
-class PointsAndSites(DeclaredModel):
+class PointsAndSites(MeasurementModel):
     """Points of the tool, and the sites that they are measured against.
 
     Attributes:

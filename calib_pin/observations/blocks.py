@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError
 from calib_pin.observations.conditions import Conditions, Source, approached
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels
-from calib_pin.observations.measurements import BlockKey, Measurements, SourcedRows
+from calib_pin.observations.measurements import (
+    BlockKey,
+    Measurements,
+    SourcedRows,
+    with_joints,
+)
 from calib_pin.setup.arguments import settle, taken
 
 Frame = Literal["station", "tool"]
@@ -163,12 +168,6 @@ class Observations(SourcedRows):
         ]
         return Observations(tuple(b for b in picked if len(b)) or (picked[0],))
 
-    def of_joints(self, joints: tuple[str, ...]) -> Observations:
-        """The same of other joints; those that it does not state are zero."""
-        if joints == self.joints:
-            return self
-        return Observations(tuple(block.of_joints(joints) for block in self.blocks))
-
     def weighted(self, weight: Floats) -> Observations:
         """The same with other weights, shape (N,)."""
         if np.array_equal(weight, self.weight):
@@ -289,3 +288,10 @@ def fitted_and_held_out(data: Observations) -> tuple[Observations, Observations]
     if not data.validate.any():
         return data, data.rows(data.validate)
     return data.rows(~data.validate), data.rows(data.validate)
+
+
+def of_joints(data: Observations, joints: tuple[str, ...]) -> Observations:
+    """Measurements of other joints; those that they do not state are zero."""
+    if joints == data.joints:
+        return data
+    return Observations(tuple(with_joints(block, joints) for block in data.blocks))

@@ -217,24 +217,6 @@ class Measurements(Brief, SourcedRows):
             start=self.start[index] if self.start.size else self.start,
         )
 
-    def of_joints(self, joints: tuple[str, ...]) -> Measurements:
-        """The same of other joints; those that it does not state are zero."""
-        if joints == self.joints:
-            return self
-        new = [joint for joint in joints if joint not in self.joints]
-        columns = [[*self.joints, *new].index(joint) for joint in joints]
-
-        def chosen(table: NDArray[Any]) -> NDArray[Any]:
-            more = np.zeros((len(table), len(new)), table.dtype)
-            return np.hstack([table, more])[:, columns]
-
-        held, start = self.conditions, self.start
-        if held.direction.size:
-            held = replace(held, direction=chosen(held.direction))
-        start = chosen(start) if start.size else start
-        q = chosen(self.q)
-        return replace(self, joints=joints, q=q, start=start, conditions=held)
-
     @staticmethod
     def concatenate(parts: Sequence[Measurements]) -> Measurements:
         """Join measurements of one block.
@@ -315,3 +297,21 @@ def trusted(data: Measurements) -> Measurements:
     count = len(data.target.names)
     left = np.bincount(data.target.codes, data.weight > 0.0, count) > 0.0
     return data.rows((data.weight > 0.0) | ~left[data.target.codes])
+
+
+def with_joints(data: Measurements, joints: tuple[str, ...]) -> Measurements:
+    """The measurements with other joints; those that they do not state are zero."""
+    if joints == data.joints:
+        return data
+    new = [joint for joint in joints if joint not in data.joints]
+    columns = [[*data.joints, *new].index(joint) for joint in joints]
+
+    def chosen(table: NDArray[Any]) -> NDArray[Any]:
+        more = np.zeros((len(table), len(new)), table.dtype)
+        return np.hstack([table, more])[:, columns]
+
+    q, start, held = chosen(data.q), data.start, data.conditions
+    start = chosen(start) if start.size else start
+    if held.direction.size:
+        held = replace(held, direction=chosen(held.direction))
+    return replace(data, joints=joints, q=q, start=start, conditions=held)

@@ -13,6 +13,7 @@ from calib_pin.observations import (
     approached,
     with_directions,
 )
+from calib_pin.observations.measurements import with_joints
 
 Q = np.array([[0.0, 1.0], [0.2, 1.0], [0.2, 0.5], [0.2, 0.5], [0.1, 0.7]])
 SIGNS = [[0, 0], [1, 0], [1, -1], [1, -1], [-1, 1]]
@@ -91,7 +92,7 @@ def test_conditions_behind_one_another() -> None:
     assert other.payload == ("p",) * 5 + ("",) * 5
     assert other.direction.tolist() == [[1, 1]] * 5 + [[0, 0]] * 5
     assert (other.temperature.size, other.time.size) == (0, 0)
-    some = both.of_joints(("b", "c"))
+    some = with_joints(both, ("b", "c"))
     assert some.conditions.direction.tolist() == [[1, 0]] * 6
     np.testing.assert_array_equal(some.q[:, 0], both.q[:, 1])
     assert not some.q[:, 1].any()

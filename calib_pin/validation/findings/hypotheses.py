@@ -13,6 +13,7 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Measurements, Observations
+from calib_pin.observations.measurements import with_joints
 from calib_pin.setup import ReadingSetup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
@@ -102,7 +103,7 @@ def _with_joints(data: Observations, joints: Sequence[str]) -> Observations:
     def with_new(b: Measurements) -> Measurements:
         if new and b.start.size:
             raise InputError("where these joints started is not known")
-        part = b.of_joints(tuple(joints))
+        part = with_joints(b, tuple(joints))
         for joint in new:
             part.q[:, part.joints.index(joint)] = b.conditions.spare[joint, joint]
         return part

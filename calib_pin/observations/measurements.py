@@ -271,13 +271,9 @@ class Measurements(Brief, SourcedRows):
         begins[1:] = (self.q[1:] != self.q[:-1]).any(axis=1) | (codes[1:] <= codes[:-1])
         firsts = np.flatnonzero(begins)
         count = max(1, count * len(firsts) // len(self))
-        names = self.target.distinct
         label = np.zeros(len(firsts), np.int64)
-        if 1 < len(names) <= count // 20:
-            number = {name: k for k, name in enumerate(names)}
-            label = np.array([number.get(name, -1) for name in self.target.names])[
-                codes[firsts]
-            ]
+        if 1 < len(self.target.distinct) <= count // 20:
+            label = np.unique(codes[firsts], return_inverse=True)[1]
         order = np.argsort(label, kind="stable")
         sizes = np.bincount(label)
         few = np.minimum(sizes, min(20, count))

@@ -160,8 +160,11 @@ class RoundModel(SiteModel):
         """The sites; a number that is not given is estimated."""
         kind, sites = cls.sites_kind, list[Center]()
         for name, stated in getattr(setup, f"{kind.kind}s").items():
-            xyz, (size, free) = xyz_or_none(stated.xyz), stated.sized
-            sites.append(kind(name, xyz, size, stated.estimate, free))
+            size = getattr(stated, kind.number)
+            free = getattr(stated, f"estimate_{kind.number}")
+            free = size is None if free is None else free
+            about = xyz_or_none(stated.xyz), size, stated.estimate, free
+            sites.append(kind(name, *about))
         return tuple(sites) or tuple(map(kind, given_names(names, kind.kind)))
 
     @property

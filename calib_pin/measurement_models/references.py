@@ -255,6 +255,9 @@ class Center(ReferenceObject):
     component: ClassVar[str]
     """Name of the number among the parameters."""
 
+    number: ClassVar[str]
+    """Its key in a setup; `estimate_` and this says whether it is estimated."""
+
     statement: ClassVar[Callable[..., SphereSetup | AnchorSetup]]
     """Its section of a setup, by the place, the number, and what is estimated."""
 
@@ -286,6 +289,7 @@ class Sphere(Center):
 
     kind = "sphere"
     component = "r"
+    number = "radius"
     statement = SphereSetup
 
 
@@ -297,7 +301,7 @@ class Anchor(Center):
     estimate_size: bool = False
 
     kind = "anchor"
-    component = "bias"
+    component = number = "bias"
     statement = AnchorSetup
 
 

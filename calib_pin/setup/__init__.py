@@ -217,12 +217,6 @@ class SphereSetup(_Placed):
         if self.estimate_radius is False and self.radius is None:
             raise ValueError("estimate_radius: false only together with radius")
 
-    @property
-    def sized(self) -> tuple[float | None, bool]:
-        """The radius, and whether it is estimated."""
-        free = self.estimate_radius
-        return self.radius, self.radius is None if free is None else free
-
 
 @dataclass(frozen=True)
 class AnchorSetup(_Placed):
@@ -240,11 +234,6 @@ class AnchorSetup(_Placed):
     bias: Annotated[float, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)] = 0.0
     estimate: bool = True
     estimate_bias: bool = False
-
-    @property
-    def sized(self) -> tuple[float | None, bool]:
-        """The bias, and whether it is estimated."""
-        return self.bias, self.estimate_bias
 
 
 @dataclass(frozen=True)

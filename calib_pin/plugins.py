@@ -25,7 +25,7 @@ def upper(module: str, name: str, *args: Any, **options: Any) -> Any:
 
 
 FAMILIES = {
-    "measurement_models": "measurement_models.catalog",
+    "measurement_models": "measurement_models",
     "parameterizations": "parameterizations",
     "dialects": "io.dialects",
 }

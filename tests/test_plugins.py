@@ -111,7 +111,7 @@ def test_a_script_registers_members() -> None:
         (("dialects", "vicon", Shouting), "have a member 'vicon'"),
         (("dialects", "other", Offsets), "it is no Dialect"),
         (("parameterizations", "other", Shouting), "it is no Parameterization"),
-        (("measurement_models", "other", Shouting), "it is no DeclaredModel"),
+        (("measurement_models", "other", Shouting), "it is no MeasurementModel"),
         (("verdicts", "other", Shouting), "unknown family 'verdicts'"),
     ):
         with pytest.raises(CalibPinError, match=reason):

@@ -23,8 +23,7 @@ from calib_pin.estimation.terms import (
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import declared, measurement_model
-from calib_pin.measurement_models.catalog import require_values
+from calib_pin.measurement_models import declared, measurement_model, require_values
 from calib_pin.measurement_models.references import Plane, ReferenceObject
 from calib_pin.observations import (
     UNSTATED,

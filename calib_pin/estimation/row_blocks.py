@@ -295,8 +295,8 @@ PLACES = (Point, Sphere, Anchor, Plane)
 def _placed(reference: ReferenceObject, values: Floats) -> Floats:
     """The coordinates of a point and 1, or a plane's normal and offset, (..., 4)."""
     if isinstance(reference, Plane):
-        planes = reference.turned_many(values.reshape(-1, 3))
-        return planes.reshape(*values.shape[:-1], 4)
+        normal, offset, _ = reference.turned(values)
+        return np.concatenate([normal, offset[..., None]], axis=-1)
     assert isinstance(reference, Point | Sphere | Anchor) and reference.xyz is not None
     ones = np.ones((*values.shape[:-1], 1))
     return np.concatenate([reference.xyz + values, ones], axis=-1)

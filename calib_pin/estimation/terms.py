@@ -35,6 +35,7 @@ from calib_pin.observations import (
     Measurements,
     Targets,
 )
+from calib_pin.observations.measurements import with_joints
 from calib_pin.parameterizations import frame_pose
 from calib_pin.parameterizations.error_model import ErrorModel, flexures, varying
 from calib_pin.parameterizations.linearization import PoseLinearization
@@ -264,15 +265,7 @@ class Term:
 
     def of_chain(self, at: Measurements) -> Measurements:
         """Configurations of all joints with those of its chain alone."""
-        if at.joints == self.error.chain.joints:
-            return at
-        return replace(
-            at,
-            joints=self.error.chain.joints,
-            q=at.q[:, self.columns],
-            start=at.start[:, self.columns] if at.start.size else at.start,
-            conditions=at.conditions.of_joints(self.columns),
-        )
+        return with_joints(at, self.error.chain.joints)
 
     def poses(self, theta: Floats, at: Measurements) -> Floats:
         """Tool poses as in `ToolLinearization`, shape (N, 4, 4).

@@ -41,7 +41,7 @@ from calib_pin.observations import (
     approached,
     with_directions,
 )
-from calib_pin.observations.measurements import SourcedRows
+from calib_pin.observations.measurements import SourcedRows, with_joints
 from calib_pin.progress import Progress, portion
 from calib_pin.setup import STATED, WORLD, JointMap, OrientationSetup, ReadingSetup
 from calib_pin.units import steps_of
@@ -188,20 +188,9 @@ def _with_joints(part: Measurements, chains: Chains) -> Measurements:
     """The same with the joints of all chains; those that were not stated are zero."""
     if part.joints == chains.joints:
         return part
-    index = [chains.joints.index(joint) for joint in part.joints]
-
-    def spread(q: Floats) -> Floats:
-        result = np.zeros((len(q), len(chains.joints)))
-        result[:, index] = q
-        return chains.follow(result)
-
-    return replace(
-        part,
-        joints=chains.joints,
-        q=spread(part.q),
-        start=spread(part.start) if part.start.size else part.start,
-        conditions=part.conditions.among(index, len(chains.joints)),
-    )
+    part = with_joints(part, chains.joints)
+    start = chains.follow(part.start) if part.start.size else part.start
+    return replace(part, q=chains.follow(part.q), start=start)
 
 
 @dataclass(frozen=True)

@@ -19,26 +19,14 @@ from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import RobotError
-from calib_pin.kinematics.gravity import (
-    Body,
-    body,
-    gravity_moments,
-    gravity_torques,
-)
+from calib_pin.kinematics.gravity import Body, body, gravity_moments, gravity_torques
 from calib_pin.kinematics.joint_space import JointSpace
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.kinematics.threads import PerThread, workspace
-from calib_pin.kinematics.tree import (
-    LINK,
-    Configurations,
-    link_frame,
-    reduced,
-    support,
-)
+from calib_pin.kinematics.tree import LINK, Configurations, link_frame, reduced, support
 from calib_pin.setup import Payload
 from calib_pin.setup.arguments import as_array, checked
 
@@ -238,11 +226,7 @@ class Chain:
         Returns:
             Torques, shape (N, n) [Nm, N for prismatic joints].
         """
-        q = self._rows(q)
-        if not self.joints:
-            return np.zeros((len(q), 0))
-        order, loaded = self._loaded(q, gravity, payload)
-        return np.ascontiguousarray(gravity_torques(*loaded)[order].T)
+        return self._weighed(gravity_torques, q, gravity, payload)
 
     def gravity_moments(
         self, q: Floats, gravity: Sequence[float], payload: Payload | None = None
@@ -254,18 +238,18 @@ class Chain:
         Returns:
             Moments, shape (N, n, 3) [Nm].
         """
-        q = self._rows(q)
-        if not self.joints:
-            return np.zeros((len(q), 0, 3))
-        order, loaded = self._loaded(q, gravity, payload)
-        moments = gravity_moments(*loaded)[order]
-        return np.ascontiguousarray(moments.transpose(2, 0, 1))
+        return self._weighed(gravity_moments, q, gravity, payload)
 
-    def _loaded(
-        self, q: Floats, gravity: Sequence[float], payload: Payload | None
-    ) -> tuple[NDArray[np.intp], tuple[Sequence[Body], Floats, Floats]]:
-        """Places of the joints in the tree; bodies, positions and gravity there."""
-        bodies, tip = list(self._bodies), self._model.frames[self._tip_id]
+    def _weighed(
+        self,
+        load: Callable[[Sequence[Body], Floats, Floats], Floats],
+        q: Floats,
+        gravity: Sequence[float],
+        payload: Payload | None,
+    ) -> Floats:
+        """Loads of the joints, which stand in the order of the tree."""
+        q, bodies = self._rows(q), [*self._bodies]
+        tip = self._model.frames[self._tip_id]
         if payload is not None and tip.parentJoint:
             one = bodies[tip.parentJoint - 1]
             center = tip.placement.act(np.array(payload.com))
@@ -274,10 +258,11 @@ class Chain:
                 moment=one.moment + payload.mass * center[:, None],
             )
         positions = np.empty((len(self.joints), len(q)))
-        order = np.array(self._ids) - 1
+        order = np.array(self._ids, np.intp) - 1
         positions[order] = q.T
         root = self._base_at_zero.rotation @ np.asarray(gravity, float)
-        return order, (bodies, positions, root)
+        found = load(bodies, positions, root)[order]
+        return np.ascontiguousarray(np.moveaxis(found, -1, 0))
 
     def joint_frames(self) -> Floats:
         """Joint frames in the base frame at zero joint positions, shape (n, 4, 4)."""

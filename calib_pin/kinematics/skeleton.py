@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_space import JointSpace
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Shape, box
 from calib_pin.kinematics.spatial import Floats, invert
@@ -30,37 +31,26 @@ class Skeleton:
         links: Names of all L links.
         joints: Names of the K joints with a position of their own.
         revolute: True for those that turn, shape (K,).
-        lower: Lower position limits, shape (K,) [rad, m].
-        upper: Upper position limits, shape (K,) [rad, m]; half a turn or 1 m to either
-            side where there is none.
+        lower: Lower position limits, shape (K,) [rad, m], see `JointSpace`.
+        upper: Upper position limits, shape (K,) [rad, m].
     """
 
     def __init__(self, robot: Robot, base: str) -> None:
         """Find out which joints there are."""
         model = robot.model
-        self._model = model
         self._workspace = PerThread(workspace, model)
         self.base, self.links = base, robot.links
         self._base = robot.links.index(base)
         self._frames = [model.getFrameId(k, pin.FrameType.BODY) for k in self.links]
-        single = [j for j in range(1, model.njoints) if model.nvs[j] == 1]
+        single = np.array(model.names)[np.array(model.nvs) == 1].tolist()
         still = {*robot.mimics, *robot.refused}
-        own = [joint for joint in single if model.names[joint] not in still]
-        self.joints: tuple[str, ...] = tuple(str(model.names[j]) for j in own)
-        # By joint: the place of the one whose position it takes, factor, and offset.
-        self._driven = {joint: (k, 1.0, 0.0) for k, joint in enumerate(self.joints)}
-        for name, mimic in robot.mimics.items():
-            place = self.joints.index(mimic.leader)
-            self._driven[name] = place, mimic.factor, mimic.offset
-        kinds = [model.joints[j].shortname() for j in own]
-        self.revolute = np.array(["JointModelP" not in kind for kind in kinds], bool)
-        start = [model.idx_qs[j] for j in own]
-        lower, upper = model.lowerPositionLimit[start], model.upperPositionLimit[start]
-        continuous = np.array([model.nqs[j] == 2 for j in own], bool)
-        limited = ~continuous & (upper > lower) & (np.abs(upper - lower) < 1e6)
-        half = np.where(self.revolute, np.pi, 1.0)
-        self.lower: Floats = np.where(limited, lower, -half)
-        self.upper: Floats = np.where(limited, upper, half)
+        self.joints: tuple[str, ...] = tuple(k for k in single if k not in still)
+        every, count = [*self.joints, *robot.mimics], len(self.joints)
+        space = self._space = JointSpace(model, every, robot.mimics)
+        ids = [model.getJointId(name) for name in space.joints]
+        self._configurations = Configurations(model, ids)
+        self.revolute = space.revolute[:count]
+        self.lower, self.upper = space.lower[:count], space.upper[:count]
 
     @property
     def neutral(self) -> Floats:
@@ -69,24 +59,21 @@ class Skeleton:
 
     def positions(self, joints: Sequence[str], q: Floats) -> Floats:
         """Positions (n,) of joints, also of those that follow others, at q (K,)."""
-        driven = (self._driven[joint] for joint in joints)
-        return np.array([factor * q[k] + offset for k, factor, offset in driven])
+        places = [self._space.joints.index(joint) for joint in joints]
+        return np.asarray(self._every(q)[0, places])
 
     def placements(self, q: Floats) -> Floats:
         """Poses of all links in the base link at q (K,) [rad, m], shape (L, 4, 4)."""
         model, data = self._workspace.own
-        full = pin.neutral(model)
-        positions = self.positions(tuple(self._driven), q)
-        for name, position in zip(self._driven, positions, strict=True):
-            joint = model.getJointId(name)
-            start = model.idx_qs[joint]
-            if model.nqs[joint] == 2:  # A continuous joint has cosine and sine.
-                full[start : start + 2] = np.cos(position), np.sin(position)
-            else:
-                full[start] = position
+        (full,) = self._configurations(self._every(q))
         pin.framesForwardKinematics(model, data, full)
         T = np.array([data.oMf[frame].homogeneous for frame in self._frames])
         return np.asarray(invert(T[self._base]) @ T)
+
+    def _every(self, q: Floats) -> Floats:
+        """Positions of all joints, those that follow others last, shape (1, n)."""
+        followers = np.zeros(len(self._space.joints) - len(q))
+        return self._space.follow(np.append(q, followers)[None])
 
 
 LEGS = 0.15

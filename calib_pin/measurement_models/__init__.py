@@ -1,47 +1,97 @@
 """Measurement models: how the pose of the tool becomes a measured value.
 
-A new one is a file with a `DeclaredModel` and its line in `catalog`, or an entry point
-of another package, see `plugins`.
+A new one is a file with a `MeasurementModel` and its line in the list here, or an entry
+point of another package, see `plugins`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from calib_pin.errors import require_known
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
-    Curvature,
-    CurvedModel,
-    DeclaredModel,
     Linearization,
     MeasurementModel,
 )
-from calib_pin.measurement_models.catalog import MEASUREMENT_MODELS, declared
-from calib_pin.measurement_models.declaration import (
-    Declaration,
-    Inference,
-    Naming,
-    Quantity,
-)
+from calib_pin.measurement_models.camera import CameraModel
+from calib_pin.measurement_models.contact import PlaneContact, SphereContact
+from calib_pin.measurement_models.declaration import Declaration, Quantity
+from calib_pin.measurement_models.distance import PointDistance, RelativeDistance
+from calib_pin.measurement_models.fixed_point import FixedPoint
+from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.measurement_models.pose import Pose
+from calib_pin.measurement_models.position import Position
+from calib_pin.observations import Measurements
+from calib_pin.plugins import Members
 from calib_pin.setup import Setup
 
 __all__ = [
     "MEASUREMENT_MODELS",
     "Batch",
     "BatchedModel",
-    "Curvature",
-    "CurvedModel",
-    "Declaration",
-    "DeclaredModel",
-    "Inference",
     "Linearization",
     "MeasurementModel",
-    "Naming",
     "Quantity",
     "declared",
     "measurement_model",
+    "require_values",
 ]
+
+
+def _fault(name: str, model: object) -> str:
+    """Why an object of another package cannot be a member; empty where it can."""
+    if not (isinstance(model, type) and issubclass(model, MeasurementModel)):
+        return "it is no MeasurementModel"
+    stated = getattr(model, "declaration", None)
+    if not isinstance(stated, Declaration):
+        return "it has no declaration"
+    return "" if stated.name == name else f"it declares the name '{stated.name}'"
+
+
+MEMBERS: Sequence[type[MeasurementModel]] = (
+    *(Position, Pose, PlaneDistance, PointDistance, RelativeDistance),
+    *(FixedPoint, PlaneContact, SphereContact, CameraModel),
+)
+
+MEASUREMENT_MODELS: Mapping[str, type[MeasurementModel]] = Members(
+    "calib_pin.measurement_models",
+    {model.declaration.name: model for model in MEMBERS},
+    _fault,
+)
+"""The measurement models by name: those that come with calib-pin, then others."""
+
+
+def declared(name: str) -> Declaration:
+    """The declaration of a measurement model, by its name.
+
+    Raises:
+        OptionError: If there is none; names the nearest.
+    """
+    require_known("measurement model", name, MEASUREMENT_MODELS)
+    return MEASUREMENT_MODELS[name].declaration
+
+
+def require_values(data: Measurements) -> None:
+    """Refuse measurements that have not the columns of their model.
+
+    Raises:
+        OptionError: If there is no such model.
+        InputError: If columns differ, or a quaternion is zero.
+    """
+    of = declared(data.model)
+    given = {"values": (data.values, of.values), "sigma": (data.sigma, of.components)}
+    for name, (table, columns) in given.items():
+        # Contacts may have no values, or deviations that a gauge reads.
+        widths = (0, len(of.components)) if of.contact else (len(columns),)
+        if table is not None and table.shape[1] not in widths:
+            reason = f"'{name}' of a {data.model} has {table.shape[1]} columns"
+            raise data.error(0, reason, allowed=", ".join(columns) or "none")
+    if of.oriented and not (stated := data.values[:, -4:].any(axis=1)).all():
+        raise data.error(int(np.argmin(stated)), "'values': the quaternion is zero")
 
 
 def measurement_model(

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.kinematics.spatial import Floats, skew
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Declaration, Quantity
 from calib_pin.measurement_models.references import ReferenceObject, slices
 from calib_pin.observations import Booleans, Indices, Measurements, Targets
@@ -43,10 +43,21 @@ class MeasurementModel(ABC):
     reference objects, nothing to be named, and noise adds to its values.
     """
 
-    @property
+    declaration: ClassVar[Declaration]
+    """Name, columns, components and scope, as users and other rooms see them."""
+
+    @classmethod
     @abstractmethod
-    def declaration(self) -> Declaration:
-        """Name, columns, components and scope, as users and other rooms see them."""
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> Self:
+        """The model as a setup states it.
+
+        Args:
+            setup: The setup of the user.
+            targets: The targets that measurements name, each once.
+
+        Raises:
+            OptionError: If the setup lacks something, or states it wrongly.
+        """
 
     @property
     def name(self) -> str:
@@ -158,26 +169,6 @@ class MeasurementModel(ABC):
         """
 
 
-class DeclaredModel(MeasurementModel):
-    """A member of the family, which its declaration introduces to all."""
-
-    declaration: ClassVar[Declaration]
-    """Name, columns, components and scope, as users and other rooms see them."""
-
-    @classmethod
-    @abstractmethod
-    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> MeasurementModel:
-        """The model as a setup states it.
-
-        Args:
-            setup: The setup of the user.
-            targets: The targets that measurements name, each once.
-
-        Raises:
-            OptionError: If the setup lacks something, or states it wrongly.
-        """
-
-
 @dataclass(frozen=True)
 class Geometry:
     """Both sides of a comparison, for the S members of a population.
@@ -228,40 +219,3 @@ class BatchedModel(Protocol):
             weights: Reciprocal standard deviations of the residual, shape (N, d).
         """
         ...
-
-
-@dataclass(frozen=True)
-class Curvature:
-    """How a linearization at noise-free values changes as the tool moves.
-
-    Attributes:
-        J_pose: Derivative of `Linearization.J_pose` by the tool's body twist,
-            shape (N, d, 6, 6), the twist last.
-        J_instrument: The same of `Linearization.J_instrument`, shape (N, d, K, 6).
-    """
-
-    J_pose: Floats
-    J_instrument: Floats
-
-
-@runtime_checkable
-class CurvedModel(Protocol):
-    """A measurement model with second derivatives by the configuration."""
-
-    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
-        """Second derivatives where the measured values are the predicted ones.
-
-        Args:
-            T: Tool poses in the measurement frame, shape (N, 4, 4).
-            instrument: Values of the model's parameters, shape (K,).
-            target: Name of the target of each row.
-        """
-        ...
-
-
-def rotation_curvature(R: Floats) -> Floats:
-    """Derivative of rotations by a body twist, (N, 3, 3) -> (N, 3, 3, 6)."""
-    result = np.zeros((len(R), 3, 3, 6))
-    # R Exp(w) = R + R [w]x
-    result[..., 3:] = np.einsum("naj,cjb->nabc", R, skew(np.eye(3)))
-    return result

@@ -17,14 +17,12 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import InputError
-from calib_pin.kinematics.spatial import Floats, invert, skew
+from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models.base import (
     Batch,
-    Curvature,
-    DeclaredModel,
     Geometry,
     Linearization,
-    rotation_curvature,
+    MeasurementModel,
 )
 from calib_pin.measurement_models.camera_start import Rays
 from calib_pin.measurement_models.declaration import (
@@ -56,7 +54,7 @@ OBLIQUE = 0.25
 
 
 @dataclass(frozen=True)
-class CameraModel(DeclaredModel):
+class CameraModel(MeasurementModel):
     """Predicted minus measured pixel.
 
     Attributes:
@@ -224,45 +222,6 @@ class CameraModel(DeclaredModel):
         return [
             Batch("pixel", rows, point, camera, data.values, weights, geometry, hand)
         ]
-
-    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
-        """Second derivatives: the point moves in the image, and its motion turns.
-
-        With `dX = M (v, w)` of the point in the camera the rows are `g M`, and change
-        by `M^T H M + g dM`, H the second derivative of the pixel by X.
-        """
-        index = self._index(target)
-        view = self._look(T, instrument, index)
-        image, R = view.image, T[:, :3, :3]
-        turning = rotation_curvature(R)
-        if self.camera.mount == "hand":
-            X = image.points.T
-            M = np.concatenate([np.tile(-np.eye(3), (len(T), 1, 1)), skew(X)], axis=2)
-            # X x w changes with X alone.
-            by_M = np.zeros((len(T), 3, 6, 6))
-            by_M[:, :, 3:] = -np.einsum("ack,nkb->ncab", skew(np.eye(3)), M)
-            P, by_P = np.swapaxes(R, 1, 2), np.swapaxes(turning, 1, 2)
-        else:
-            lever = skew(view.site.T)
-            M = np.concatenate([R, -R @ lever], axis=2)
-            of_turn = -np.einsum("nacb,ncd->nadb", turning, lever)
-            by_M = np.concatenate([turning, of_turn], axis=2)
-            P, by_P = R, turning
-        g, H = image.gradient.transpose(2, 0, 1), image.bend @ M[:, None]
-
-        def carried(M: Floats, by_M: Floats) -> Floats:
-            return np.asarray(
-                np.einsum("ndcb,nca->ndab", H, M) + np.einsum("ndc,ncab->ndab", g, by_M)
-            )
-
-        J_instrument = np.zeros((len(T), 2, len(instrument), 6))
-        J_instrument[:, :, : len(INTRINSICS)] = image.bend_by_intrinsics @ M[:, None]
-        column = self._columns[index]
-        rows = np.flatnonzero(column >= 0)
-        by_point = carried(P, by_P)
-        for k in range(3):
-            J_instrument[rows, :, column[rows] + k] = by_point[rows, :, k]
-        return Curvature(carried(M, by_M), J_instrument)
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

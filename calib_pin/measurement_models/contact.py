@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -24,18 +23,14 @@ from calib_pin.measurement_models.named_points import (
     xyz_or_none,
 )
 from calib_pin.measurement_models.references import (
-    Anchor,
+    Center,
     Plane,
     ReferenceObject,
     Sphere,
     turned_planes,
     turned_rows,
 )
-from calib_pin.measurement_models.tool_point import (
-    PointCurvature,
-    PointMeasurement,
-    PointModel,
-)
+from calib_pin.measurement_models.tool_point import PointMeasurement, PointModel
 from calib_pin.observations import Indices, Measurements
 from calib_pin.setup import Setup
 
@@ -135,13 +130,6 @@ class PlaneContact(SiteModel):
         planes = [plane for plane in self.sites if isinstance(plane, Plane)]
         return turned_planes(planes, values)
 
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """A plane is flat; what it turns about is as far as the point."""
-        _, _, by_turn = turned_rows(self.sites, site, values)
-        by_plane = np.zeros((len(p), 1, 3, 3))
-        by_plane[:, 0, :2] = np.swapaxes(by_turn, 1, 2)
-        return PointCurvature(np.zeros((len(p), 1, 3, 3)), by_plane)
-
     def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> tuple[Floats, Plane]:
@@ -159,10 +147,31 @@ class RoundModel(SiteModel):
     sign: ClassVar[float] = 1.0
     """Derivative by the last parameter of a site."""
 
+    sites_kind: ClassVar[type[Center]]
+    """Class of the sites."""
+
+    @classmethod
+    def unknown(cls, name: str) -> Center:
+        """A site that nobody has given."""
+        return cls.sites_kind(name)
+
+    @classmethod
+    def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Center, ...]:
+        """The sites; a number that is not given is estimated."""
+        kind, sites = cls.sites_kind, list[Center]()
+        for name, stated in getattr(setup, f"{kind.kind}s").items():
+            size = getattr(stated, kind.number)
+            free = getattr(stated, f"estimate_{kind.number}")
+            free = size is None if free is None else free
+            about = xyz_or_none(stated.xyz), size, stated.estimate, free
+            sites.append(kind(name, *about))
+        return tuple(sites) or tuple(map(kind, given_names(names, kind.kind)))
+
     @property
-    @abstractmethod
     def added(self) -> Floats:
         """The number that is added at each site, shape (L,) [m]."""
+        sizes = [site.size for site in self.sites if isinstance(site, Center)]
+        return self.sign * np.array(sizes, float)
 
     def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The distance with that number."""
@@ -175,10 +184,6 @@ class RoundModel(SiteModel):
         """Centers, and these numbers."""
         moved = values.reshape(len(values), -1, 4) * [1.0, 1.0, 1.0, self.sign]
         return np.column_stack([_centers(self.sites), self.added]) + moved
-
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """As round as the point is far from the center."""
-        return round_bend(*rays(p, self.sites, site, values))
 
 
 @dataclass(frozen=True)
@@ -197,38 +202,18 @@ class SphereContact(RoundModel):
         naming=Naming("sphere", "all or none"),
         yardstick="the radius of the sphere",
     )
-    unknown = staticmethod(Sphere)
+    sites_kind = Sphere
     sign = -1.0
-
-    @classmethod
-    def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Sphere, ...]:
-        """The spheres; a radius that is not given is estimated."""
-        spheres = []
-        for name, stated in setup.spheres.items():
-            free = stated.estimate_radius
-            if free is None:
-                free = stated.radius is None
-            xyz = xyz_or_none(stated.xyz)
-            spheres.append(Sphere(name, xyz, stated.radius, stated.estimate, free))
-        return tuple(spheres) or tuple(map(Sphere, given_names(names, "sphere")))
-
-    @property
-    def added(self) -> Floats:
-        """Radii, which are subtracted."""
-        spheres = [s for s in self.sites if isinstance(s, Sphere)]
-        return -np.array([sphere.radius for sphere in spheres], float)
 
     def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> tuple[Floats, Sphere]:
         """The sphere through the points, with its radius where that was unknown."""
         assert isinstance(site, Sphere)
-        known = None
-        if site.radius is not None:
-            known = site.radius + deviations(data)
+        known = None if site.size is None else site.size + deviations(data)
         reached = register_distances(F, known, point)
-        radius = reached.size if site.radius is None else site.radius
-        return reached.point, replace(site, xyz=reached.site, radius=radius)
+        radius = reached.size if site.size is None else site.size
+        return reached.point, replace(site, xyz=reached.site, size=radius)
 
 
 def deviations(data: Measurements) -> Floats:
@@ -272,7 +257,7 @@ def rays(
 
 
 def _centers(sites: Sequence[ReferenceObject]) -> Floats:
-    return np.array([s.xyz for s in sites if isinstance(s, Sphere | Anchor)])
+    return np.array([s.xyz for s in sites if isinstance(s, Center)])
 
 
 def directions(x: Floats) -> tuple[Floats, Floats]:
@@ -280,11 +265,3 @@ def directions(x: Floats) -> tuple[Floats, Floats]:
     length = np.linalg.norm(x, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return x / length[:, None], length
-
-
-def round_bend(e: Floats, distance: Floats) -> PointCurvature:
-    """How a distance bends; its place has three coordinates and one number more."""
-    across = np.eye(3) - e[:, :, None] * e[:, None, :]
-    H = across / distance[:, None, None]
-    by_site = np.concatenate([-H, np.zeros((len(e), 1, 3))], axis=1)
-    return PointCurvature(H[:, None], by_site[:, None])

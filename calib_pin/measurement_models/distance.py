@@ -9,11 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.contact import (
-    RoundModel,
-    directions,
-    round_bend,
-)
+from calib_pin.measurement_models.contact import RoundModel, directions
 from calib_pin.measurement_models.contact_registration import (
     register_distances,
     register_relative_distances,
@@ -24,20 +20,10 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.named_points import (
-    given_names,
-    located_tool,
-    tip_points,
-    xyz_or_none,
-)
+from calib_pin.measurement_models.named_points import located_tool, tip_points
 from calib_pin.measurement_models.references import Anchor, ReferenceObject
-from calib_pin.measurement_models.tool_point import (
-    PointCurvature,
-    PointMeasurement,
-    PointModel,
-)
+from calib_pin.measurement_models.tool_point import PointMeasurement, PointModel
 from calib_pin.observations import AT, Indices, Measurements
-from calib_pin.setup import Setup
 
 QUANTITIES = (Quantity("distance", "m", slice(0, 1), 1e-4),)
 
@@ -54,30 +40,16 @@ class PointDistance(RoundModel):
         naming=Naming("anchor", "all or none"),
         yardstick=INSTRUMENT,
     )
-    unknown = staticmethod(Anchor)
-
-    @classmethod
-    def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Anchor, ...]:
-        """The fixed reference points."""
-        stated = setup.anchors.items()
-        return tuple(
-            Anchor(name, xyz_or_none(a.xyz), a.bias, a.estimate, a.estimate_bias)
-            for name, a in stated
-        ) or tuple(map(Anchor, given_names(names, "anchor")))
-
-    @property
-    def added(self) -> Floats:
-        """Biases."""
-        return np.array([a.bias for a in self.sites if isinstance(a, Anchor)])
+    sites_kind = Anchor
 
     def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> tuple[Floats, Anchor]:
         """The reference point at these distances, with its bias."""
         assert isinstance(site, Anchor)
-        bias = None if site.estimate_bias else site.bias
+        bias = None if site.estimate_size else site.size
         reached = register_distances(F, data.values[:, 0], point, bias)
-        return reached.point, replace(site, xyz=reached.site, bias=reached.size)
+        return reached.point, replace(site, xyz=reached.site, size=reached.size)
 
 
 @dataclass(frozen=True)
@@ -113,11 +85,6 @@ class RelativeDistance(PointModel):
     def seen(self, values: Floats) -> Floats:
         """The start, from which on the kernel counts."""
         return np.zeros((len(values), 1, 4))
-
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """As round as the way is long."""
-        across = round_bend(*directions(p)).by_point
-        return PointCurvature(across, np.zeros((len(p), 1, 0, 3)))
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -20,10 +20,7 @@ from calib_pin.measurement_models.named_points import (
 )
 from calib_pin.measurement_models.references import Point
 from calib_pin.measurement_models.registration import register_points
-from calib_pin.measurement_models.tool_point import (
-    PointMeasurement,
-    PointModel,
-)
+from calib_pin.measurement_models.tool_point import PointMeasurement, PointModel
 from calib_pin.observations import Indices, Measurements
 from calib_pin.setup import Setup
 

@@ -8,8 +8,7 @@ y down) is x = X / Z, y = Y / Z in the plane at depth 1, and there
     y' = y s + p_1 (r^2 + 2 y^2) + 2 p_2 x y,  v = f_y y' + c_y
 
 (D. C. Brown, "Close-range camera calibration", 1971; signs and order of OpenCV). The
-image (x', y') is the gradient of a potential, so that its derivative is symmetric and
-its second derivative has four different entries.
+image (x', y') is the gradient of a potential, so that its derivative is symmetric.
 
 Coefficients are k_1, k_2, p_1, p_2, k_3; intrinsics are f_x, f_y, c_x, c_y before them.
 """
@@ -215,36 +214,6 @@ class Image:
         result[1, 6], result[1, 7] = f_y * (rr + 2.0 * yy), f_y * xy
         return result
 
-    @property
-    def bend(self) -> Floats:
-        """Second derivative of the pixel by the point, shape (N, 2, 3, 3)."""
-        x, y, depth = self.x, self.y, self.depth
-        (xx, xy, yy), by = self._slope, self._by_point
-        xxx, xxy, xyy, yyy = _bend(x, y, self.intrinsics[4:])
-        # x = X / Z has second derivatives by X Z and by Z Z, and so has y.
-        of_x, of_y = np.zeros((2, len(x), 3, 3))
-        for of, value, k in ((of_x, x, 0), (of_y, y, 1)):
-            of[:, k, 2] = of[:, 2, k] = -1.0 / depth**2
-            of[:, 2, 2] = 2.0 * value / depth**2
-        result = np.empty((len(x), 2, 3, 3))
-        for k, (a, b, c, first, second) in enumerate(
-            ((xxx, xxy, xyy, xx, xy), (xxy, xyy, yyy, xy, yy))
-        ):
-            inner = np.moveaxis(np.array([[a, b], [b, c]]), 2, 0)
-            result[:, k] = np.swapaxes(by, 1, 2) @ inner @ by
-            result[:, k] += first[:, None, None] * of_x + second[:, None, None] * of_y
-        return result * self.intrinsics[:2, None, None]
-
-    @property
-    def bend_by_intrinsics(self) -> Floats:
-        """Derivative of `by_intrinsics` by the point, shape (N, 2, 9, 3)."""
-        (f_x, f_y), (xx, xy, yy) = self.intrinsics[:2], self._slope
-        result = np.zeros((2, 9, 2, len(self.x)))
-        result[0, 0], result[1, 1] = (xx, xy), (xy, yy)
-        of_x, of_y = _slope_by_coefficients(self.x, self.y)
-        result[0, 4:], result[1, 4:] = f_x * of_x, f_y * of_y
-        return result.transpose(3, 0, 1, 2) @ self._by_point[:, None]
-
     @cached_property
     def _distorted(self) -> tuple[Floats, Floats]:
         return distort(self.x, self.y, self.intrinsics[4:])
@@ -252,14 +221,6 @@ class Image:
     @cached_property
     def _slope(self) -> tuple[Floats, Floats, Floats]:
         return _slope(self.x, self.y, self.intrinsics[4:])
-
-    @property
-    def _by_point(self) -> Floats:
-        """Derivative of (x, y) by the point, shape (N, 2, 3)."""
-        result = np.zeros((len(self.x), 2, 3))
-        result[:, 0, 0] = result[:, 1, 1] = 1.0 / self.depth
-        result[:, 0, 2], result[:, 1, 2] = -self.x / self.depth, -self.y / self.depth
-        return result
 
 
 def distort(x: Floats, y: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
@@ -285,39 +246,6 @@ def _slope(x: Floats, y: Floats, coefficients: Floats) -> tuple[Floats, Floats, 
         x * y * ds + 2.0 * p_1 * x + 2.0 * p_2 * y,
         s + y * y * ds + 6.0 * p_1 * y + 2.0 * p_2 * x,
     )
-
-
-def _bend(
-    x: Floats, y: Floats, coefficients: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Second derivatives: of x' by xx, xy and yy, of y' by yy.
-
-    Those of y' by xx and xy are those of x' by xy and yy.
-    """
-    k_1, k_2, p_1, p_2, k_3 = coefficients
-    rr = x * x + y * y
-    ds = 2.0 * (k_1 + rr * (2.0 * k_2 + rr * (3.0 * k_3)))
-    dds = 4.0 * (2.0 * k_2 + rr * (6.0 * k_3))
-    return (
-        3.0 * x * ds + x**3 * dds + 6.0 * p_2,
-        y * ds + x * x * y * dds + 2.0 * p_1,
-        x * ds + x * y * y * dds + 2.0 * p_2,
-        3.0 * y * ds + y**3 * dds + 6.0 * p_1,
-    )
-
-
-def _slope_by_coefficients(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Second derivatives of x' and y', by coefficients and (x, y), (5, 2, N) each."""
-    xx, yy, xy = x * x, y * y, x * y
-    rr = xx + yy
-    cross = 2.0 * np.stack([y, x])
-    of_x = [[rr + 2.0 * xx, 2.0 * xy], [rr * (rr + 4.0 * xx), 4.0 * rr * xy]]
-    of_x += [[*cross], [6.0 * x, 2.0 * y]]
-    of_x += [[rr**2 * (rr + 6.0 * xx), 6.0 * rr**2 * xy]]
-    of_y = [[2.0 * xy, rr + 2.0 * yy], [4.0 * rr * xy, rr * (rr + 4.0 * yy)]]
-    of_y += [[2.0 * x, 6.0 * y], [*cross]]
-    of_y += [[6.0 * rr**2 * xy, rr**2 * (rr + 6.0 * yy)]]
-    return np.array(of_x), np.array(of_y)
 
 
 def turning_radius(coefficients: Floats) -> float:

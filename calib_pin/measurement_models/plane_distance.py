@@ -11,10 +11,9 @@ import pinocchio as pin
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
-    Curvature,
-    DeclaredModel,
     Geometry,
     Linearization,
+    MeasurementModel,
 )
 from calib_pin.measurement_models.contact import planes_of_setup
 from calib_pin.measurement_models.declaration import (
@@ -40,7 +39,7 @@ GRAZING = 1e-3
 
 
 @dataclass(frozen=True)
-class PlaneDistance(DeclaredModel):
+class PlaneDistance(MeasurementModel):
     """`h = -(n . p + f) / (n . b)`, p the tool origin and b the tool's z axis.
 
     Attributes:
@@ -137,43 +136,6 @@ class PlaneDistance(DeclaredModel):
             )
         J_instrument[row, 0, 3 * index + 2] = -slope
         return Linearization(h[:, None] - data.values, J_pose, J_instrument)
-
-    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
-        """Second derivatives of the distance.
-
-        With `m = R^T n / c` the rows are `(-m, h m x e_z)` and `-(p + h b) / c`, and a
-        turn w of the tool gives `dm = m x w - m (e_z . (m x w))`.
-        """
-        normal, offset, by_turn = self._rows(instrument, target)
-        index, row = self._index(target), np.arange(len(T))
-        R, p = T[:, :3, :3], T[:, :3, 3]
-        b = R[:, :, 2]
-        h = self._distance(T, normal, offset)[:, None]
-        c = np.einsum("ni,ni->n", normal, b)[:, None]
-        m = np.einsum("ni,nij->nj", normal, R) / c
-        e_z = skew(np.array([0.0, 0.0, 1.0]))
-        turned = skew(m)
-        by_c = turned[:, 2]  # dc / c by w
-        by_m = turned - m[:, :, None] * by_c[:, None, :]
-        by_h = np.concatenate([-m, h * (m @ e_z)], axis=1)
-        J_pose = np.zeros((len(T), 1, 6, 6))
-        J_pose[:, 0, :3, 3:] = -by_m
-        J_pose[:, 0, 3:] = (m @ e_z)[:, :, None] * by_h[:, None, :]
-        J_pose[:, 0, 3:, 3:] += h[:, None] * (e_z.T @ by_m)
-        # Of the hit point over c.
-        hit = (p + h * b) / c
-        by_hit = b[:, :, None] * by_h[:, None, :]
-        by_hit[:, :, :3] += R
-        by_hit[:, :, 3:] -= h[:, None] * (R @ e_z)
-        by_hit /= c[:, None]
-        by_hit[:, :, 3:] -= hit[:, :, None] * by_c[:, None, :]
-        J_instrument = np.zeros((len(T), 1, 3 * len(self.planes), 6))
-        for k in range(2):
-            J_instrument[row, 0, 3 * index + k] = -np.einsum(
-                "ni,nij->nj", by_turn[:, :, k], by_hit
-            )
-        J_instrument[row, 0, 3 * index + 2, 3:] = by_c / c
-        return Curvature(J_pose, J_instrument)
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
         """Carries the origin and the beam of the tool to the base."""

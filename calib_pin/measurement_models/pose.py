@@ -18,11 +18,9 @@ from calib_pin.kinematics.spatial import (
 )
 from calib_pin.measurement_models.base import (
     Batch,
-    Curvature,
-    DeclaredModel,
     Geometry,
     Linearization,
-    rotation_curvature,
+    MeasurementModel,
 )
 from calib_pin.measurement_models.declaration import (
     INSTRUMENT,
@@ -36,7 +34,7 @@ from calib_pin.setup import Setup
 
 
 @dataclass(frozen=True)
-class Pose(DeclaredModel):
+class Pose(MeasurementModel):
     """Position in the measurement frame [m] and rotation vector in the tool [rad].
 
     `residual = (p(T) - y, log(R_y^T R))`; values are x y z and qx qy qz qw.
@@ -86,12 +84,6 @@ class Pose(DeclaredModel):
         J_pose[:, :3, :3] = T[:, :3, :3]
         J_pose[:, 3:, 3:] = so3_log_derivative(residual[:, 3:])
         return Linearization(residual, J_pose, np.zeros((len(T), 6, 0)))
-
-    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
-        """The position's rows turn with the tool; those of the rotation stay."""
-        J_pose = np.zeros((len(T), 6, 6, 6))
-        J_pose[:, :3, :3] = rotation_curvature(T[:, :3, :3])
-        return Curvature(J_pose, np.zeros((len(T), 6, 0, 6)))
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
         """Carries the origin and the axes of the tool to the base."""

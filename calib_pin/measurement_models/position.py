@@ -15,15 +15,9 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.named_points import (
-    located_tool,
-    tip_points,
-)
+from calib_pin.measurement_models.named_points import located_tool, tip_points
 from calib_pin.measurement_models.registration import register_points, register_reached
-from calib_pin.measurement_models.tool_point import (
-    PointMeasurement,
-    PointModel,
-)
+from calib_pin.measurement_models.tool_point import PointMeasurement, PointModel
 from calib_pin.observations import Indices, Measurements
 
 

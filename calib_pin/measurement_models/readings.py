@@ -6,26 +6,28 @@ setup file do.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Literal
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.kinematics.spatial import from_quaternion
-from calib_pin.measurement_models.catalog import declared
+from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.orientations import inverse
 from calib_pin.observations import (
     Booleans,
     Floats,
+    Frame,
     Indices,
     Labels,
     Measurements,
     Observations,
     apart,
 )
-from calib_pin.setup import AXES, ReadingSetup
+from calib_pin.setup import AXES, ConvertedSetup, ReadingSetup
 
 
 def read_otherwise(data: Observations, reading: ReadingSetup) -> Observations:
@@ -44,7 +46,7 @@ def read_otherwise(data: Observations, reading: ReadingSetup) -> Observations:
     for key in fields(ReadingSetup):
         value = getattr(reading, key.name)
         if key.name in STEPS and value != getattr(ReadingSetup(), key.name):
-            data = STEPS[key.name](data, reading)
+            data = STEPS[key.name](data, value)
     return data
 
 
@@ -178,7 +180,7 @@ def measured_lengths(block: Measurements) -> Booleans:
     return np.array([unit == "m" for unit in units], bool)
 
 
-def _inverted(data: Observations, reading: ReadingSetup) -> Observations:
+def _inverted(data: Observations, _: bool) -> Observations:
     def change(block: Measurements, lengths: Booleans) -> Floats:
         if not declared(block.model).oriented:
             return block.values
@@ -189,16 +191,16 @@ def _inverted(data: Observations, reading: ReadingSetup) -> Observations:
     return with_values(data, change)
 
 
-def _exchanged(data: Observations, reading: ReadingSetup) -> Observations:
+def _exchanged(data: Observations, pairs: Sequence[tuple[str, ...]]) -> Observations:
     q = data.q.copy()
-    for pair in reading.exchanged:
+    for pair in pairs:
         one, other = (located(data, place) for place in pair)
         q[[one, other]] = q[[other, one]]
     return with_positions(data, q)
 
 
-def _converted(data: Observations, reading: ReadingSetup) -> Observations:
-    for part in reading.converted:
+def _converted(data: Observations, parts: Sequence[ConvertedSetup]) -> Observations:
+    for part in parts:
         which = np.ones(len(data), bool)
         if part.lines:
             found = np.array([located(data, place) for place in part.lines])
@@ -237,20 +239,11 @@ def _columns(data: Observations, joints: Sequence[str]) -> list[int]:
     return [data.joints.index(joint) for joint in joints]
 
 
-def _reversed(data: Observations, reading: ReadingSetup) -> Observations:
+def _reversed(data: Observations, _: bool) -> Observations:
     q = data.q.copy()
     for own in in_files(data):
         q[own] = data.q[own[::-1]]
     return with_positions(data, q)
-
-
-def _shifted(data: Observations, reading: ReadingSetup) -> Observations:
-    lines = [np.arange(len(own)) for own in in_files(data)]
-    return _from_below(data, reading.shift, lines)
-
-
-def _shifted_together(data: Observations, reading: ReadingSetup) -> Observations:
-    return _from_below(data, reading.shift_configurations, postures(data))
 
 
 def postures(data: Observations) -> list[Indices]:
@@ -275,16 +268,16 @@ def _from_below(
     return with_positions(data, q).rows(kept)
 
 
-def _lagging(data: Observations, reading: ReadingSetup) -> Observations:
+def _lagging(data: Observations, lag: Mapping[str, float]) -> Observations:
     parts = np.zeros(len(data.joints))
-    parts[_columns(data, [*reading.lag])] = list(reading.lag.values())
+    parts[_columns(data, [*lag])] = list(lag.values())
     return with_positions(data, data.q - parts * last_motions(data))
 
 
-def _turned(data: Observations, reading: ReadingSetup) -> Observations:
+def _turned(data: Observations, axes: Sequence[str]) -> Observations:
     """Positions whose columns x, y and z hold other axes."""
-    columns = [AXES.index(name.removeprefix("-")) for name in reading.axes]
-    signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in reading.axes])
+    columns = [AXES.index(name.removeprefix("-")) for name in axes]
+    signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])
 
     def change(block: Measurements, lengths: Booleans) -> Floats:
         values = block.values.copy()
@@ -295,72 +288,63 @@ def _turned(data: Observations, reading: ReadingSetup) -> Observations:
     return with_values(data, change)
 
 
-def _scaled(data: Observations, reading: ReadingSetup) -> Observations:
-    return scaled(data, np.full(len(data), reading.scale))
-
-
-def _opposite(data: Observations, reading: ReadingSetup) -> Observations:
+def _opposite(data: Observations, _: bool) -> Observations:
     """Readings of gauges that count the other way."""
     return with_values(
         data, lambda b, _: -b.values if declared(b.model).contact else b.values
     )
 
 
-def _steadied(data: Observations, reading: ReadingSetup) -> Observations:
+def _steadied(data: Observations, drift: Sequence[float]) -> Observations:
     part, of_block = elapsed(data)[:, None], iter(data.slices)
 
     def change(block: Measurements, lengths: Booleans) -> Floats:
         values, own = block.values.copy(), part[next(of_block)]
         columns = tuple(declared(block.model).columns)
         count = 3 if columns[:3] == AXES else int(columns[:1] == ("distance",))
-        values[:, :count] -= own * np.array(reading.drift[:count])
+        values[:, :count] -= own * np.array(drift[:count])
         return values
 
     return with_values(data, change)
 
 
-def _renamed(
-    kind: Literal["station", "tool"],
-) -> Callable[[Observations, ReadingSetup], Observations]:
+def _renamed(data: Observations, places: Sequence[str], kind: Frame) -> Observations:
     """Another station or tool from some lines on."""
-    key = {"station": "moved", "tool": "remounted"}[kind]
-
-    def rename(data: Observations, reading: ReadingSetup) -> Observations:
-        rank = np.argsort(data.in_order)
-        first = [rank[located(data, place)] for place in getattr(reading, key)]
-        part = np.searchsorted(np.sort(first), rank, side="right")
-        names = tuple(str(k + 1) for k in range(len(first) + 1))
-        return apart(data, kind, Labels(names, part))[0]
-
-    return rename
+    rank = np.argsort(data.in_order)
+    first = [rank[located(data, place)] for place in places]
+    part = np.searchsorted(np.sort(first), rank, side="right")
+    names = tuple(str(k + 1) for k in range(len(first) + 1))
+    return apart(data, kind, Labels(names, part))[0]
 
 
-def _left(data: Observations, reading: ReadingSetup) -> Observations:
+def _left(data: Observations, places: Sequence[str]) -> Observations:
     kept = np.ones(len(data), bool)
-    kept[[located(data, place) for place in reading.without]] = False
+    kept[[located(data, place) for place in places]] = False
     if not kept.any():
         raise InputError("'reading' leaves out all measurements")
     return data.rows(kept)
 
 
-def _unstated(data: Observations, reading: ReadingSetup) -> Observations:
+def _unstated(data: Observations, _: bool) -> Observations:
     return Observations(tuple(replace(block, sigma=None) for block in data.blocks))
 
 
-STEPS: dict[str, Callable[[Observations, ReadingSetup], Observations]] = {
+STEPS: dict[str, Callable[[Observations, Any], Observations]] = {
     "inverted": _inverted,
     "exchanged": _exchanged,
     "converted": _converted,
     "reversed": _reversed,
-    "shift": _shifted,
-    "shift_configurations": _shifted_together,
+    "shift": lambda data, by: _from_below(
+        data, by, [np.arange(len(own)) for own in in_files(data)]
+    ),
+    "shift_configurations": lambda data, by: _from_below(data, by, postures(data)),
     "lag": _lagging,
     "axes": _turned,
-    "scale": _scaled,
+    "scale": lambda data, factor: scaled(data, np.full(len(data), factor)),
     "opposite": _opposite,
     "drift": _steadied,
-    "moved": _renamed("station"),
-    "remounted": _renamed("tool"),
+    "moved": partial(_renamed, kind="station"),
+    "remounted": partial(_renamed, kind="tool"),
     "without": _left,
     "sigmas": _unstated,
 }

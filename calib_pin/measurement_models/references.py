@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -182,23 +182,30 @@ class Plane(ReferenceObject):
         first /= np.linalg.norm(first)
         return np.array([first, np.cross(self.normal, first)])
 
-    def turned(self, values: Floats) -> tuple[Floats, float, Floats]:
-        """Normal and offset at parameters (u, v, f), and the normal's derivative.
+    def turned(self, values: Floats) -> tuple[Floats, Floats, Floats]:
+        """Normals and offsets at parameters (u, v, f), and derivatives of the normals.
 
         The normal turns about its two tangents, `n = Exp(u t_1) Exp(v t_2) n_0`.
 
+        Args:
+            values: Parameters, shape (..., 3).
+
         Returns:
-            Normal (3,), offset [m], and the normal's derivative by u and v, (3, 2).
+            Normals (..., 3), offsets (...) [m], and derivatives of the normals by u and
+            v, (..., 3, 2).
         """
         assert self.normal is not None
+        # Element by element: a product of matrices may round by the place of a row.
         t_1, t_2 = self.tangents
-        (sin_u, sin_v), (cos_u, cos_v) = np.sin(values[:2]), np.cos(values[:2])
+        u, v = values[..., :1], values[..., 1:2]
+        (sin_u, sin_v), (cos_u, cos_v) = np.sin([u, v]), np.cos([u, v])
         # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
         halfway = cos_u * self.normal - sin_u * t_2
         normal = sin_v * t_1 + cos_v * halfway
         by_u = -cos_v * (sin_u * self.normal + cos_u * t_2)
         by_v = cos_v * t_1 - sin_v * halfway
-        return normal, self.offset + float(values[2]), np.column_stack([by_u, by_v])
+        by_turn = np.stack([by_u, by_v], axis=-1)
+        return normal, self.offset + values[..., 2], by_turn
 
     def towards(self, normal: Floats, point: Floats, height: float) -> Floats:
         """Parameters (u, v, f) of a unit normal with a point (3,) at a height."""
@@ -207,21 +214,10 @@ class Plane(ReferenceObject):
         u, v = np.arctan2(-along[1], along[2]), np.arcsin(np.clip(along[0], -1.0, 1.0))
         return np.array([u, v, height - normal @ point - self.offset])
 
-    def turned_many(self, values: Floats) -> Floats:
-        """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
-        assert self.normal is not None
-        # Element by element: a product of matrices may round by the place of a row.
-        t_1, t_2 = self.tangents
-        u, v = values[:, :1], values[:, 1:2]
-        normals = np.sin(v) * t_1 + np.cos(v) * (
-            np.cos(u) * self.normal - np.sin(u) * t_2
-        )
-        return np.column_stack([normals, self.offset + values[:, 2]])
-
     def rebased(self, values: Floats) -> Plane:
         """Turned and shifted by (u, v, f)."""
         normal, offset, _ = self.turned(values)
-        return replace(self, normal=normal, offset=offset)
+        return replace(self, normal=normal, offset=float(offset))
 
     def met(self, points: Floats, outside: Floats | None = None) -> Plane:
         """With the mean of the points, and a normal that points outwards."""
@@ -239,92 +235,74 @@ class Plane(ReferenceObject):
 
 
 @dataclass(frozen=True)
-class Sphere(ReferenceObject):
-    """A sphere in the measurement frame.
-
-    Attributes:
-        name: Name that measurements give as their target.
-        xyz: Center, shape (3,) [m]; None until it is registered.
-        radius: Radius [m]; None until it is registered.
-        estimate: Whether the center is estimated.
-        estimate_radius: Whether the radius is.
-    """
-
-    name: str
-    xyz: Floats | None = None
-    radius: float | None = None
-    estimate: bool = True
-    estimate_radius: bool = True
-
-    kind = "sphere"
-
-    @property
-    def located(self) -> bool:
-        """Whether center and radius are given or registered."""
-        return self.xyz is not None and self.radius is not None
-
-    @property
-    def components(self) -> Iterable[tuple[str, str, bool]]:
-        """Its center x, y, z and its radius r."""
-        center = ((c, "m", self.estimate) for c in "xyz")
-        return (*center, ("r", "m", self.estimate_radius))
-
-    def rebased(self, values: Floats) -> Sphere:
-        """Moved by (x, y, z) and larger by r."""
-        assert self.xyz is not None and self.radius is not None
-        radius = self.radius + float(values[3])
-        return replace(self, xyz=self.xyz + values[:3], radius=radius)
-
-    def stated(self) -> SphereSetup:
-        """Its center and radius."""
-        return SphereSetup(
-            triple(self.xyz), self.radius, self.estimate, self.estimate_radius
-        )
-
-
-@dataclass(frozen=True)
-class Anchor(ReferenceObject):
-    """A fixed reference point of distances, with the bias of its readings.
+class Center(ReferenceObject):
+    """A point that distances are measured from, and a number that belongs to these.
 
     Attributes:
         name: Name that measurements give as their target.
         xyz: Place in the measurement frame, shape (3,) [m]; None until registered.
-        bias: Offset added to every true distance [m].
+        size: The number [m]; None until registered.
         estimate: Whether the place is estimated.
-        estimate_bias: Whether the bias is.
+        estimate_size: Whether the number is.
     """
 
     name: str
     xyz: Floats | None = None
-    bias: float = 0.0
+    size: float | None = None
     estimate: bool = True
-    estimate_bias: bool = False
+    estimate_size: bool = True
 
-    kind = "anchor"
+    component: ClassVar[str]
+    """Name of the number among the parameters."""
+
+    number: ClassVar[str]
+    """Its key in a setup; `estimate_` and this says whether it is estimated."""
+
+    statement: ClassVar[Callable[..., SphereSetup | AnchorSetup]]
+    """Its section of a setup, by the place, the number, and what is estimated."""
 
     @property
     def located(self) -> bool:
-        """Whether its place is given or registered."""
-        return self.xyz is not None
+        """Whether place and number are given or registered."""
+        return self.xyz is not None and self.size is not None
 
     @property
     def components(self) -> Iterable[tuple[str, str, bool]]:
-        """Its coordinates x, y, z and its bias."""
+        """Its coordinates x, y, z and the number."""
         site = ((c, "m", self.estimate) for c in "xyz")
-        return (*site, ("bias", "m", self.estimate_bias))
+        return (*site, (self.component, "m", self.estimate_size))
 
-    def rebased(self, values: Floats) -> Anchor:
-        """Moved by (x, y, z), with another bias."""
-        assert self.xyz is not None
-        return replace(
-            self, xyz=self.xyz + values[:3], bias=self.bias + float(values[3])
-        )
+    def rebased(self, values: Floats) -> Self:
+        """Moved by (x, y, z), with another number."""
+        assert self.xyz is not None and self.size is not None
+        size = self.size + float(values[3])
+        return replace(self, xyz=self.xyz + values[:3], size=size)
 
-    def stated(self) -> AnchorSetup:
-        """Its place and bias."""
-        return AnchorSetup(
-            triple(self.xyz), self.bias, self.estimate, self.estimate_bias
-        )
+    def stated(self) -> Stated:
+        """Its place and number."""
+        about = triple(self.xyz), self.size, self.estimate, self.estimate_size
+        return self.statement(*about)
+
+
+class Sphere(Center):
+    """A sphere about its center; the number is the radius."""
+
+    kind = "sphere"
+    component = "r"
+    number = "radius"
+    statement = SphereSetup
+
+
+@dataclass(frozen=True)
+class Anchor(Center):
+    """A fixed reference point of distances; the number is the bias of its readings."""
+
+    size: float | None = 0.0
+    estimate_size: bool = False
+
+    kind = "anchor"
+    component = number = "bias"
+    statement = AnchorSetup
 
 
 def turned_rows(
@@ -348,9 +326,9 @@ def turned_rows(
 
 def turned_planes(planes: Sequence[Plane], values: Floats) -> Floats:
     """Normals and offsets of L planes at many parameters, (S, 3 L) -> (S, L, 4)."""
-    parts = [values[:, 3 * k : 3 * k + 3] for k in range(len(planes))]
-    turned = [p.turned_many(part) for p, part in zip(planes, parts, strict=True)]
-    return np.stack(turned, axis=1)
+    parts = np.split(values, len(planes), axis=1)
+    turned = (p.turned(part) for p, part in zip(planes, parts, strict=True))
+    return np.stack([np.column_stack([n, f]) for n, f, _ in turned], axis=1)
 
 
 def slices(references: Sequence[ReferenceObject]) -> list[slice]:

@@ -18,16 +18,11 @@ from calib_pin.errors import InputError, enumerated
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
-    Curvature,
-    DeclaredModel,
     Geometry,
     Linearization,
-    rotation_curvature,
+    MeasurementModel,
 )
-from calib_pin.measurement_models.named_points import (
-    named_points,
-    split_names,
-)
+from calib_pin.measurement_models.named_points import named_points, split_names
 from calib_pin.measurement_models.references import Point, ReferenceObject, locate
 from calib_pin.observations import AT, Indices, Labels, Measurements, Targets
 from calib_pin.setup import Setup
@@ -49,20 +44,7 @@ class PointMeasurement:
 
 
 @dataclass(frozen=True)
-class PointCurvature:
-    """How the derivatives of a `PointMeasurement` change with the point.
-
-    Attributes:
-        by_point: Of `PointMeasurement.by_point`, shape (N, d, 3, 3), the point last.
-        by_place: Of `PointMeasurement.by_place`, shape (N, d, k, 3).
-    """
-
-    by_point: Floats
-    by_site: Floats
-
-
-@dataclass(frozen=True)
-class PointsAndSites(DeclaredModel):
+class PointsAndSites(MeasurementModel):
     """Points of the tool, and the sites that they are measured against.
 
     Attributes:
@@ -176,8 +158,8 @@ class PointsAndSites(DeclaredModel):
 class PointModel(PointsAndSites):
     """A measurement of a point of the tool, against a site or by itself.
 
-    A member says what is measured of a point (`compare`) and how that bends; this does
-    the rest: names, the way from the tool frame to the point, references.
+    A member says what is measured of a point (`compare`); this does the rest:
+    names, the way from the tool frame to the point, references.
     """
 
     comparison: ClassVar[str] = ""
@@ -220,26 +202,6 @@ class PointModel(PointsAndSites):
         residual = self._deviation(touch.value, data)
         return Linearization(residual, touch.by_point @ J_pose, J_instrument)
 
-    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
-        """Second derivatives: the point moves, and its own motion turns."""
-        view = self._look(T, instrument, target)
-        bend = self.bend(view.p, view.site, view.of_site)
-        G, P = view.touch.by_point, view.J_pose(T)
-        turning = rotation_curvature(T[:, :3, :3])
-        # P = (R, -R [t]x)
-        by_P = np.concatenate(
-            [turning, -np.einsum("nacb,ncd->nadb", turning, skew(view.offset))], axis=2
-        )
-        H = bend.by_point @ P[:, None]
-        J_pose = np.einsum("ndcb,nca->ndab", H, P)
-        J_pose += np.einsum("ndc,ncab->ndab", G, by_P)
-        by_offset = np.einsum("ndcb,nca->ndab", H, view.by_offset)
-        by_offset += np.einsum("ndc,ncab->ndab", G, turning)
-        by_site = bend.by_site @ P[:, None]
-        return Curvature(
-            J_pose, self._columns(view, by_offset, by_site, len(instrument))
-        )
-
     def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The measured quantity of points, and its derivatives.
 
@@ -249,11 +211,6 @@ class PointModel(PointsAndSites):
             values: Parameters of each row's site, shape (N, k).
         """
         raise NotImplementedError
-
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """How that changes with the points, by default not; arguments as `compare`."""
-        flat = np.zeros((len(p), len(self.declaration.components), 3, 3))
-        return PointCurvature(flat, np.zeros((*flat.shape[:2], values.shape[1], 3)))
 
     def seen(self, values: Floats) -> Floats:
         """Sites of many members as a kernel compares them, (S, K) -> (S, L, w).
@@ -310,7 +267,7 @@ class PointModel(PointsAndSites):
         self, view: _View, by_offset: Floats, by_site: Floats, count: int
     ) -> Floats:
         """Derivatives of each row's point and site among all parameters, (N, d, K)."""
-        result = np.zeros((*by_site.shape[:2], count, *by_site.shape[3:]))
+        result = np.zeros((*by_site.shape[:2], count))
         row, width = np.arange(len(by_site)), by_site.shape[2]
         named = view.point < len(self.points)
         for c in range(3):

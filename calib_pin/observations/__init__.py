@@ -18,12 +18,7 @@ from calib_pin.observations.blocks import (
     states_sigmas,
     with_directions,
 )
-from calib_pin.observations.conditions import (
-    UNSTATED,
-    Conditions,
-    Signs,
-    approached,
-)
+from calib_pin.observations.conditions import UNSTATED, Conditions, Signs, approached
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels, grouped
 from calib_pin.observations.measurements import BlockKey, Measurements, trusted
 

@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError
 from calib_pin.observations.conditions import Conditions, Source, approached
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels
-from calib_pin.observations.measurements import BlockKey, Measurements, SourcedRows
+from calib_pin.observations.measurements import (
+    BlockKey,
+    Measurements,
+    SourcedRows,
+    with_joints,
+)
 from calib_pin.setup.arguments import settle, taken
 
 Frame = Literal["station", "tool"]
@@ -286,18 +291,7 @@ def fitted_and_held_out(data: Observations) -> tuple[Observations, Observations]
 
 
 def of_joints(data: Observations, joints: tuple[str, ...]) -> Observations:
-    """Measurements with the columns of some of their joints, in another order."""
+    """Measurements of other joints; those that they do not state are zero."""
     if joints == data.joints:
         return data
-    columns = [data.joints.index(joint) for joint in joints]
-    blocks = (
-        replace(
-            block,
-            joints=joints,
-            q=block.q[:, columns],
-            start=block.start[:, columns] if block.start.size else block.start,
-            conditions=block.conditions.of_joints(columns),
-        )
-        for block in data.blocks
-    )
-    return Observations(tuple(blocks))
+    return Observations(tuple(with_joints(block, joints) for block in data.blocks))

@@ -18,6 +18,9 @@ Source = Literal["", "order", "time", "columns"]
 SOURCES: tuple[Source, ...] = ("", "order", "time", "columns")
 """How directions may be known, the least certain first."""
 
+ROWS = ("payload", "direction", "temperature", "time")
+"""Attributes of `Conditions` with one entry for each row, where they are stated."""
+
 
 @dataclass(frozen=True)
 class Conditions:
@@ -70,16 +73,11 @@ class Conditions:
         result = self
         if not len(self.payload):
             result = replace(self, payload=Labels.all("", count))
-        for name, shape in (
-            ("payload", (count,)),
-            ("direction", (count, joints)),
-            ("temperature", (count,)),
-            ("time", (count,)),
-        ):
-            array = result.payload.codes if name == "payload" else getattr(self, name)
-            if (name == "payload" or array.size) and array.shape != shape:
+        for name in ROWS:
+            array, width = getattr(result, name), {"direction": (joints,)}.get(name, ())
+            if len(array) and np.shape(array) != (count, *width):
                 raise InputError(f"'{name}' has not the {count} rows of q")
-            if not np.isfinite(array).all():
+            if name != "payload" and not np.isfinite(array).all():
                 raise InputError(f"'{name}' must be finite numbers")
         return result
 
@@ -87,24 +85,11 @@ class Conditions:
         """Those of the rows that a mask, a slice or an index array picks."""
         stated = {
             name: getattr(self, name)[index]
-            for name in ("payload", "direction", "temperature", "time")
+            for name in ROWS
             if len(getattr(self, name))
         }
         spare = {name: column[index] for name, column in self.spare.items()}
         return replace(self, **stated, spare=spare)
-
-    def of_joints(self, columns: NDArray[np.int64] | Sequence[int]) -> Conditions:
-        """Those of some of the joints."""
-        known = self.direction.size
-        return replace(self, direction=self.direction[:, columns]) if known else self
-
-    def among(self, columns: Sequence[int], count: int) -> Conditions:
-        """Those of joints that are some of more, at their columns among all."""
-        if not self.direction.size:
-            return self
-        direction = np.zeros((len(self.direction), count), np.int8)
-        direction[:, columns] = self.direction
-        return replace(self, direction=direction)
 
     @property
     def at_start(self) -> Conditions:

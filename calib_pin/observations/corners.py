@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 Floats = NDArray[np.float64]
 
@@ -51,11 +52,7 @@ def noise_of(image: Floats) -> float:
     Args:
         image: Gray levels, shape (height, width).
     """
-    total = np.zeros((image.shape[0] - 2, image.shape[1] - 2))
-    height, width = total.shape
-    for i, row in enumerate(NEIGHBORS):
-        for j, factor in enumerate(row):
-            total += factor * image[i : i + height, j : j + width]
+    total = ndimage.convolve(image, NEIGHBORS)[1:-1, 1:-1]
     # Black and white that are cut off have no noise, and tell none.
     inner = image[1:-1, 1:-1]
     inside = (inner > image.min()) & (inner < image.max())
@@ -190,14 +187,7 @@ def _leverage(place: float, x: Floats, degree: int) -> float:
 
 def sampled(image: Floats, u: Floats, v: Floats) -> Floats:
     """Gray levels between pixels, bilinear; those outside are those of the edge."""
-    height, width = image.shape
-    u, v = np.clip(u, 0.0, width - 1.0), np.clip(v, 0.0, height - 1.0)
-    i = np.minimum(v.astype(int), height - 2)
-    j = np.minimum(u.astype(int), width - 2)
-    s, t = v - i, u - j
-    upper = (1.0 - t) * image[i, j] + t * image[i, j + 1]
-    lower = (1.0 - t) * image[i + 1, j] + t * image[i + 1, j + 1]
-    return np.asarray((1.0 - s) * upper + s * lower)
+    return np.asarray(ndimage.map_coordinates(image, [v, u], order=1, mode="nearest"))
 
 
 def first_is_dark(levels: Floats, grid: Floats) -> bool:

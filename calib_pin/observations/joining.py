@@ -239,11 +239,8 @@ class _Motion:
     def clock(self, readings: Log) -> Clock:
         """The clock of readings by motions, or else by the standstills alone."""
         ahead = self._coarse(readings)
-        if ahead is not None:
-            found = self._fine(readings, ahead)
-            if found is not None:
-                return found
-        return self._by_standstills(readings)
+        found = None if ahead is None else self._fine(readings, ahead)
+        return found or self._by_standstills(readings)
 
     def _coarse(self, readings: Log) -> float | None:
         """The offset with which both move at the same times; None if neither tells."""

@@ -124,35 +124,18 @@ def grouped(q: Floats) -> Indices:
     while not np.array_equal(label, before):
         before = label.copy()
         for position in q.T:
-            shared = _split_groups(label, shared, position)
+            order = shared[np.lexsort((position[shared], label[shared]))]
+            old, place = label[order], np.arange(len(order))
+            begins = np.diff(old, prepend=-1) != 0
+            apart = begins | (np.diff(position[order], prepend=-np.inf) > SAME)
+            begin, group = (
+                np.maximum.accumulate(np.where(at, place, 0)) for at in (apart, begins)
+            )
+            label[order] = old + begin - group
+            sizes = np.diff(np.append(np.flatnonzero(apart), len(order)))
+            shared = order[np.repeat(sizes > 1, sizes)]
     used = np.zeros(len(q) + 1, np.int64)
     used[label] = 1
     result: Indices = (np.cumsum(used) - 1)[label]
     result.setflags(write=False)
     return result
-
-
-def _split_groups(label: Indices, shared: Indices, position: Floats) -> Indices:
-    """Split groups of rows at gaps between the positions of one joint.
-
-    Args:
-        label: Label of every row, shape (N,); changed in place.
-        shared: The rows of groups of more than one, ascending order not needed.
-        position: Positions of the joint, shape (N,).
-
-    Returns:
-        The rows of groups of more than one that are left.
-    """
-    order = shared[np.lexsort((position[shared], label[shared]))]
-    if len(order) == 0:
-        return order
-    old = label[order]
-    place = np.arange(len(order))
-    begins = np.concatenate([[True], np.diff(old) != 0])
-    apart = begins.copy()
-    apart[1:] |= np.diff(position[order]) > SAME
-    group_begin = np.maximum.accumulate(np.where(begins, place, 0))
-    begin = np.maximum.accumulate(np.where(apart, place, 0))
-    label[order] = old + begin - group_begin
-    sizes = np.diff(np.append(np.flatnonzero(apart), len(order)))
-    return np.asarray(order[np.repeat(sizes > 1, sizes)])

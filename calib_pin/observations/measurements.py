@@ -271,13 +271,9 @@ class Measurements(Brief, SourcedRows):
         begins[1:] = (self.q[1:] != self.q[:-1]).any(axis=1) | (codes[1:] <= codes[:-1])
         firsts = np.flatnonzero(begins)
         count = max(1, count * len(firsts) // len(self))
-        names = self.target.distinct
         label = np.zeros(len(firsts), np.int64)
-        if 1 < len(names) <= count // 20:
-            number = {name: k for k, name in enumerate(names)}
-            label = np.array([number.get(name, -1) for name in self.target.names])[
-                codes[firsts]
-            ]
+        if 1 < len(self.target.distinct) <= count // 20:
+            label = np.unique(codes[firsts], return_inverse=True)[1]
         order = np.argsort(label, kind="stable")
         sizes = np.bincount(label)
         few = np.minimum(sizes, min(20, count))
@@ -297,3 +293,21 @@ def trusted(data: Measurements) -> Measurements:
     count = len(data.target.names)
     left = np.bincount(data.target.codes, data.weight > 0.0, count) > 0.0
     return data.rows((data.weight > 0.0) | ~left[data.target.codes])
+
+
+def with_joints(data: Measurements, joints: tuple[str, ...]) -> Measurements:
+    """The measurements with other joints; those that they do not state are zero."""
+    if joints == data.joints:
+        return data
+    new = [joint for joint in joints if joint not in data.joints]
+    columns = [[*data.joints, *new].index(joint) for joint in joints]
+
+    def chosen(table: NDArray[Any]) -> NDArray[Any]:
+        more = np.zeros((len(table), len(new)), table.dtype)
+        return np.hstack([table, more])[:, columns]
+
+    q, start, held = chosen(data.q), data.start, data.conditions
+    start = chosen(start) if start.size else start
+    if held.direction.size:
+        held = replace(held, direction=chosen(held.direction))
+    return replace(data, joints=joints, q=q, start=start, conditions=held)

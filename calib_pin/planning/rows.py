@@ -10,8 +10,8 @@ bracket
 
     dV_p / dq_k = [V_p, xi_k]
 
-with the joint's own twist xi_k, else not at all; and the instrument's rows change with
-the pose by the `curvature` of the measurement model.
+with the joint's own twist xi_k, else not at all; how the instrument's rows change with
+the pose is seen by moving the tool a little either way.
 """
 
 from __future__ import annotations
@@ -24,11 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.problem import Problem, assumed_sigma
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import CurvedModel
+from calib_pin.kinematics.spatial import Floats, se3_exp
 from calib_pin.observations import Indices, Labels
 from calib_pin.parameterizations.linearization import PoseLinearization
 from calib_pin.planning.workspace import Aims, Look
+
+STEP = 2e-6
+"""Motion of the tool that shows how an instrument's rows change [m, rad]. A search
+needs slopes to a millionth; these are exact to 1e-8, also where a beam
+all but grazes a plane."""
 
 Pullback = Callable[[Floats], Floats]
 """Derivative by the rows, (N, d, m), to derivative by the configurations, (N, n)."""
@@ -50,12 +54,8 @@ class LookRows:
 
     @property
     def differentiable(self) -> bool:
-        """Whether the measurement model and the error model have second derivatives.
-
-        Those of joint corrections are not there.
-        """
-        term = self.look.term
-        return isinstance(term.measurement, CurvedModel) and term.error.geometric
+        """Whether there are second derivatives; of joint corrections there are none."""
+        return self.look.term.error.geometric
 
     def rows(self, q: Floats, aim: Indices) -> Floats:
         """Rows of configurations, shape (N, d, m).
@@ -87,14 +87,13 @@ class LookRows:
             Rows target by target, shape (N, L d, m), and the derivative by all joints.
         """
         term, each = self.look.term, self.look.each
-        measurement = term.measurement
-        assert isinstance(measurement, CurvedModel) and term.error.geometric
+        assert term.error.geometric
         poses, J, measured = self._linear(q, aim)
         of_robot, of_instrument = self._bases
         V = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
         rows = J[:, :, :6] @ (V @ of_robot) + J[:, :, 6:] @ of_instrument
         place, names = self._measured(aim, measured)
-        curvature = measurement.curvature(poses.T[place], self._instrument, names)
+        slopes = self._slopes(poses.T[place], q[place][:, term.columns], names)
         xi = poses.joint_twists()
 
         def pullback(by_rows: Floats) -> Floats:
@@ -102,13 +101,8 @@ class LookRows:
             weighted = by_rows / np.tile(self.sigma, each)[:, None]
             # The instrument's rows change with the pose, whichever joint moves it.
             by_L = weighted @ np.swapaxes(V @ of_robot, 1, 2)
-            by_K = weighted @ of_instrument.T
-            bent = np.einsum(
-                "nab,nabc->nc", self._each(by_L, measured), curvature.J_pose
-            )
-            bent += np.einsum(
-                "nak,nakc->nc", self._each(by_K, measured), curvature.J_instrument
-            )
+            both = np.concatenate([by_L, weighted @ of_instrument.T], axis=2)
+            bent = np.einsum("nab,cnab->nc", self._each(both, measured), slopes)
             e = np.zeros((len(q), 6))
             np.add.at(e, place, bent)
             # F . [V, xi] = xi . (F_v x w + 0, F_v x v + F_w x w) with V = (v, w).
@@ -121,6 +115,23 @@ class LookRows:
             return result
 
         return np.asarray(rows), pullback
+
+    def _slopes(self, T: Floats, q: Floats, target: Labels) -> Floats:
+        """Changes of the derivatives by pose and instrument, shape (6, n, d, 6 + K).
+
+        Args:
+            T: Poses of the tool, shape (n, 4, 4).
+            q: Joint positions of the chain, shape (n, k) [rad, m].
+            target: What is measured at each.
+        """
+        twists = STEP * np.vstack([np.eye(6), -np.eye(6)])
+        moved = (T @ se3_exp(twists)[:, None]).reshape(-1, 4, 4)
+        names = Labels(target.names, np.tile(target.codes, len(twists)))
+        about = self._instrument, np.tile(q, (len(twists), 1)), names
+        linear = self.look.term.linearized(moved, *about)
+        both = np.concatenate([linear.J_pose, linear.J_instrument], axis=2)
+        ahead, behind = both.reshape(2, 6, len(T), *both.shape[1:])
+        return np.asarray((ahead - behind) / (2.0 * STEP))
 
     @property
     def _instrument(self) -> Floats:

@@ -139,7 +139,7 @@ def _touched(
         elif not isinstance(reference, (Point, Sphere, Anchor)):
             continue
         elif isinstance(reference, Sphere):
-            surface = ball(abs(reference.radius or 0.0))
+            surface = ball(abs(reference.size or 0.0))
             shape = Shape(link, _at(stands, reference.xyz), surface, PLANE, CLEAR)
         elif isinstance(reference, Anchor):
             surface = box(np.full(3, 0.05 * size))

@@ -316,21 +316,18 @@ class BoardSetup(Section):
         of tag 7 are 7/0 to 7/3, clockwise from the upper left one; tags are numbered
         row by row, and corner 0 of the first is the origin.
         """
-        fewer = BOARDS[self.type]
+        fewer, tags = BOARDS[self.type], self.type in TAGS
         cells = product(range(self.rows - fewer), range(self.columns - fewer))
-        places: dict[str, tuple[float, float]] = {}
-        if self.type in TAGS:
-            pitch, edge = self.square + (self.gap or 0.0), self.square
-            for k, (row, column) in enumerate(cells, self.first):
-                x, y = pitch * column, pitch * row
-                around = ((x, y), (x + edge, y), (x + edge, y + edge), (x, y + edge))
-                places |= {f"{k}/{n}": corner for n, corner in enumerate(around)}
-        else:
-            places = {
-                str(k): (self.square * x, self.square * y)
-                for k, (y, x) in enumerate(cells)
-            }
-        return {n: PointSetup((x, y, 0.0), False) for n, (x, y) in places.items()}
+        edge, pitch = self.square, self.square + (self.gap or 0.0)
+        name, first, shifts = "{}", 0, [(0.0, 0.0)]
+        if tags:
+            name, first = "{}/{}", self.first
+            shifts += [(edge, 0.0), (edge, edge), (0.0, edge)]
+        return {
+            name.format(k, n): PointSetup((pitch * x + u, pitch * y + v, 0.0), False)
+            for k, (y, x) in enumerate(cells, first)
+            for n, (u, v) in enumerate(shifts)
+        }
 
 
 @dataclass(frozen=True)

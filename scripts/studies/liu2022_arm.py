@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -17,8 +17,8 @@ from calib_pin.io.collision import load_collisions
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.setup import read_true_errors
 from calib_pin.kinematics.collision import Collisions
-from calib_pin.kinematics.spatial import Floats, adjoint, from_quaternion, invert, skew
-from calib_pin.measurement_models.base import Curvature, Linearization
+from calib_pin.kinematics.spatial import Floats, adjoint, from_quaternion, invert
+from calib_pin.measurement_models.base import Linearization
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import Measurements
 from calib_pin.planning.rows import IdentificationRows
@@ -59,16 +59,6 @@ class SpatialTwist(Pose):
         """`Ad(T)`; exact where the measured pose is the predicted one."""
         none = np.zeros((len(T), 6, 0))
         return Linearization(self.residual(T, instrument, data), adjoint(T), none)
-
-    def curvature(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> Curvature:
-        """`Ad(T Exp(xi)) = Ad(T) (I + ad(xi))` to first order."""
-        turns = np.moveaxis(skew(np.eye(3)), 0, 2)
-        brackets = np.zeros((6, 6, 6))
-        brackets[:3, :3, 3:] = brackets[3:, 3:, 3:] = brackets[:3, 3:, :3] = turns
-        J_pose = np.einsum("nab,bcl->nacl", adjoint(T), brackets)
-        return Curvature(J_pose, np.zeros((len(T), 6, 0, 6)))
 
 
 @dataclass(frozen=True)

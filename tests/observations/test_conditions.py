@@ -13,6 +13,7 @@ from calib_pin.observations import (
     approached,
     with_directions,
 )
+from calib_pin.observations.measurements import with_joints
 
 Q = np.array([[0.0, 1.0], [0.2, 1.0], [0.2, 0.5], [0.2, 0.5], [0.1, 0.7]])
 SIGNS = [[0, 0], [1, 0], [1, -1], [1, -1], [-1, 1]]
@@ -83,11 +84,15 @@ def test_conditions_behind_one_another() -> None:
     warm = rows(
         conditions=Conditions(("p",) * 5, signs, np.full(5, 30.0), np.arange(5.0))
     )
-    joined = Measurements.concatenate([warm, warm.rows(np.array([4]))]).conditions
+    both = Measurements.concatenate([warm, warm.rows(np.array([4]))])
+    joined = both.conditions
     assert (joined.temperature.tolist(), joined.time[-1]) == ([30.0] * 6, 4.0)
     assert joined.direction.tolist() == [[1, 1]] * 6
     other = Measurements.concatenate([warm, rows()]).conditions
     assert other.payload == ("p",) * 5 + ("",) * 5
     assert other.direction.tolist() == [[1, 1]] * 5 + [[0, 0]] * 5
     assert (other.temperature.size, other.time.size) == (0, 0)
-    assert joined.of_joints([1]).among([0], 2).direction.tolist() == [[1, 0]] * 6
+    some = with_joints(both, ("b", "c"))
+    assert some.conditions.direction.tolist() == [[1, 0]] * 6
+    np.testing.assert_array_equal(some.q[:, 0], both.q[:, 1])
+    assert not some.q[:, 1].any()

@@ -27,7 +27,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Measurements, Observations
-from calib_pin.observations.blocks import of_joints
+from calib_pin.observations.measurements import with_joints
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import JointMap, ReadingSetup, Setup
 from calib_pin.validation.findings.case import (
@@ -226,19 +226,16 @@ def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:
 def _with_joints(data: Observations, joints: Sequence[str]) -> Observations:
     """Measurements with some of their joints, and further ones that they state."""
     new = [joint for joint in joints if joint not in data.joints]
-    every = [*data.joints, *new]
 
     def with_new(b: Measurements) -> Measurements:
         if new and b.start.size:
             raise InputError("where these joints started is not known")
-        return replace(
-            b,
-            joints=tuple(every),
-            q=np.column_stack([b.q, *(b.conditions.spare[j, j] for j in new)]),
-            conditions=b.conditions.among(range(len(b.joints)), len(every)),
-        )
+        part = with_joints(b, tuple(joints))
+        for joint in new:
+            part.q[:, part.joints.index(joint)] = b.conditions.spare[joint, joint]
+        return part
 
-    return of_joints(Observations(tuple(map(with_new, data.blocks))), tuple(joints))
+    return Observations(tuple(map(with_new, data.blocks)))
 
 
 def joint_reading(faults: Iterable[Hypothesis]) -> JointReading | None:

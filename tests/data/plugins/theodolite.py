@@ -16,11 +16,7 @@ from calib_pin.measurement_models.declaration import (
     Quantity,
 )
 from calib_pin.measurement_models.named_points import located_tool, tip_points
-from calib_pin.measurement_models.tool_point import (
-    PointCurvature,
-    PointMeasurement,
-    PointModel,
-)
+from calib_pin.measurement_models.tool_point import PointMeasurement, PointModel
 from calib_pin.observations import Measurements
 
 
@@ -56,25 +52,6 @@ class Theodolite(PointModel):
         by_point[:, 1] = np.column_stack([-x * z / rho, -y * z / rho, rho])
         by_point[:, 1] /= r2[:, None]
         return PointMeasurement(value, by_point, np.zeros((len(p), 2, 0)))
-
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
-        """Second derivatives along the horizontal ray, across it, and upwards."""
-        x, y, z = p.T
-        rho, r2 = np.hypot(x, y), np.einsum("ni,ni->n", p, p)
-        axes = np.zeros((len(p), 3, 3))
-        axes[:, 0, :2] = np.column_stack([x, y]) / rho[:, None]
-        axes[:, 1, :2] = np.column_stack([-y, x]) / rho[:, None]
-        axes[:, 2, 2] = 1.0
-        local = np.zeros((len(p), 2, 3, 3))
-        local[:, 0, 0, 1] = local[:, 0, 1, 0] = -1.0 / rho**2
-        local[:, 1, 0, 0] = 2.0 * rho * z / r2**2
-        local[:, 1, 2, 2] = -local[:, 1, 0, 0]
-        local[:, 1, 0, 2] = local[:, 1, 2, 0] = (z**2 - rho**2) / r2**2
-        local[:, 1, 1, 1] = -z / (rho * r2)
-        bent = np.einsum("nia,ndij,njb->ndab", axes, local, axes)
-        return PointCurvature(bent, np.zeros((len(p), 2, 0, 3)))
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from calib_pin.cli import files, options, printing
-from calib_pin.cli.options import Told, known, number
+from calib_pin.cli.options import Told, known
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ SPEED = 0.25
 FRAMES, POINTS = ("measuring", "base"), ("tool", "tip")
 """Frames of targets, and points that are brought there; the usual ones first."""
 
-PART = number(float, "--speed", "0.001 to 1", 1e-3, 1.0)
 FORMAT = known("format", "io.exchange.motions:PROGRAMS", "csv")
 FRAME, POINT = known("frame", "", *FRAMES), known("point", "", *POINTS)
 
@@ -78,7 +77,7 @@ class Commands(options.Untouched, options.InDegrees, options.OfChain):
     position: Annotated[bool, Told("", "Targets")] = False
     avoid_collisions: Annotated[bool, Told("", "Constraints")] = False
     format: Annotated[str, Told("NAME", "Output", FORMAT)] = "csv"
-    speed: Annotated[float | None, Told("PART", "Output", PART)] = None
+    speed: Annotated[float | None, Told("PART", "Output", (1e-3, 1))] = None
 
     def checked(self) -> Setup:
         """The setup, of options that go together and files that may be written."""

@@ -250,7 +250,9 @@ def _value(key: str, texts: Sequence[str], folder: Path) -> Any:
     (text,) = texts
     if kind is Path:
         return PREVIOUS if (key, text) == ("start", "previous") else folder / text
-    return FLAGS[text.lower()] if kind is bool else (told.parse or kind)(text)
+    if kind is bool:
+        return FLAGS[text.lower()]
+    return (told.parser(key, kind) or kind)(text)
 
 
 def folder_name(serial: str) -> str:

@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from calib_pin.cli import options, printing
 from calib_pin.cli.files import check_outputs, open_setup, require_file
-from calib_pin.cli.options import Told, number
+from calib_pin.cli.options import Told
 
 if TYPE_CHECKING:
     from calib_pin.io.table import Table
     from calib_pin.observations.joining import Joined
 
-SECONDS = "a time in seconds, more than 0 and at most 60"
-SETTLE, TOLERANCE = (
-    number(float, option, SECONDS, 1e-3, 60.0) for option in ("--settle", "--tolerance")
-)
+SECONDS = (1e-3, 60)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +27,8 @@ class Logs(options.QuietAnswer):
         measurements: Log of the instrument, by its own clock: CSV or a bag.
         output: Measurement file to write.
         setup: Setup file: 'columns' says which foreign names are ours.
-        settle: Time that the joints stand before a reading counts; default 0.5.
-        tolerance: Longest time without a sample of the joints; default 0.5.
+        settle: Time that the joints stand before a reading counts [s]; default 0.5.
+        tolerance: Longest time without a sample of the joints [s]; default 0.5.
         topic: Topic of MEASUREMENTS if it is a bag, of transforms the child frame;
             default the only one.
         joint_topic: Topic of JOINTS if it is a bag.
@@ -42,8 +39,8 @@ class Logs(options.QuietAnswer):
     measurements: Annotated[Path, Told("MEASUREMENTS", "")]
     output: Annotated[Path, Told("CSV", "Output")]
     setup: Annotated[Path | None, Told("FILE", "Logs")] = None
-    settle: Annotated[float, Told("S", "Logs", SETTLE)] = 0.5
-    tolerance: Annotated[float, Told("S", "Logs", TOLERANCE)] = 0.5
+    settle: Annotated[float, Told("S", "Logs", SECONDS)] = 0.5
+    tolerance: Annotated[float, Told("S", "Logs", SECONDS)] = 0.5
     topic: Annotated[str | None, Told("NAME", "Logs")] = None
     joint_topic: Annotated[str | None, Told("NAME", "Logs")] = None
     keep: Annotated[bool, Told("", "Logs")] = False

@@ -17,7 +17,15 @@ from importlib import import_module
 from inspect import Parameter, Signature, cleandoc, signature
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    NamedTuple,
+    TypeVar,
+    get_args,
+    get_type_hints,
+)
 
 import typer
 
@@ -55,22 +63,35 @@ class Told(NamedTuple):
     Attributes:
         word: Stands for its value in a help text; empty for a switch.
         heading: Heading of the option there; empty for an argument.
-        parse: Makes the value of a text, where that is more than its type.
+        parse: Makes the value of a text where that is more than its type, or the least
+            and the largest of a number.
     """
 
     word: str = ""
     heading: str = "Fit"
-    parse: Callable[[str], Any] | None = None
+    parse: Callable[[str], Any] | tuple[float, float] | None = None
+
+    def parser(
+        self, name: str, kind: Any, unit: str = ""
+    ) -> Callable[[str], Any] | None:
+        """Makes the value of a text; None where the type alone says how."""
+        if not isinstance(self.parse, tuple):
+            return self.parse
+        whole = int in (kind, *get_args(kind))
+        return number(int if whole else float, as_option(name), *self.parse, unit)
+
+
+def as_option(name: str) -> str:
+    """The option of a field."""
+    return f"--{name.replace('_', '-')}"
 
 
 def number(
-    kind: type[_Number],
-    option: str,
-    allowed: str,
-    least: float = -math.inf,
-    most: float = math.inf,
+    kind: type[_Number], option: str, least: float, most: float, unit: str = ""
 ) -> Callable[[str], _Number]:
     """A parser of a number whose errors name the option, the value and the range."""
+    allowed = f"{least:.6g} {f'to {most:.6g}' if most < math.inf else 'or more'}{unit}"
+    allowed = f"whole numbers, {allowed}" if kind is int else allowed
 
     def parse(text: str | _Number) -> _Number:
         try:
@@ -167,16 +188,17 @@ def meanings(cls: type) -> dict[str, str]:
     return found
 
 
-def _declared(name: str, told: Told, meaning: str) -> Any:
+def _declared(name: str, told: Told, kind: Any, meaning: str) -> Any:
     """The argument or the option for a field."""
+    unit, *_ = *re.findall(r" \[[^]]+\]", meaning), ""
     shared: dict[str, Any] = {"metavar": told.word or None, "help": meaning}
     if not told.heading:
         return typer.Argument(**shared, autocompletion=completed(name))
     return typer.Option(
         *["-o"] * (name == "output"),
-        f"--{name.replace('_', '-')}",
+        as_option(name),
         **shared,
-        parser=told.parse,
+        parser=told.parser(name, kind, unit),
         autocompletion=completed(told.parse),
         rich_help_panel=told.heading,
     )
@@ -188,7 +210,7 @@ def spread(function: Callable[..., int]) -> Callable[..., int]:
     kind, only = first.annotation, Parameter.KEYWORD_ONLY
     hints, texts = get_type_hints(kind, include_extras=True), meanings(kind)
     for name, hint in hints.items():
-        made = _declared(name, hint.__metadata__[0], texts[name])
+        made = _declared(name, hint.__metadata__[0], hint.__origin__, texts[name])
         hints[name] = Annotated[hint.__origin__, made]
     given = signature(kind).parameters
     asked = [given[name] for name in sorted(hints, key=lambda n: PLACES.get(n, 0))]
@@ -213,11 +235,7 @@ def same(asked: object, function: Callable[..., Any]) -> dict[str, Any]:
 
 # --- options that several commands share --------------------------------------------
 
-PART = number(float, "--holdout", "a number between 0 and 1", 0, 1)
-NOISE = number(float, "--process-noise", "1e-9 to 0.01 [m, rad]", 1e-9, 1e-2)
-SEED = number(int, "--seed", "0, 1, 2, ...", 0)
-CLEARANCE = number(float, "--clearance", "0 to 1 m", 0.0, 1.0)
-WORKERS = number(int, "--workers", "a number of processes, 1 to 1000", 1, 1000)
+SEED = (0, math.inf)
 SOLVER = known("solver", "estimation.solve:SOLVERS")
 LOSS = known("loss", "estimation.robust:LOSSES")
 LEARNED = known("residual model", "residual_models:RESIDUAL_MODELS")
@@ -364,7 +382,7 @@ class Request(OfStations, OfParameters):
             calibration.json: few measurements are enough, and sudden changes of the
             robot are told.
         process_noise: With --start: how far each error of the geometry may have
-            drifted since then, standard deviation in m and rad; by default as the
+            drifted since then, standard deviation [m, rad]; by default as the
             measurements show.
         seed: Random seed.
     """
@@ -376,9 +394,9 @@ class Request(OfStations, OfParameters):
     model_ladder: Annotated[bool, Told()] = False
     use: Annotated[str | None, Told("WHERE", parse=USE)] = None
     validation: Annotated[Path | None, Told("FILE")] = None
-    holdout: Annotated[float | None, Told("PART", parse=PART)] = None
+    holdout: Annotated[float | None, Told("PART", parse=(0, 1))] = None
     start: Annotated[Path | None, Told("CALIBRATION")] = None
-    process_noise: Annotated[float | None, Told("S", parse=NOISE)] = None
+    process_noise: Annotated[float | None, Told("S", parse=(1e-9, 1e-2))] = None
     seed: Annotated[int, Told("N", parse=SEED)] = 0
 
     def words(self, output: Path) -> tuple[str, ...]:
@@ -386,7 +404,7 @@ class Request(OfStations, OfParameters):
         words = ["calibrate", self.robot, *map(str, self.measurements)]
         for asked in fields(Request):
             value = getattr(self, asked.name)
-            option = f"--{asked.name.replace('_', '-')}"
+            option = as_option(asked.name)
             if asked.name in ("robot", "measurements") or value == asked.default:
                 continue
             if value is True:
@@ -516,7 +534,7 @@ class Shared:
             or local. Only in a trusted network.
     """
 
-    workers: Annotated[int | None, Told("N", "Workers", WORKERS)] = None
+    workers: Annotated[int | None, Told("N", "Workers", (1, 1000))] = None
     cluster: Annotated[str | None, Told("ADDRESS", "Workers")] = None
 
 
@@ -560,7 +578,7 @@ class Untouched(QuietAnswer):
     """
 
     srdf: Annotated[Path | None, Told("FILE", "Constraints")] = None
-    clearance: Annotated[float | None, Told("S", "Constraints", CLEARANCE)] = None
+    clearance: Annotated[float | None, Told("S", "Constraints", (0, 1))] = None
     package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
 
     def refuse_unused(self, reason: str, *options: str) -> None:
@@ -571,7 +589,7 @@ class Untouched(QuietAnswer):
         """
         own = ("srdf", *options, "clearance")
         if any(getattr(self, name) not in (None, []) for name in own):
-            *most, last = (f"--{name.replace('_', '-')}" for name in own)
+            *most, last = map(as_option, own)
             raise OptionError(f"{reason} {', '.join(most)} and {last}")
 
     def collisions(

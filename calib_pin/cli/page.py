@@ -4,34 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Any
 from urllib.parse import unquote
 
 import calib_pin.cli.options as options
-from calib_pin.cli.options import Told
-from calib_pin.cli.view import PORT, require_viser, serve
+from calib_pin.cli.view import Windowed, require_viser
 
 TYPES, BYTES = {".html": "text/html; charset=utf-8"}, "application/octet-stream"
 
 
-@dataclass(frozen=True, kw_only=True)
-class App:
-    """A page as it is asked for.
-
-    Attributes:
-        port: Port on this machine; 0 for any free port.
-        once: Stop when the last tab is closed.
-    """
-
-    port: Annotated[int, Told("N", "Window", PORT)] = 8080
-    once: Annotated[bool, Told("", "Window")] = False
-
-
 @options.spread
-def app(asked: App) -> int:
+def app(asked: Windowed) -> int:
     """Calibrate in a page of the browser, from two files to a corrected URDF.
 
     A robot and measurements are dropped or chosen there; the page shows what was found,
@@ -56,14 +41,14 @@ def app(asked: App) -> int:
             own, to = Path(folder, str(len(jobs))), f"/{tab}/{{}}?token={window.token}"
             own.mkdir()
             jobs[tab] = Job(own, start, to, worker.submit)
-        return Page(client, client.camera, jobs[tab]).tick
+        return Page(client, client.camera, jobs[tab].sections).tick
 
     # One worker: jobs share remarks, the working folder and the processors.
     worker = ThreadPoolExecutor(1)
     with TemporaryDirectory(prefix="calib-pin-") as folder:
         window = Window("calib-pin", asked.port, file)
         window.welcome(page)
-        serve(window, asked.port, asked.once)
+        asked.serve(window)
         for job in jobs.values():
             job.stopped.set()
         worker.shutdown(cancel_futures=True)

@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from calib_pin.setup import Setup
     from calib_pin.validation.result import CalibrationResult
 
-COUNT = number(int, "--count", "1 to 1000", 1, 1000)
-CYCLES = number(int, "--cycles", "3 to 1000", 3, 1000)
-CANDIDATES = number(int, "--candidates", "1 to 100000", 1, 1e5)
-DISTANCE = number(float, "--distance", "0 to 10", 0.0, 10.0)
 CRITERION = known("criterion", "planning.plan:CRITERION_NAMES")
 METHOD = known("method", "planning.search:METHODS")
 
@@ -37,7 +33,7 @@ USUAL = 30
 
 def added(text: str) -> int:
     """The value of `--add`; zero where that leaves the number to `--count`."""
-    return number(int, "--add", "1 to 1000", 1, 1000)(text) if text else 0
+    return number(int, "--add", 1, 1000)(text) if text else 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,18 +71,18 @@ class PlanRequest(
             configurations where the straight way collides.
     """
 
-    count: Annotated[int | None, Told("N", "Plan", COUNT)] = None
+    count: Annotated[int | None, Told("N", "Plan", (1, 1000))] = None
     add: Annotated[int | None, Told("[N]", "Plan", added)] = None
     to: Annotated[list[Path] | None, Told("CSV", "Plan")] = None
     criterion: Annotated[str, Told("NAME", "Plan", CRITERION)] = "prediction"
     method: Annotated[str, Told("NAME", "Plan", METHOD)] = "auto"
-    candidates: Annotated[int, Told("N", "Plan", CANDIDATES)] = 1000
+    candidates: Annotated[int, Told("N", "Plan", (1, 1e5))] = 1000
     seed: Annotated[int, Told("N", "Plan", SEED)] = 0
     start: Annotated[Path | None, Told("CALIBRATION", "Plan")] = None
     tests: Annotated[Path | None, Told("CSV", "Plan")] = None
     accept: Annotated[bool, Told("", "Plan")] = False
-    cycles: Annotated[int | None, Told("N", "Plan", CYCLES)] = None
-    distance: Annotated[float, Told("D", "Constraints", DISTANCE)] = 0.0
+    cycles: Annotated[int | None, Told("N", "Plan", (3, 1000))] = None
+    distance: Annotated[float, Told("D", "Constraints", (0, 10))] = 0.0
     limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
     ignore_collisions: Annotated[bool, Told("", "Constraints")] = False
     output: Annotated[Path, Told("CSV", "Output")]
@@ -97,8 +93,8 @@ class PlanRequest(
         alone = (n for n in ALONE if getattr(self, n) != getattr(PlanRequest, n))
         reason = ""
         if self.accept and (name := next(alone, None)):
-            option = name.replace("_", "-")
-            reason = f"--accept plans an acceptance test, without --{option}"
+            option = options.as_option(name)
+            reason = f"--accept plans an acceptance test, without {option}"
         elif self.accept:
             pass
         elif self.cycles is not None:

@@ -11,13 +11,11 @@ import typer
 
 import calib_pin.cli.files as files
 import calib_pin.cli.options as options
-from calib_pin.cli.options import SEED, Told, number
+from calib_pin.cli.options import SEED, Told
 from calib_pin.cli.printing import notice, progress_bar, stage, told_command
 from calib_pin.errors import OptionError, stated_in
 
-COUNT = number(int, "--count", "1 to 1000000", 1, 1e6)
-NOISE = number(float, "--noise", "0 to 1 m or rad", 0.0, 1.0)
-REPEATS = number(int, "--repeats", "1 to 1000000", 1, 1e6)
+MANY = (1, 1e6)
 
 PLACES = ("chain", "station", "tool")
 """Columns of a file that say which block measures a configuration."""
@@ -44,12 +42,12 @@ class Simulation(options.Answer, options.OfParameters):
     """
 
     output: Annotated[Path, Told("CSV", "Output")]
-    count: Annotated[int | None, Told("N", "Simulation", COUNT)] = None
+    count: Annotated[int | None, Told("N", "Simulation", MANY)] = None
     configurations: Annotated[Path | None, Told("CSV", "Simulation")] = None
     errors: Annotated[Path | None, Told("YAML", "Simulation")] = None
     seed: Annotated[int, Told("N", "Simulation", SEED)] = 0
-    noise: Annotated[float | None, Told("S", "Simulation", NOISE)] = None
-    repeats: Annotated[int, Told("K", "Simulation", REPEATS)] = 1
+    noise: Annotated[float | None, Told("S", "Simulation", (0, 1))] = None
+    repeats: Annotated[int, Told("K", "Simulation", MANY)] = 1
     average: Annotated[bool, Told("", "Simulation")] = False
     all_targets: Annotated[bool, Told("", "Simulation")] = False
     truth: Annotated[Path | None, Told("URDF", "Output")] = None

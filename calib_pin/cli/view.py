@@ -11,30 +11,51 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib_pin.cli import files, options, printing
-from calib_pin.cli.options import Told, number
+from calib_pin.cli.options import Told
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
     from calib_pin.viewer.server import Window
 
-PORT = number(int, "--port", "0 to 65535", 0, 65535)
+
+@dataclass(frozen=True, kw_only=True)
+class Windowed:
+    """A page as it is asked for.
+
+    Attributes:
+        port: Port on this machine; 0 for any free port.
+        once: Stop when the last tab is closed.
+    """
+
+    port: Annotated[int, Told("N", "Window", (0, 65535))] = 8080
+    once: Annotated[bool, Told("", "Window")] = False
+
+    def serve(self, window: Window) -> None:
+        """Tell where a window is; keep it until Ctrl-C or the last tab is closed."""
+        try:
+            if self.port not in (0, window.port):
+                free = f"port {self.port} cannot be used; {window.port} is free"
+                printing.notice(free)
+            printing.tell_notices()
+            typer.echo(f"viewing at {window.url} (Ctrl-C ends it)")
+            window.run(self.once)
+        except KeyboardInterrupt:
+            typer.echo()
+        finally:
+            window.close()
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(options.OfStations, options.OfChain, options.OfCalibration):
+class View(Windowed, options.OfStations, options.OfChain, options.OfCalibration):
     """A window as it is asked for.
 
     Attributes:
         measurements: CSV or Parquet files.
         plan: Configurations to play in order.
-        port: Port on this machine; 0 for any free port.
-        once: Stop when the last window is closed.
     """
 
     measurements: Annotated[list[Path] | None, Told("[MEASUREMENTS...]", "")] = None
     plan: Annotated[Path | None, Told("CSV", "Window")] = None
-    port: Annotated[int, Told("N", "Window", PORT)] = 8080
-    once: Annotated[bool, Told("", "Window")] = False
 
 
 @options.spread
@@ -67,7 +88,7 @@ def view(asked: View) -> int:
         )
     window = Window(scene.title, asked.port)
     window.show(scene)
-    serve(window, asked.port, asked.once)
+    asked.serve(window)
     return 0
 
 
@@ -80,17 +101,3 @@ def require_viser() -> None:
     if find_spec("viser") is None:
         reason = "the viewer needs viser, which is missing: pip install "
         raise OptionError(f"{reason}'calib-pin[view]'")
-
-
-def serve(window: Window, port: int, once: bool) -> None:
-    """Tell where a window is, and keep it until Ctrl-C or the last tab is closed."""
-    try:
-        if port not in (0, window.port):
-            printing.notice(f"port {port} cannot be used; {window.port} is free")
-        printing.tell_notices()
-        typer.echo(f"viewing at {window.url} (Ctrl-C ends it)")
-        window.run(once)
-    except KeyboardInterrupt:
-        typer.echo()
-    finally:
-        window.close()

@@ -15,7 +15,7 @@ import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.calibrate import calibrate
-from calib_pin.cli.options import Request, Told, number
+from calib_pin.cli.options import Request, Told
 from calib_pin.cli.printing import notice, say, taken_notices
 from calib_pin.cli.requests import Opened, opened
 from calib_pin.errors import InputError, OptionError, RobotError
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 PAUSE = 0.2
 """Time between two looks at the files [s]."""
-
-LIMIT = number(float, "--limit", "1e-6 to 1 m", 1e-6, 1.0)
 
 Tell = Callable[["Event"], None]
 
@@ -55,7 +53,7 @@ class Watching(options.QuietAnswer, Request):
     type: Annotated[bool, Told("", "Watch")] = False
     board: Annotated[str | None, Told("SPEC", "Watch")] = None
     joints: Annotated[Path | None, Told("CSV", "Watch")] = None
-    limit: Annotated[float | None, Told("S", "Watch", LIMIT)] = None
+    limit: Annotated[float | None, Told("S", "Watch", (1e-6, 1))] = None
     srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
     once: Annotated[bool, Told("", "Watch")] = False
 

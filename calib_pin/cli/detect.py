@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -107,14 +109,7 @@ def detect(asked: Detection, context: typer.Context) -> int:
         asked.tell("no image shows enough of the board to check how it is stated")
     found = {path.name: one for path, one in zip(images, every, strict=True)}
     start = boards.start_camera(asked.mount, detector, size, found)
-    image_of = [k for k, one in enumerate(every) for _ in one.names]
-    pixels = np.concatenate([one.pixels for one in every])
-    sigma = np.concatenate([one.sigma for one in every])
-    columns: dict[str, Any] = {"image": [images[k].name for k in image_of]}
-    columns |= {name: [cells[k] for k in image_of] for name, cells in rows.items()}
-    columns["target"] = [name for one in every for name in one.names]
-    for k, name in enumerate("uv"):
-        columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
+    columns = corner_columns(images, every, rows)
     comment = f"found by: {printing.told_command(context)}"
     contents = {output: measurements.encode_table(columns, [comment])}
     setup = setup_document(Setup(model="camera", board=board, camera=start.camera))
@@ -128,9 +123,10 @@ def detect(asked: Detection, context: typer.Context) -> int:
             "the board looks the same when it is turned: corner 0 is the one nearest "
             "to the upper left of each image, so the camera must not roll"
         )
-    shown, median = sum(bool(one.names) for one in every), float(np.median(sigma))
+    median = float(np.median(np.concatenate([one.sigma for one in every])))
+    shown, corners = sum(bool(k.names) for k in every), sum(len(k.names) for k in every)
     document: dict[str, Any] = {"images": len(images), "shown": shown}
-    document |= {"corners": len(pixels), "sigma": median, "camera": setup["camera"]}
+    document |= {"corners": corners, "sigma": median, "camera": setup["camera"]}
     document |= {"assumed": start.assumed, "rms": start.rms}
     document["written"] = [*map(str, contents)]
     ends = start.camera.focal, start.camera.center
@@ -139,7 +135,7 @@ def detect(asked: Detection, context: typer.Context) -> int:
     rms = f"rms {start.rms:.3f} px" if checked else "not checked: too few corners"
     told = (
         f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px\n"
-        f"{len(pixels)} of {shown * len(detector.points)} corners in them, sigma "
+        f"{corners} of {shown * len(detector.points)} corners in them, sigma "
         f"{median:.3f} px (median)\nstart of the camera: "
         f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
     )
@@ -160,6 +156,73 @@ def _drawn(asked: Detection, file: Path, detector: Detector) -> int:
     document = {"written": [str(file)]}
     asked.give({file: picture}, lambda: document, told, [f"wrote {file}"])
     return 0
+
+
+def corner_columns(
+    images: Sequence[Path], every: Sequence[Found], cells: Mapping[str, Sequence[Any]]
+) -> dict[str, Any]:
+    """The columns of corners found in images, with the cells of each image."""
+    import numpy as np
+
+    image_of = [k for k, one in enumerate(every) for _ in one.names]
+    columns: dict[str, Any] = {"image": [images[k].name for k in image_of]}
+    columns |= {name: [own[k] for k in image_of] for name, own in cells.items()}
+    columns["target"] = [name for one in every for name in one.names]
+    for k, axis in enumerate("uv"):
+        for name, of in ((axis, "pixels"), (f"sigma_{axis}", "sigma")):
+            found = [getattr(one, of)[:, k] for one in every]
+            columns[name] = np.concatenate(found).round(4)
+    return columns
+
+
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm")
+
+
+def images_of(
+    folder: Path, board: str, joints: Path | None, pause: float
+) -> tuple[Path, Callable[[], None]]:
+    """A file of corners beside a folder, and what adds those of new images to it.
+
+    Args:
+        folder: The folder.
+        board: The board, as `detect` takes it.
+        joints: The configurations of the images, with a column 'image'.
+        pause: Time to wait before looking [s].
+
+    Raises:
+        OptionError: If the folder is none, or the configurations are missing.
+    """
+    import calib_pin.io.boards as boards
+    from calib_pin.io.measurements import encode_table
+    from calib_pin.io.table import read_table
+
+    if not folder.is_dir() or joints is None:
+        raise OptionError("--board needs a folder of images, and --joints", file=folder)
+    detector, file = boards.Detector(boards.board_of(board)), folder.with_suffix(".csv")
+    seen = set[str]()
+    if file.exists():
+        seen |= {*read_table(file).texts(["image"])["image"]}
+
+    def add() -> None:
+        time.sleep(pause)
+        there = (p for p in folder.iterdir() if p.suffix.lower() in ENDINGS)
+        new = [path for path in there if path.name not in seen]
+        for image in sorted(new, key=numbers_in):
+            try:
+                asked = Detection(images=[image], joints=joints)
+                _, cells = configurations_of(asked, [image])
+                _, found = boards.find_board(detector, [image], None)
+            except InputError:
+                continue  # Its configuration, or a part of it, is not there yet.
+            seen.add(image.name)
+            if not found[0].names:
+                continue
+            table = encode_table(corner_columns([image], found, cells), ())
+            with file.open("ab") as stream:
+                stream.write(table.partition(b"\n")[2] if stream.tell() else table)
+
+    add()
+    return file, add
 
 
 def numbers_in(image: Path) -> list[int]:

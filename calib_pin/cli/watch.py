@@ -15,8 +15,9 @@ import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.calibrate import calibrate
+from calib_pin.cli.detect import images_of
 from calib_pin.cli.options import Request, Told
-from calib_pin.cli.printing import notice, say, taken_notices
+from calib_pin.cli.printing import console, notice, say, taken_notices
 from calib_pin.cli.requests import Opened, opened
 from calib_pin.errors import InputError, OptionError, RobotError
 
@@ -76,6 +77,7 @@ def watched(
         seen: Told the input whenever it was read.
     """
     from calib_pin.guidance import Watch
+    from calib_pin.guidance.proposals import Proposals
 
     def read() -> Any:
         try:
@@ -84,15 +86,10 @@ def watched(
         finally:
             taken_notices()
 
-    return Watch(
-        read,
-        [*request.measurements, *filter(None, [request.setup])],
-        plan,
-        limit,
-        srdf=srdf,
-        package_dirs=request.package_dir or (),
-        seed=request.seed,
-    )
+    files, folders = request.measurements, request.package_dir or ()
+    proposals = Proposals(files[0], plan, srdf, folders, True)
+    followed = [*files, *filter(None, [request.setup])]
+    return Watch(read, followed, proposals, limit, request.seed)
 
 
 @options.spread
@@ -107,8 +104,6 @@ def watch(asked: Watching, context: typer.Context) -> int:
     own = options.same(asked, Request)
     before: Callable[[], object] = partial(time.sleep, PAUSE)
     if asked.board is not None:
-        from calib_pin.cli.watched_images import images_of
-
         folder = asked.measurements[0]
         file, before = images_of(folder, asked.board, asked.joints, PAUSE)
         own["measurements"] = [file]
@@ -126,11 +121,9 @@ def watch(asked: Watching, context: typer.Context) -> int:
         if asked.plan is None or len(request.measurements) != 1 or asked.json:
             raise OptionError("--type needs --plan and one file of measurements")
         before = typed(request, asked.plan)
-    job, live = watched(request, asked.plan, asked.limit, srdf=asked.srdf), None
-    if sys.stdout.isatty() and not asked.type:
-        from rich.console import Console
-
-        live = Console(highlight=False, markup=False, emoji=False)
+    job = watched(request, asked.plan, asked.limit, srdf=asked.srdf)
+    lines = asked.type or asked.json or asked.quiet or not sys.stdout.isatty()
+    live = None if lines else console()
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
         follow(job, tell, before if not asked.once else None)
     if job.fit is None:
@@ -187,19 +180,20 @@ def display(
         live: A rich console where the state and the next configuration stay below the
             other events.
     """
-    if json or quiet or live is None:
+    if live is None:
         from json import dumps
 
         def line(event: Event) -> None:
-            text = dumps(event.document(), default=dict) if json else event.text
-            say("" if quiet and not json else f"{text}\n")
+            if json or not quiet:
+                text = dumps(event.document(), default=dict) if json else event.text
+                say(f"{text}\n")
 
         yield line
         return
+    from rich.console import Group
     from rich.live import Live
-    from rich.text import Text
 
-    below = dict[str, Text]()
+    below: dict[str, Text] = {}
     with Live(console=live, auto_refresh=False) as shown:
 
         def tell(event: Event) -> None:
@@ -208,6 +202,6 @@ def display(
                 return
             below.pop("waiting", None)
             below[event.kind] = styled(event)
-            shown.update(Text("\n").join(below.values()), refresh=True)
+            shown.update(Group(*below.values()), refresh=True)
 
         yield tell

@@ -153,7 +153,7 @@ def test_a_file_that_cannot_be_read_gives_no_other_reason(here: Path, run):
 @pytest.mark.needs("vision")
 def test_only_new_images_are_detected(tmp_path: Path, monkeypatch):
     import calib_pin.io.boards as boards
-    from calib_pin.cli.watched_images import images_of
+    from calib_pin.cli.detect import images_of
 
     folder, word = tmp_path / "images", "charuco:7x5:0.03:0.022"
     folder.mkdir()

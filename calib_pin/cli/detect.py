@@ -5,19 +5,22 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-import typer
+import numpy as np
 
-from calib_pin.cli import files, options, printing
-from calib_pin.cli.options import Told, known
+import calib_pin.io.logs as logs
+from calib_pin.cli import files, printing
+from calib_pin.cli.asked import Detect, Join
+from calib_pin.cli.options import known
 from calib_pin.errors import InputError, OptionError, enumerated
-
-if TYPE_CHECKING:
-    from calib_pin.io.boards import Detector, Found, Start
-    from calib_pin.io.table import Notice, Table
+from calib_pin.io import boards, measurements
+from calib_pin.io.boards import Detector, Found, Start, encode_png
+from calib_pin.io.measurements import encode_table
+from calib_pin.io.setup import setup_document, yaml_text
+from calib_pin.io.table import Notice, Table, read_table
+from calib_pin.setup import Setup
 
 OURS = ("u", "v", "target", "sigma_u", "sigma_v")
 """Columns of the measurement file, beside `image` and those of the joints."""
@@ -34,57 +37,8 @@ SHEET = 200
 ASSUMED = "the focal lengths are assumed: the images do not determine them"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Detection(options.QuietAnswer):
-    """Images of a board, and what is to be found in them.
-
-    Attributes:
-        images: Images of one camera: PNG, JPEG, TIFF, BMP, PGM.
-        output: Measurement file to write.
-        board: The board, lengths in m: charuco:7x5:SQUARE:MARKER:DICT_4X4_50 (':legacy'
-            at the end for boards of OpenCV before 4.6), chessboard:9x6:SQUARE,
-            circles:9x6:DISTANCE, apriltag:6x6:EDGE:GAP,
-            marker:1x1:EDGE:DICT_4X4_50:first=7; columns x rows of squares (not of inner
-            corners), circles or tags. Default is 'board' of the setup file.
-        setup: Setup file with the 'board'.
-        joints: Configurations: those of a column 'image' (file name); a log with times,
-            see --times; or in the order of the images, img_2 before img_10. All its
-            columns are passed on, as 'time'. Without it the output has no joints; its
-            column 'image' tells which to add.
-        times: When the images were taken, columns 'image' and 'time': each gets the
-            joints of its standstill in the log of --joints.
-        mount: Where the camera is: hand (default) or world (board on the robot).
-        setup_output: Write a setup file for calibrate: the board, and the camera with
-            intrinsics to start from.
-        draw: Write the board to print (charuco and tags) at its size; no images then.
-    """
-
-    images: Annotated[list[Path] | None, Told("IMAGES...", "")] = None
-    output: Annotated[Path | None, Told("CSV", "Output")] = None
-    board: Annotated[str | None, Told("SPEC", "Images")] = None
-    setup: Annotated[Path | None, Told("FILE", "Images")] = None
-    joints: Annotated[Path | None, Told("CSV", "Images")] = None
-    times: Annotated[Path | None, Told("CSV", "Images")] = None
-    mount: Annotated[str, Told("WHERE", "Images", MOUNT)] = "hand"
-    setup_output: Annotated[Path | None, Told("FILE", "Output")] = None
-    draw: Annotated[Path | None, Told("PNG", "Output")] = None
-
-
-@options.spread
-def detect(asked: Detection, context: typer.Context) -> int:
-    """Find the corners of a board in images, as measurements of the model 'camera'.
-
-    Corners are numbered row by row from 0, those of tag 7 are 7/0 to 7/3, clockwise.
-    Pixel centers are whole numbers, the first is (0, 0). Standard deviations follow
-    from the noise of the image and the edges at each corner. Needs OpenCV: pip install
-    'calib-pin[vision]'.
-    """
-    import numpy as np
-
-    from calib_pin.io import boards, measurements
-    from calib_pin.io.setup import setup_document, yaml_text
-    from calib_pin.setup import Setup
-
+def detect(asked: Detect, words: Sequence[str]) -> int:
+    """Do what `Detect` asks for."""
     if asked.board is not None and asked.setup is not None:
         raise OptionError("give --board or --setup, not both")
     board = asked.board and boards.board_of(asked.board)
@@ -110,7 +64,7 @@ def detect(asked: Detection, context: typer.Context) -> int:
     found = {path.name: one for path, one in zip(images, every, strict=True)}
     start = boards.start_camera(asked.mount, detector, size, found)
     columns = corner_columns(images, every, rows)
-    comment = f"found by: {printing.told_command(context)}"
+    comment = f"found by: {printing.told_command(words)}"
     contents = {output: measurements.encode_table(columns, [comment])}
     setup = setup_document(Setup(model="camera", board=board, camera=start.camera))
     if extra is not None:
@@ -143,10 +97,8 @@ def detect(asked: Detection, context: typer.Context) -> int:
     return 0
 
 
-def _drawn(asked: Detection, file: Path, detector: Detector) -> int:
+def _drawn(asked: Detect, file: Path, detector: Detector) -> int:
     """Write the board to print."""
-    from calib_pin.io.boards import encode_png
-
     if asked.images or asked.output or asked.joints or asked.setup_output:
         raise OptionError("--draw takes --board or --setup, and nothing else")
     files.check_outputs([file], [asked.setup], asked.force)
@@ -162,8 +114,6 @@ def corner_columns(
     images: Sequence[Path], every: Sequence[Found], cells: Mapping[str, Sequence[Any]]
 ) -> dict[str, Any]:
     """The columns of corners found in images, with the cells of each image."""
-    import numpy as np
-
     image_of = [k for k, one in enumerate(every) for _ in one.names]
     columns: dict[str, Any] = {"image": [images[k].name for k in image_of]}
     columns |= {name: [own[k] for k in image_of] for name, own in cells.items()}
@@ -192,10 +142,6 @@ def images_of(
     Raises:
         OptionError: If the folder is none, or the configurations are missing.
     """
-    import calib_pin.io.boards as boards
-    from calib_pin.io.measurements import encode_table
-    from calib_pin.io.table import read_table
-
     if not folder.is_dir() or joints is None:
         raise OptionError("--board needs a folder of images, and --joints", file=folder)
     detector, file = boards.Detector(boards.board_of(board)), folder.with_suffix(".csv")
@@ -209,7 +155,7 @@ def images_of(
         new = [path for path in there if path.name not in seen]
         for image in sorted(new, key=numbers_in):
             try:
-                asked = Detection(images=[image], joints=joints)
+                asked = Detect(images=[image], joints=joints)
                 _, cells = configurations_of(asked, [image])
                 _, found = boards.find_board(detector, [image], None)
             except InputError:
@@ -232,8 +178,6 @@ def numbers_in(image: Path) -> list[int]:
 
 def _remarks(found: dict[str, Found], start: Start, tell: Notice) -> None:
     """Name the images without a board, and the blurred ones."""
-    import numpy as np
-
     if without := [name for name, one in found.items() if not one.names]:
         tell(f"no board in {len(without)} images: {enumerated(without)}")
     medians = {name: np.median(one.sigma) for name, one in found.items() if one.names}
@@ -245,19 +189,13 @@ def _remarks(found: dict[str, Found], start: Start, tell: Notice) -> None:
 
 
 def configurations_of(
-    asked: Detection, images: list[Path]
+    asked: Detect, images: list[Path]
 ) -> tuple[list[Path], dict[str, list[Any]]]:
     """Images of known joints, and for each the cells of the columns of their file.
 
     Raises:
         InputError: If it has not one row for each image, or columns of ours.
     """
-    import numpy as np
-
-    import calib_pin.io.logs as logs
-    from calib_pin.cli.join import Logs
-    from calib_pin.io.table import read_table
-
     if (file := asked.joints) is None:
         return images, {}
     table = read_table(file)
@@ -267,7 +205,7 @@ def configurations_of(
         # Where the joints stood at the time of each image, by its name.
         taken = logs.with_images(read_table(asked.times))
         taken = taken.rows(np.array(_rows(taken, images)))
-        stand = Logs.settle, Logs.tolerance
+        stand = Join.settle, Join.tolerance
         found, data = logs.join_logs(table, taken, (), *stand, asked.tell, True)
         if found.clock is None:
             reason = "there is no column 'time' here, or in the log of the joints"

@@ -6,21 +6,23 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 import typer
 
-from calib_pin.cli import options, printing
+from calib_pin.cli import printing
+from calib_pin.cli.asked import Init
 from calib_pin.cli.files import check_outputs, require_distinct, require_folders
-from calib_pin.cli.options import Told
 from calib_pin.errors import OptionError, enumerated, stated_in
+from calib_pin.io.columns import LENGTH
+from calib_pin.io.first_look import Choose, Look, draft, first_look
+from calib_pin.io.setup import setup_document
+from calib_pin.io.urdf import load_robot
+from calib_pin.kinematics.robot import Robot
+from calib_pin.setup import DistanceSetup, Setup
 from calib_pin.units import as_number
-
-if TYPE_CHECKING:
-    from calib_pin.io.first_look import Choose, Look
-    from calib_pin.kinematics.robot import Robot
 
 SIGMA = 1e-5
 """Standard deviation of a distance between sockets [m]: they are gauged."""
@@ -30,40 +32,12 @@ Ask = Callable[[str], str]
 """The answer of a user to a question."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Draft(options.Answer, options.OfStations):
-    """A setup file that is to be drafted.
-
-    Attributes:
-        measurements: CSV or Parquet files with one row per measurement, as they are.
-        output: Setup file to write; without it, it is printed.
-        tip: Last link of the chain; of chains that the measurements name, NAME=LINK,...
-        distance: Known distance of the two sockets of each place, such as '50 mm'.
-        board: Board of a camera, as for 'detect'.
-    """
-
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
-    output: Annotated[Path | None, Told("YAML", "Output")] = None
-    distance: Annotated[str | None, Told("LENGTH", "Robot")] = None
-    board: Annotated[str | None, Told("SPEC", "Robot")] = None
-
-
-@options.spread
-def init(asked: Draft, context: typer.Context) -> int:
-    """Look at a robot and its measurements, and draft a setup file.
-
-    Finds the tip, the joints, what was measured, foreign names of columns and their
-    units, by trying on the nominal robot, and says in comments what it found. Asks what
-    cannot be known, on a terminal; elsewhere an error names the option that says it.
-    The setup file that `detect` wrote (--setup) has the board and the camera.
-    """
-    from calib_pin.io.first_look import draft
-    from calib_pin.io.setup import setup_document
-
+def init(asked: Init, words: Sequence[str]) -> int:
+    """Do what `Init` asks for."""
     files = asked.measurements
     check_outputs([asked.output], [asked.robot, *files, asked.setup], asked.force)
     robot, look = looked_at(asked, _choose, _ask)
-    text = draft(robot, look, printing.told_command(context))
+    text = draft(robot, look, printing.told_command(words))
     found: dict[str, Any] = {"setup": setup_document(look.setup)}
     found["nominal"] = look.errors
     written, contents = list[str](), dict[Path, bytes]()
@@ -75,7 +49,7 @@ def init(asked: Draft, context: typer.Context) -> int:
     return 0
 
 
-def looked_at(asked: Draft, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
+def looked_at(asked: Init, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
     """A robot and the reading of measurement files that fits it best.
 
     Args:
@@ -87,9 +61,6 @@ def looked_at(asked: Draft, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
         CalibPinError: If one of the files cannot be used.
     """
     from calib_pin.io.boards import board_of
-    from calib_pin.io.first_look import first_look
-    from calib_pin.io.urdf import load_robot
-    from calib_pin.setup import Setup
 
     files, folders = asked.measurements, asked.package_dir or []
     require_folders(folders)
@@ -150,8 +121,6 @@ def _ask(question: str) -> str:
 
 def _with_distances(look: Look, stated: str | None, ask: Ask) -> Look:
     """The reading with the known distance of the sockets of each place."""
-    from calib_pin.setup import DistanceSetup
-
     assert look.data is not None
     places = dict[str, list[str]]()
     for name in dict.fromkeys(k.rpartition("@")[2] for k in look.data.target.distinct):
@@ -171,8 +140,6 @@ def _length(text: str) -> float:
     Raises:
         OptionError: If it is none.
     """
-    from calib_pin.io.columns import LENGTH
-
     found = re.fullmatch(r"\s*([0-9.]+)\s*\[?(\w*)\]?\s*", text)
     unit = LENGTH.units.get(found[2] or "m") if found else None
     value = unit * (as_number(found[1]) or 0.0) if found and unit else 0.0

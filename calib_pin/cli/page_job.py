@@ -17,8 +17,9 @@ from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import quote
 
+from calib_pin.cli.asked import Init
 from calib_pin.cli.files import open_setup
-from calib_pin.cli.init import Draft, looked_at
+from calib_pin.cli.init import looked_at
 from calib_pin.cli.options import Request, same
 from calib_pin.cli.printing import complaint, notice, stage, taken_notices
 from calib_pin.cli.requests import Opened, calibrated, opened
@@ -61,7 +62,7 @@ LAST, STANDING = 6, ("waiting", "state", "next")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chosen(Draft):
+class Chosen(Init):
     """The choices of a person: the robot is empty as long as there is none.
 
     Attributes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from time import monotonic
 from typing import IO, TYPE_CHECKING
@@ -50,10 +50,9 @@ def show(blocks: Iterable[Block]) -> None:
         say(plain_text(blocks))
 
 
-def told_command(context: typer.Context) -> str:
+def told_command(words: Sequence[str]) -> str:
     """The command line, but for `--force`, which changes nothing of what follows."""
-    words = [word for word in context.obj if word != "--force"]
-    return shlex.join(["calib-pin", *words])
+    return shlex.join(["calib-pin", *(word for word in words if word != "--force")])
 
 
 def say(text: str) -> None:

@@ -8,7 +8,6 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +15,10 @@ from calib_pin.cli.files import FLAGS, open_chains, open_setup
 from calib_pin.cli.options import Request
 from calib_pin.cli.printing import say
 from calib_pin.errors import InputError, OptionError
-
-if TYPE_CHECKING:
-    from calib_pin.io.columns import Kind
+from calib_pin.guidance.proposals import remaining
+from calib_pin.io.columns import Kind
+from calib_pin.io.measured_columns import asked_models, infer_model, needed
+from calib_pin.io.table import read_table
 
 ASKED = "a number each, and a unit, such as 523.5 mm"
 
@@ -67,10 +67,6 @@ def typed(request: Request, plan: Path) -> Callable[[], None]:
         InputError: If the plan or the file cannot be used.
         OptionError: If nothing says what is measured.
     """
-    from calib_pin.guidance.proposals import remaining
-    from calib_pin.io.measured_columns import asked_models, infer_model, needed
-    from calib_pin.io.table import read_table
-
     (file,), asked = request.measurements, vars(request)
     setup = open_setup(request.setup, **{name: asked[name] for name in FLAGS})
     chains = open_chains(request.robot, setup, "", request.package_dir)

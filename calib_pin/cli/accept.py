@@ -8,15 +8,17 @@ from pathlib import Path
 
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Accept
-from calib_pin.cli.documents import acceptance_document
 from calib_pin.cli.results import dated
 from calib_pin.errors import stated_in
 from calib_pin.io import json_text, measurements, results
+from calib_pin.io.json_text import Json, format_keys
 from calib_pin.io.table import read_table
 from calib_pin.report import acceptance_text, figures, html
 from calib_pin.report.cover import acceptance_cover
 from calib_pin.report.pdf import MISSING, can_write_pdf, pdf_report
+from calib_pin.setup import LimitSetup
 from calib_pin.validation import acceptance
+from calib_pin.validation.acceptance import Acceptance, judged
 
 NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
 
@@ -90,3 +92,16 @@ def _named(
                 if digits.isdecimal() and len(digits) < 6:
                     named[column][table.file, line] = int(digits)
     return named
+
+
+def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> Json:
+    """The numbers of an acceptance test, in SI units."""
+    *_, last = tests.values()
+    return {
+        **format_keys("calib-pin/acceptance"),
+        "limits": [
+            {"quantity": name, "status": status, "limit": allowed, "unit": unit}
+            for name, status, _, allowed, unit in judged(last, limit)
+        ],
+        "tests": tests,
+    }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -13,7 +13,6 @@ import calib_pin.control.compensation as compensation
 import calib_pin.report.compensation_text as texts
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import FRAMES, POINTS, Compensate
-from calib_pin.cli.documents import compensation_document
 from calib_pin.control import calibrated, joints
 from calib_pin.control.calibrated import (
     Frame,
@@ -26,6 +25,7 @@ from calib_pin.control.compensation import Compensation
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.exchange.motions import PROGRAMS, moving_times, paced, speed_limits
+from calib_pin.io.json_text import Json, format_keys
 from calib_pin.io.results import read_result, written_before
 from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
 from calib_pin.kinematics.chain import Chain
@@ -240,3 +240,81 @@ def encoded(
         times = None  # The motion keeps its own.
     encode = partial(encode_commands, degrees=asked.degrees, times=times)
     return encode(targets, q, row, comments=comments)
+
+
+def compensation_document(
+    found: Compensation,
+    chain: Chain,
+    asked: Targets,
+    doubt: str,
+    output: Path | None,
+    accuracy: Mapping[str, Mapping[str, object]],
+    ways: tuple[int, Sequence[int]] | None = None,
+    hasty: Sequence[int] = (),
+) -> Json:
+    """The summary of a compensation.
+
+    Args:
+        found: The commands.
+        chain: The nominal chain.
+        asked: The targets.
+        doubt: Why the calibration must not be trusted; empty where it may.
+        output: File that the commands were written to; None for none.
+        accuracy: Accuracy of the calibration, by quantity.
+        ways: Number of via configurations, and lines to which no way is free; None
+            where collisions are not looked at.
+        hasty: Lines to which a joint would move faster than it can.
+    """
+    lines, reached, motion = asked.table.lines, found.reached, asked.T is None
+    errors = {"position": ("m", found.position_before, found.position)}
+    if found.oriented:
+        errors["orientation"] = "rad", found.orientation_before, found.orientation
+    corrections = np.abs(found.corrections).T
+    missed = zip(
+        lines[~reached], *(e[2][~reached] for e in errors.values()), strict=True
+    )
+    return {
+        **format_keys("calib-pin/compensation"),
+        "verdict": {
+            "status": "untrusted" if doubt else "good",
+            "reason": doubt,
+        },
+        "kind": "motion" if motion else "targets",
+        "rows": len(found),
+        "reached": reached.sum(),
+        "too_fast": hasty,
+        "collisions": ways
+        and {
+            "vias": ways[0],
+            "colliding": lines[found.collides],
+            "blocked": ways[1],
+        },
+        "unreachable": [
+            dict(zip(("line", *errors), row, strict=True)) for row in missed
+        ],
+        "corrections": {
+            name: {"unit": "rad" if turns else "m", **(_spread(column) or {})}
+            for name, turns, column in zip(
+                chain.joints, chain.revolute, corrections, strict=True
+            )
+        },
+        "errors": {
+            name: {
+                "unit": unit,
+                "nominal": _spread(before[reached]),
+                "compensated": _spread(after[reached]),
+            }
+            for name, (unit, before, after) in errors.items()
+        },
+        "at_limit": lines[reached & found.at_limit],
+        "outside_trained_region": lines[reached & found.outside],
+        "jumps": lines[found.jumps] if motion else [],
+        "written": None if output is None else str(output),
+        "model_errors": accuracy,
+    }
+
+
+def _spread(values: Floats) -> dict[str, float] | None:
+    """Mean and largest of the known values; None where none is known."""
+    known = values[np.isfinite(values)]
+    return {"mean": known.mean(), "max": known.max()} if len(known) else None

@@ -6,12 +6,13 @@ from dataclasses import replace
 from functools import partial
 
 from calib_pin.cli.asked import Evaluate
-from calib_pin.cli.documents import evaluation_document
 from calib_pin.cli.printing import notice, progress_bar, stage
+from calib_pin.io.json_text import Json, format_keys, plain
 from calib_pin.io.results import used_files
 from calib_pin.io.urdf import other_robots
 from calib_pin.report.accuracy import evaluated
 from calib_pin.validation.evaluation import evaluate as run
+from calib_pin.validation.result import Evaluation
 
 
 def evaluate(asked: Evaluate) -> int:
@@ -31,3 +32,10 @@ def evaluate(asked: Evaluate) -> int:
         found = replace(found, verdict="untrusted", reason=doubts[0])
     asked.give({}, lambda: evaluation_document(found), evaluated(found))
     return 0 if found.verdict == "good" else 2
+
+
+def evaluation_document(found: Evaluation) -> Json:
+    """The accuracy of a robot on measurements."""
+    errors = {n: {"unit": unit, **plain(size)} for n, unit, size in found.errors}
+    head = format_keys("calib-pin/evaluation")
+    return {**head, **plain(found), "errors": errors}

@@ -11,7 +11,6 @@ import calib_pin.cli.files as files
 import calib_pin.cli.jobs as jobs
 import calib_pin.estimation.statistics.population_prior as population_prior
 from calib_pin.cli.asked import Fleet
-from calib_pin.cli.documents import outlook_document
 from calib_pin.cli.jobs import Job
 from calib_pin.cli.options import asked_workers
 from calib_pin.cli.printing import Bar, notice, progress_bar
@@ -19,15 +18,17 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.statistics.population_prior import Population, RobotEvidence
 from calib_pin.io import json_text, measurements, results, setup
 from calib_pin.io.files import sha256
-from calib_pin.io.json_text import encode
+from calib_pin.io.json_text import Json, encode, format_keys
 from calib_pin.io.measurements import read_configurations
+from calib_pin.io.results import model_name
 from calib_pin.io.setup import setup_document
 from calib_pin.io.trials import kept, read_trials
-from calib_pin.monte_carlo import Study, Trial, outlooks, study_of, try_robot
+from calib_pin.monte_carlo import Outlook, Study, Trial, outlooks, study_of, try_robot
+from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report import fleet_text, html
 from calib_pin.report.blocks import Block
 from calib_pin.report.figures import drawn
-from calib_pin.setup import Setup
+from calib_pin.setup import LimitSetup, Setup
 from calib_pin.validation.fleet import FleetRow, by_urgency, fleet_columns, with_joint
 from calib_pin.workers import Workers
 
@@ -271,3 +272,16 @@ def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
         "seed": seed,
     }
     return study, sha256(encode(about))
+
+
+def outlook_document(study: Study, found: Sequence[Outlook], limit: LimitSetup) -> Json:
+    """Outlooks of a Monte Carlo study, in SI units; quantiles are those of `levels`."""
+    return {
+        **format_keys("calib-pin/monte-carlo"),
+        "robot": study.chains.robot.name,
+        "model": model_name(study.truth),
+        "seed": study.seed,
+        "limit": limit,
+        "levels": LEVELS,
+        "outlooks": found,
+    }

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 
 from calib_pin.calibration import calibrate as run
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Identify
-from calib_pin.cli.documents import identification_document
-from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.estimation.evidence import TRUSTED, Finding
+from calib_pin.io.json_text import Json, format_keys, merged, plain
 from calib_pin.io.urdf import other_robots
 from calib_pin.observations import BlockKey
-from calib_pin.planning.suggestions import calibrated_setup, suggestions
+from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
 from calib_pin.report.identification import identified
 from calib_pin.report.trust import below, findings, judged
+from calib_pin.validation.acceptance import judged
 from calib_pin.validation.assessment import identify as structural
 from calib_pin.validation.result import Identification
 
@@ -53,3 +54,32 @@ def identify(asked: Identify) -> int:
         (part for of in (doubts, findings(faults, reason), told) for part in of),
     )
     return 2 if doubts else 0
+
+
+def identification_document(
+    found: Identification,
+    suggestions: Sequence[Suggestion],
+    verdict: str,
+    reason: str,
+    findings: Sequence[Finding] = (),
+) -> Json:
+    """The identifiability of a robot.
+
+    Args:
+        found: It.
+        suggestions: Suggested measurements.
+        verdict: Verdict of the fit that it is of; `good` without one.
+        reason: Why; empty where there is nothing to say.
+        findings: Defects of the measurements.
+    """
+    # A fit has found more than this.
+    own = {part.name: getattr(found, part.name) for part in fields(Identification)}
+    return merged(
+        format_keys("calib-pin/identification"),
+        plain(Identification(**own)),
+        {
+            "identifiability": {"remedies": suggestions},
+            "verdict": {"status": verdict, "reason": reason},
+            "findings": findings,
+        },
+    )

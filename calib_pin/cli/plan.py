@@ -14,7 +14,6 @@ import numpy as np
 
 from calib_pin.cli import files, options, printing, results
 from calib_pin.cli.asked import Plan
-from calib_pin.cli.documents import plan_document
 from calib_pin.cli.options import known, number
 from calib_pin.control.acceptance_poses import acceptance_poses
 from calib_pin.errors import CalibPinError, OptionError
@@ -22,6 +21,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import measurements, targets
 from calib_pin.io.columns import ANGLE, LENGTH, split_header
 from calib_pin.io.exchange.motions import speed_limits
+from calib_pin.io.json_text import Json, format_keys, merged, plain
 from calib_pin.io.measured_columns import shown_columns
 from calib_pin.io.measurements import encode_configurations, encode_table
 from calib_pin.kinematics.chains import Chains
@@ -316,3 +316,23 @@ def _acceptance(
         [f"wrote {len(found.q) * cycles} visits to {asked.output}"],
     )
     return 0
+
+
+def plan_document(plan: planning.Plan) -> Json:
+    """A plan: its configurations, what they reach, and the expected result."""
+    expected, blocked = plan.predicted, plan.blocked
+    return merged(
+        format_keys("calib-pin/plan"),
+        {"joints": plan.problem.chains.joints, "target": plan.target},
+        plain(plan),
+        {
+            "collisions": {
+                "checked": blocked is not None,
+                "blocked_moves": blocked or (),
+            },
+            "predicted": {
+                "rank": expected.directions.count,
+                "structural_rank": expected.rank,
+            },
+        },
+    )

@@ -13,7 +13,6 @@ import numpy as np
 import calib_pin.io.logs as logs
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Detect, Join
-from calib_pin.cli.options import known
 from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.io import boards, measurements
 from calib_pin.io.boards import Detector, Found, Start, encode_png
@@ -28,8 +27,6 @@ OURS = ("u", "v", "target", "sigma_u", "sigma_v")
 BLURRED = 3.0
 """Standard deviation of an image's corners, in that of all images, above which it is
 named as blurred."""
-
-MOUNT = known("mount", "", "hand", "world")
 
 SHEET = 200
 """Pixels of a square or tag on a sheet."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from calib_pin.cli import files, options, printing
+from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Export
 from calib_pin.errors import OptionError, require_known
 from calib_pin.io import exchange, results
 from calib_pin.report.blocks import table
-
-FORMAT = options.known("format", "io.exchange:FORMATS", "list")
 
 
 def export(asked: Export) -> int:

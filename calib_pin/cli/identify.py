@@ -16,7 +16,6 @@ from calib_pin.observations import BlockKey
 from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
 from calib_pin.report.identification import identified
 from calib_pin.report.trust import below, findings, judged
-from calib_pin.validation.acceptance import judged
 from calib_pin.validation.assessment import identify as structural
 from calib_pin.validation.result import Identification
 

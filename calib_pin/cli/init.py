@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,8 @@ import typer
 from calib_pin.cli import printing
 from calib_pin.cli.asked import Init
 from calib_pin.cli.files import check_outputs, require_distinct, require_folders
-from calib_pin.errors import OptionError, enumerated, stated_in
-from calib_pin.io.columns import LENGTH
+from calib_pin.errors import InputError, OptionError, enumerated, stated_in
+from calib_pin.io.columns import LENGTH, Kind
 from calib_pin.io.first_look import Choose, Look, draft, first_look
 from calib_pin.io.setup import setup_document
 from calib_pin.io.urdf import load_robot
@@ -130,19 +131,41 @@ def _with_distances(look: Look, stated: str | None, ask: Ask) -> Look:
         raise OptionError("no place has two sockets, called PLACE/0 and PLACE/1")
     if pairs and stated is None:
         stated = ask(f"how far apart are {' and '.join(pairs[0])} (such as 50 mm)")
-    known = tuple(DistanceSetup((a, b), _length(stated or ""), SIGMA) for a, b in pairs)
+    if not pairs:
+        return look
+    (length,), _ = reading(stated or "", {"--distance": LENGTH}, "m")
+    if length <= 0.0:
+        raise OptionError("--distance is no length", value=stated)
+    known = tuple(DistanceSetup((a, b), length, SIGMA) for a, b in pairs)
     return replace(look, setup=replace(look.setup, distances=known))
 
 
-def _length(text: str) -> float:
-    """A length such as `50 mm` [m].
+def reading(text: str, kinds: Mapping[str, Kind], unit: str) -> tuple[list[float], str]:
+    """Typed numbers in SI units, and the unit they were in.
+
+    A comma is a decimal mark; blanks or semicolons separate. Where no unit is typed, it
+    is that of the reading before.
+
+    Args:
+        text: The text.
+        kinds: The columns or options that are asked for.
+        unit: The unit of the reading before; empty where there was none.
 
     Raises:
-        OptionError: If it is none.
+        InputError: If the text is something else.
     """
-    found = re.fullmatch(r"\s*([0-9.]+)\s*\[?(\w*)\]?\s*", text)
-    unit = LENGTH.units.get(found[2] or "m") if found else None
-    value = unit * (as_number(found[1]) or 0.0) if found and unit else 0.0
-    if not 0.0 < value < 100.0:
-        raise OptionError("--distance is no length", value=text, allowed="50 mm, 0.05")
-    return value
+    parts = r"(?<=[.\d])(?=(?!e[-+\d])[a-zA-Z])|[\s;\[\]]+"
+    words, names = re.sub(parts, " ", text.replace(",", ".")).split(), ", ".join(kinds)
+    if words and not re.match(r"[-+.\d]", words[-1]):
+        unit = words.pop()
+    (kind,) = {one.si: one for one in kinds.values()}.values()
+    if unit not in kind.units:
+        reason, allowed = f"say the unit of {names}", ", ".join(kind.units)
+        raise InputError(reason, value=unit, allowed=allowed)
+    given = [as_number(word) for word in words]
+    numbers = [math.nan if n is None else kind.units[unit] * n for n in given]
+    if len(numbers) != len(kinds) or not all(abs(n) <= kind.largest for n in numbers):
+        allowed = "a number for each and a unit, such as 523.5 mm, up to "
+        allowed += f"{kind.largest:g} {kind.si}"
+        raise InputError(f"{names} cannot be read", value=text, allowed=allowed)
+    return numbers, unit

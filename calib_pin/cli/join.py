@@ -14,8 +14,6 @@ from calib_pin.io import logs, table
 from calib_pin.io.table import Table
 from calib_pin.observations.joining import Joined
 
-SECONDS = (1e-3, 60)
-
 
 def join(asked: Join) -> int:
     """Do what `Join` asks for."""

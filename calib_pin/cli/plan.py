@@ -14,7 +14,6 @@ import numpy as np
 
 from calib_pin.cli import files, options, printing, results
 from calib_pin.cli.asked import Plan
-from calib_pin.cli.options import known, number
 from calib_pin.control.acceptance_poses import acceptance_poses
 from calib_pin.errors import CalibPinError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
@@ -41,16 +40,8 @@ from calib_pin.units import as_number
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.robot_state import expected_setup
 
-CRITERION = known("criterion", "planning.plan:CRITERION_NAMES")
-METHOD = known("method", "planning.search:METHODS")
-
 USUAL = 30
 """Cycles of an acceptance test."""
-
-
-def added(text: str) -> int:
-    """The value of `--add`; zero where that leaves the number to `--count`."""
-    return number(int, "--add", 1, 1000)(text) if text else 0
 
 
 ALONE = (

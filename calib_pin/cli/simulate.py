@@ -19,8 +19,6 @@ from calib_pin.simulation import draw_errors
 from calib_pin.simulation import simulate as run
 from calib_pin.validation.calibrated_model import CalibratedModel
 
-MANY = (1, 1e6)
-
 PLACES = ("chain", "station", "tool")
 """Columns of a file that say which block measures a configuration."""
 

@@ -29,6 +29,8 @@ from calib_pin.io.json_text import Json, format_keys
 from calib_pin.io.results import read_result, written_before
 from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.observations import BlockKey, Indices
@@ -65,7 +67,7 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     if asked.avoid_collisions:
         obstacles = stated.obstacles or model.setup.obstacles
         collisions = asked.collisions(chain, obstacles, stated.file or str(file))
-        ways = files.ways_of("--avoid-collisions", chain, collisions)
+        ways = ways_of("--avoid-collisions", chain, collisions)
     with printing.progress_bar(quiet=asked.quiet) as bar:
         found = commands(asked, model, targets, ways, printing.stage(bar, "compensate"))
         (rows,) = np.nonzero(found.good)
@@ -318,3 +320,32 @@ def _spread(values: Floats) -> dict[str, float] | None:
     """Mean and largest of the known values; None where none is known."""
     known = values[np.isfinite(values)]
     return {"mean": known.mean(), "max": known.max()} if len(known) else None
+
+
+def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:
+    """The ways of a chain on which nothing is touched.
+
+    Raises:
+        OptionError: If its URDF describes no solids, or a joint follows one elsewhere.
+    """
+    chains = Chains.of(chain)
+    if len(chains.joints) > len(chain.joints):
+        reason = f"{option} needs the joints that others mimic in the chain"
+        raise OptionError(reason, value=chains.joints[-1])
+    solid = require_solids(option, chains, collisions)
+    return Ways(chains, solid, chain.lower, chain.upper)
+
+
+def require_solids(
+    option: str, chains: Chains, collisions: Collisions | None
+) -> Collisions:
+    """The collisions of a robot.
+
+    Raises:
+        OptionError: If its URDF describes no solids, which an option needs.
+    """
+    if collisions is None:
+        reason = f"{option} needs the solids of the robot, and the URDF has none"
+        file, allowed = chains.robot.file, "<collision> in its links"
+        raise OptionError(reason, file=file, allowed=allowed)
+    return collisions

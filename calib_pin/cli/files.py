@@ -21,13 +21,10 @@ from calib_pin.io.measured_columns import asked_models
 from calib_pin.io.measurements import read_measurements
 from calib_pin.io.setup import read_setup
 from calib_pin.io.urdf import load_chains, locate_robot
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey, Observations
-from calib_pin.planning.travel import Ways
 from calib_pin.setup import WORLD, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult
@@ -359,32 +356,3 @@ def exists(path: Path) -> bool:
         return path.exists()
     except (OSError, ValueError):
         return False  # Whatever is wrong with it, writing will tell.
-
-
-def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:
-    """The ways of a chain on which nothing is touched.
-
-    Raises:
-        OptionError: If its URDF describes no solids, or a joint follows one elsewhere.
-    """
-    chains = Chains.of(chain)
-    if len(chains.joints) > len(chain.joints):
-        reason = f"{option} needs the joints that others mimic in the chain"
-        raise OptionError(reason, value=chains.joints[-1])
-    solid = require_solids(option, chains, collisions)
-    return Ways(chains, solid, chain.lower, chain.upper)
-
-
-def require_solids(
-    option: str, chains: Chains, collisions: Collisions | None
-) -> Collisions:
-    """The collisions of a robot.
-
-    Raises:
-        OptionError: If its URDF describes no solids, which an option needs.
-    """
-    if collisions is None:
-        reason = f"{option} needs the solids of the robot, and the URDF has none"
-        file, allowed = chains.robot.file, "<collision> in its links"
-        raise OptionError(reason, file=file, allowed=allowed)
-    return collisions

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib_pin.cli import files, options, printing, results
 from calib_pin.cli.asked import Plan
+from calib_pin.cli.compensate import require_solids, ways_of
 from calib_pin.control.acceptance_poses import acceptance_poses
 from calib_pin.errors import CalibPinError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
@@ -95,7 +96,7 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     if asked.accept:
         return _acceptance(asked, chains, stated, collisions, command)
     if asked.motion is not None:
-        files.require_solids("--motion", chains, collisions)
+        require_solids("--motion", chains, collisions)
     if asked.tests is not None:
         about = stated.joints, stated.columns
         poses = measurements.read_configurations(asked.tests, chains, *about)
@@ -274,7 +275,7 @@ def _acceptance(
     lower, upper = joint_limits(problem)
     ways = None
     if collisions is not None:
-        ways = files.ways_of("--accept", chain, collisions)
+        ways = ways_of("--accept", chain, collisions)
     (term,) = problem.terms.values()
     found = acceptance_poses(
         chain,

@@ -9,7 +9,7 @@ from dataclasses import replace
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from calib_pin.cli.files import check_outputs, exists
 from calib_pin.cli.printing import Bar, notice
@@ -21,9 +21,11 @@ from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name, written_b
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Shape
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.report.figures import Drawn
 from calib_pin.setup import ReportSetup
 from calib_pin.validation.result import CalibrationResult, Provenance
+
+if TYPE_CHECKING:  # Drawing loads slowly, and is not always asked for.
+    from calib_pin.report.figures import Drawn
 
 
 class ResultFiles(NamedTuple):

@@ -19,7 +19,6 @@ import calib_pin.cli.options as options
 import calib_pin.guidance as guidance
 from calib_pin.cli.asked import Calibrate, Watch
 from calib_pin.cli.calibrate import calibrate
-from calib_pin.cli.detect import images_of
 from calib_pin.cli.options import Request
 from calib_pin.cli.printing import console, notice, say, taken_notices
 from calib_pin.cli.requests import Opened, opened
@@ -70,6 +69,8 @@ def watch(asked: Watch) -> int:
     own = options.same(asked, Request)
     before: Callable[[], object] = partial(time.sleep, PAUSE)
     if asked.board is not None:
+        from calib_pin.cli.detect import images_of
+
         folder = asked.measurements[0]
         file, before = images_of(folder, asked.board, asked.joints, PAUSE)
         own["measurements"] = [file]

@@ -324,7 +324,7 @@ class Plan(
         start: Plan for a calibration that goes on from this older one.
         tests: Configurations where the robot is to be accurate; by default everywhere.
         accept: Plan an acceptance test instead: five poses of a cube, and its schedule.
-        cycles: Visits of each pose of an acceptance test; default 30.
+        cycles: Visits of each pose of an acceptance test.
         distance: Least distance between configurations, as the largest movement of a
             joint [rad, m].
         limits: Narrower joint limits, such as 'joint_*=-2:2' or
@@ -345,7 +345,7 @@ class Plan(
     start: Annotated[Path | None, Told("CALIBRATION", "Plan")] = None
     tests: Annotated[Path | None, Told("CSV", "Plan")] = None
     accept: Annotated[bool, Told("", "Plan")] = False
-    cycles: Annotated[int | None, Told("N", "Plan", (3, 1000))] = None
+    cycles: Annotated[int, Told("N", "Plan", (3, 1000))] = 30
     distance: Annotated[float, Told("D", "Constraints", (0, 10))] = 0.0
     limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
     ignore_collisions: Annotated[bool, Told("", "Constraints")] = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from itertools import product
@@ -28,6 +29,8 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import WORLD, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult
+
+exists = os.path.exists  # False also where that cannot be determined.
 
 FLAGS = ("base", "tip", "model", "parameters", "solver", "loss", "learned")
 """Settings that flags may state in place of a setup file."""
@@ -348,11 +351,3 @@ def _same(first: Path, second: Path) -> bool:
         return first.samefile(second)
     except (OSError, ValueError):
         return False  # One of them does not exist.
-
-
-def exists(path: Path) -> bool:
-    """Whether a file or folder exists; False where that cannot be determined."""
-    try:
-        return path.exists()
-    except (OSError, ValueError):
-        return False  # Whatever is wrong with it, writing will tell.

@@ -41,9 +41,7 @@ from calib_pin.units import as_number
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.robot_state import expected_setup
 
-USUAL = 30
-"""Cycles of an acceptance test."""
-
+UNCHECKED = "--ignore-collisions contradicts"
 
 ALONE = (
     *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
@@ -54,29 +52,24 @@ ALONE = (
 
 def check(asked: Plan) -> None:
     """Refuse options that exclude one another."""
-    alone = (n for n in ALONE if getattr(asked, n) != getattr(Plan, n))
-    reason = ""
-    if asked.accept and (name := next(alone, None)):
-        option = options.as_option(name)
-        reason = f"--accept plans an acceptance test, without {option}"
-    elif asked.accept:
-        pass
-    elif asked.cycles is not None:
-        reason = "--cycles belongs to --accept"
-    elif asked.add is not None and not asked.to:
-        reason = "--add needs the measurements to add to: --to CSV"
-    elif asked.to and asked.add is None:
-        reason = "--to names measurements; say how many to add with --add N"
-    elif asked.add and asked.count not in (None, asked.add):
-        reason = f"--add {asked.add} and --count {asked.count} contradict each other"
-    elif not (asked.add or asked.count):
-        reason = "say how many configurations to plan with --count N"
-    if asked.ignore_collisions and asked.motion is not None:
-        reason = reason or "--ignore-collisions contradicts --motion"
-    if reason:
-        raise OptionError(reason)
+    alone, add, count, to = "", asked.add, asked.count, asked.to
+    for name in reversed(ALONE):
+        if getattr(asked, name) != getattr(Plan, name):
+            alone = options.as_option(name)
+    many, other = "say how many", not asked.accept
+    for wrong, reason in (
+        (alone and not other, f"--accept plans an acceptance test, without {alone}"),
+        (other and asked.cycles != Plan.cycles, "--cycles belongs to --accept"),
+        (add is not None and not to, "--add needs measurements to add to: --to CSV"),
+        (to and add is None, f"--to names measurements; {many} to add with --add N"),
+        (add and count not in (None, add), f"--add {add} contradicts --count {count}"),
+        (other and not (add or count), f"{many} configurations to plan with --count N"),
+        (asked.motion and asked.ignore_collisions, f"{UNCHECKED} --motion"),
+    ):
+        if wrong:
+            raise OptionError(reason)
     if asked.ignore_collisions:
-        asked.refuse_unused("--ignore-collisions contradicts")
+        asked.refuse_unused(UNCHECKED)
 
 
 def plan(asked: Plan, words: Sequence[str]) -> int:
@@ -293,7 +286,7 @@ def _acceptance(
     for name in ("setup", "base", "tip"):
         if (value := getattr(asked, name)) is not None:
             words += [f"--{name}", str(value)]
-    cycles, robot = asked.cycles or USUAL, chains.robot.name
+    cycles, robot = asked.cycles, chains.robot.name
     schedule = acceptance_schedule(found, robot, cycles, speeds, shlex.join(words))
     q, poses, each = found.cycles(cycles)
     shown = shown_columns(q, JointColumns.of(chain, setup.joints), asked.degrees)

@@ -54,9 +54,6 @@ NOTHING = "(choose)"
 
 OUT, SETUP, ALL = Path("calibrated"), Path("setup.yaml"), "calibrated.zip"
 
-PAUSE = 1.0
-"""Time between two looks at files that are followed [s]."""
-
 LAST, STANDING = 6, ("waiting", "state", "next")
 """Lines on the latest rows of a file that is followed, and what stands above them."""
 
@@ -134,7 +131,6 @@ class Job:
         self._stage: tuple[str, float | None] | None = None
         self._watch: Watch | None = None
         self._seen: Opened | None = None
-        self._waited = 0.0
 
     # --- what a person does --------------------------------------------------------
 
@@ -306,11 +302,9 @@ class Job:
 
     # --- what is shown -------------------------------------------------------------
 
-    def sections(self, seconds: float) -> Iterator[Section]:
-        """All sections of the page, some seconds after the last time."""
-        self._waited += seconds
-        if self._watch is not None and self._stage is None and self._waited > PAUSE:
-            self._waited = 0.0
+    def sections(self) -> Iterator[Section]:
+        """All sections of the page; files that are followed are looked at."""
+        if self._watch is not None and self._stage is None:
             self._do(self._look, "")
         yield Section("Result", [*self._result()])
         yield Section("Now", [*self._now()])
@@ -331,9 +325,9 @@ class Job:
             return
         if self.problem:
             yield words(self.problem, "error")
-        if read.question:
-            do, asked = self._answer, (read.question,)
-            yield Widget("entry", "take this length", choices=asked, do=do)
+        if asked := read.question:
+            do = partial(self._take, "distance")
+            yield Widget("entry", "take this length", choices=(asked,), do=do)
         for remark in self._remarks:
             yield words(remark, "note")
         if not self.chosen.robot:
@@ -427,14 +421,13 @@ class Job:
 
     def _lines(self) -> Iterator[Widget]:
         if self.chosen.measurements:
-            yield Widget("lines", "use these lines", self.read.text, do=self._write)
+            do = partial(self._take, "text")
+            yield Widget("lines", "use these lines", self.read.text, do=do)
             yield self._links({SETUP.name: SETUP.name})
 
-    def _answer(self, distance: str) -> None:
-        self.choose(distance=distance)
-
-    def _write(self, text: str) -> None:
-        self.choose(text=text.strip() and text, changes={})
+    def _take(self, key: str, text: str) -> None:
+        changes = {} if key == "text" else self.chosen.changes
+        self.choose(**{key: text.strip() and text}, changes=changes)
 
     def _links(self, names: Mapping[str, str], tone: str = "plain") -> Widget:
         """Links to those of the files that are there, by what stands on them."""

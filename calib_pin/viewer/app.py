@@ -96,14 +96,14 @@ class Page:
     Args:
         viewer: Where widgets and the scene of the tab are added.
         camera: Its camera.
-        sections: All sections in their order, some seconds after the last time.
+        sections: All sections in their order.
     """
 
     def __init__(
         self,
         viewer: viser.ViserServer | viser.ClientHandle,
         camera: viser.InitialCameraConfig | viser.CameraHandle,
-        sections: Callable[[float], Iterable[Section]],
+        sections: Callable[[], Iterable[Section]],
     ) -> None:
         """Nothing is drawn before the first tick."""
         self._viewer, self._camera, self._sections = viewer, camera, sections
@@ -119,9 +119,9 @@ class Page:
         self._waited += seconds
         if self._waited < PAUSE:
             return
-        waited, self._waited = self._waited, 0.0
+        self._waited = 0.0
         with self._viewer.atomic():
-            for order, section in enumerate(self._sections(waited)):
+            for order, section in enumerate(self._sections()):
                 self._show(section, order)
 
     def _show(self, section: Section, order: int) -> None:

@@ -34,7 +34,7 @@ class Tab:
 
     def shown(self, title: str) -> list[Widget]:
         """The widgets of a section."""
-        (found,) = (s for s in self.job.sections(0.0) if s.title == title)
+        (found,) = (s for s in self.job.sections() if s.title == title)
         return [*found.widgets]
 
     def said(self, title: str) -> str:
@@ -265,12 +265,12 @@ def test_files_are_followed_while_they_are_written(tab, tmp_path):
     tab.job.add("live.csv")
     (follow,) = tab.shown("While it is measured")
     follow.do()
-    [*tab.job.sections(10.0)]
+    [*tab.job.sections()]
     told = tab.said("While it is measured")
     assert told
     with file.open("ab") as stream:
         stream.write(one)
-    [*tab.job.sections(10.0)]
+    [*tab.job.sections()]
     assert tab.said("While it is measured") != told
     assert len(tab.job.scene.rows.data) == 22
 
@@ -312,7 +312,7 @@ def test_only_sections_that_changed_are_drawn_again(scene, viser_server, monkeyp
     ]
     told = SimpleNamespace(view=[], shown=[])
 
-    def sections(_: float) -> list[Section]:
+    def sections() -> list[Section]:
         shown = {"One": told.shown, "Two": every, "View": told.view}
         return [Section(title, widgets) for title, widgets in shown.items()]
 

@@ -23,7 +23,7 @@ from calib_pin.cli.options import Request
 from calib_pin.cli.printing import console, notice, say, taken_notices
 from calib_pin.cli.requests import Opened, opened
 from calib_pin.cli.typed import typed
-from calib_pin.errors import InputError, OptionError, RobotError
+from calib_pin.errors import InputError, OptionError, RobotError, enumerated
 from calib_pin.guidance import Event
 from calib_pin.guidance.proposals import Proposals
 
@@ -89,6 +89,11 @@ def watch(asked: Watch) -> int:
     job = watched(request, asked.plan, asked.limit, srdf=asked.srdf)
     lines = asked.type or asked.json or asked.quiet or not sys.stdout.isatty()
     live = None if lines else console()
+    if live is not None and not asked.once:
+        end = f"writes {asked.output}" if asked.output else "prints the result"
+        live.print(
+            f"following {enumerated(map(str, request.measurements))}; Ctrl-C {end}"
+        )
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
         follow(job, tell, before if not asked.once else None)
     if job.fit is None:

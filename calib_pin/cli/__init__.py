@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     from typer.exceptions import TyperException
 
-    from calib_pin.cli.app import application
+    from calib_pin.cli.application import application
     from calib_pin.cli.printing import complaint, taken_notices, tell_notices
 
     taken_notices()

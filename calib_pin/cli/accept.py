@@ -3,55 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
-from calib_pin.cli import files, options, printing
-from calib_pin.cli.options import Told
+from calib_pin.cli import files, printing
+from calib_pin.cli.asked import Accept
+from calib_pin.cli.results import dated
 from calib_pin.errors import stated_in
+from calib_pin.io import json_text, measurements, results
+from calib_pin.io.json_text import Json, format_keys
+from calib_pin.io.table import read_table
+from calib_pin.report import acceptance_text, figures, html
+from calib_pin.report.cover import acceptance_cover
+from calib_pin.report.pdf import MISSING, can_write_pdf, pdf_report
+from calib_pin.setup import LimitSetup
+from calib_pin.validation import acceptance
+from calib_pin.validation.acceptance import Acceptance, judged
 
 NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Accept(options.QuietAnswer, options.OfCalibration):
-    """An acceptance test as it is asked for.
-
-    Attributes:
-        measurements: CSV files with the visits of poses, in their order.
-        output: Folder for acceptance.json, .csv, .html and .pdf; without it the test is
-            only printed.
-        register: Fit the station of a calibration anew, never its tool.
-        path: The poses are points of a path, measured in every cycle: AT, RT.
-    """
-
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
-    output: Annotated[Path | None, Told("DIR", "Output")] = None
-    register: Annotated[bool, Told("", "Robot")] = False
-    path: Annotated[bool, Told("", "Robot")] = False
-
-
-@options.spread
 def accept(asked: Accept) -> int:
-    """Test how accurately and repeatably a robot reaches poses, as ISO 9283 has it.
-
-    Measurements of the same configuration are visits of one pose; columns 'pose' and
-    'cycle' number them. The commanded pose is that of the robot's model, with base and
-    tool of a calibration, or of the setup ('frames'), or registered on measurements
-    that a column 'set' marks 'train' beside visits marked 'validate'. Otherwise they
-    are fitted to the visits, and AP is not testable. 'limit' in the setup says what
-    must be reached, 'report' what stands on the printed report; without it both are
-    those of the calibration. A certified test needs the standard itself. Exit status 2:
-    a limit is not reached, or the test does not decide.
-    """
-    from calib_pin.cli.documents import acceptance_document
-    from calib_pin.io import json_text, measurements, results
-    from calib_pin.report import acceptance_text, figures, html
-    from calib_pin.report.cover import acceptance_cover
-    from calib_pin.report.pdf import MISSING, can_write_pdf, pdf_report
-    from calib_pin.validation import acceptance
-
+    """Do what `Accept` asks for."""
     rows_in, output, path = asked.measurements, asked.output, asked.path
     doubts = list[str]()
     calibrated, chains, used = asked.subject(doubts.append, None, "limit", "report")
@@ -81,7 +54,7 @@ def accept(asked: Accept) -> int:
     contents = {}
     if made:
         figure = next(figures.drawn("acceptance", tests, limit, path))
-        about = options.dated(entries), found.about
+        about = dated(entries), found.about
         cover = acceptance_cover(
             tests, limit, chains.robot, *about, path=path, figure=figure
         )
@@ -111,8 +84,6 @@ def _named(
     files: list[Path], columns: Mapping[str, str]
 ) -> dict[str, dict[tuple[str, int], int]]:
     """Numbers in columns `pose`, `P5` or `5`, and `cycle`, by file and line."""
-    from calib_pin.io.table import read_table
-
     named: dict[str, dict[tuple[str, int], int]] = {"pose": {}, "cycle": {}}
     for table in (read_table(file, columns=columns) for file in files):
         for column, names in table.texts(named).items():
@@ -121,3 +92,16 @@ def _named(
                 if digits.isdecimal() and len(digits) < 6:
                     named[column][table.file, line] = int(digits)
     return named
+
+
+def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> Json:
+    """The numbers of an acceptance test, in SI units."""
+    *_, last = tests.values()
+    return {
+        **format_keys("calib-pin/acceptance"),
+        "limits": [
+            {"quantity": name, "status": status, "limit": allowed, "unit": unit}
+            for name, status, _, allowed, unit in judged(last, limit)
+        ],
+        "tests": tests,
+    }

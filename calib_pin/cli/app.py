@@ -1,160 +1,48 @@
-"""The application and its commands; imports nothing heavy, so that help is fast."""
+"""`calib-pin app`: `init`, `calibrate`, `view` and `watch` behind a page."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import unquote
 
-import typer
-from typer.core import TyperCommand
+from calib_pin.cli.asked import App
+from calib_pin.cli.view import require_viser, serve
 
-from calib_pin.cli.accept import accept
-from calib_pin.cli.calibrate import calibrate
-from calib_pin.cli.compare import compare
-from calib_pin.cli.compensate import compensate
-from calib_pin.cli.detect import detect
-from calib_pin.cli.evaluate import evaluate
-from calib_pin.cli.export import export
-from calib_pin.cli.fleet import fleet
-from calib_pin.cli.identify import identify
-from calib_pin.cli.init import init
-from calib_pin.cli.join import join
-from calib_pin.cli.page import app
-from calib_pin.cli.plan import plan
-from calib_pin.cli.report import report
-from calib_pin.cli.robots import robots
-from calib_pin.cli.simulate import simulate
-from calib_pin.cli.view import view
-from calib_pin.cli.watch import watch
-from calib_pin.errors import OptionError
-from calib_pin.plugins import extensions
-
-COMMANDS: dict[Callable[..., int | None], str] = {
-    init: "Draft a setup file from a robot and its measurements.",
-    calibrate: "Fit a robot to measurements and write the corrected URDF.",
-    watch: "Follow measurements while they are taken.",
-    identify: "Print which parameters are identifiable.",
-    evaluate: "Print the accuracy of a robot or a calibration on measurements.",
-    accept: "Test repeated poses in the terms of ISO 9283.",
-    simulate: "Simulate measurements of a robot with known errors.",
-    detect: "Find the corners of boards and tags in images.",
-    join: "Join two logs by time to a measurement file.",
-    plan: "Choose optimal calibration configurations.",
-    compensate: "Find joint commands that reach targets on the real robot.",
-    export: "Write a calibration as other software loads it.",
-    fleet: "Calibrate many robots, or simulate them before a purchase.",
-    compare: "Print the difference between two calibrations of a robot.",
-    report: "Write the page and figures of a calibration again.",
-    view: "Show a robot, its errors and a plan in the browser.",
-    app: "Calibrate in a page of the browser.",
-    robots: "List the bundled robots.",
-}
-
-ORDER = dict(Arguments=0, Robot=1, Constraints=3, Workers=4, Output=5, Other=6)
-"""Place of the headings of `--help`; those of a single command stand between."""
+TYPES, BYTES = {".html": "text/html; charset=utf-8"}, "application/octet-stream"
 
 
-def application(words: Sequence[str]) -> typer.Typer:
-    """The application, as far as a command line needs it.
+def app(asked: App) -> int:
+    """Do what `App` asks for."""
+    require_viser()
+    from calib_pin.cli.page_job import Job
+    from calib_pin.viewer.app import Page
+    from calib_pin.viewer.server import Window
 
-    Where it begins with a command, the others are left out: building all their options
-    takes a while.
-    """
-    made = typer.Typer(
-        name="calib-pin",
-        rich_markup_mode=None,
-        pretty_exceptions_enable=False,
-    )
-    made.callback(
-        invoke_without_command=True,
-        epilog="Lengths are in m and angles in rad unless another unit is given. "
-        "Exit status: 0 good, 1 wrong input or option, 2 the result must not be "
-        "trusted.",
-    )(overview)
-    commands = {command.__name__: command for command in COMMANDS}
-    for name in commands.keys() & set(words[:1]) or commands:
-        summary = COMMANDS[commands[name]]
-        made.command(name, cls=Command, short_help=summary)(commands[name])
-    return made
+    jobs, start = dict[str, Job](), Path.cwd()
 
+    def file(path: str) -> tuple[str, bytes] | None:
+        tab, _, name = unquote(path[1:]).partition("/")
+        content = jobs[tab].files.get(name) if tab in jobs else None
+        return None if content is None else (TYPES.get(name[-5:], BYTES), content)
 
-def overview(
-    context: typer.Context,
-    show: bool = typer.Option(False, "--version", help="Print the version."),
-    _debug: bool = typer.Option(False, "--debug", help="Show tracebacks."),
-) -> None:
-    """Calibrate a robot's URDF from measurements."""
-    if show:
-        from importlib.metadata import version
+    def page(client: Any, tab: str) -> Callable[[float], None]:
+        if tab not in jobs:
+            own, to = Path(folder, str(len(jobs))), f"/{tab}/{{}}?token={window.token}"
+            own.mkdir()
+            jobs[tab] = Job(own, start, to, worker.submit)
+        return Page(client, client.camera, jobs[tab].sections).tick
 
-        typer.echo(f"calib-pin {version('calib-pin')}")
-        raise typer.Exit
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
-
-
-class Command(TyperCommand):
-    """A command whose help reads `ROBOT MEASUREMENTS...`, with options by topic."""
-
-    def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """The words of the usage line."""
-        arguments = [p for p in self.get_params(ctx) if p.param_type_name != "option"]
-        return ["[OPTIONS]", *(argument.metavar or "" for argument in arguments)]
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Let an option whose value stands in brackets do without one.
-
-        Words like `name:=value`, wherever they stand, belong to the robot.
-        """
-        own = [word for word in args if _is_argument(word)]
-        args = [word for word in args if word not in own]
-        alone = {
-            name
-            for param in self.get_params(ctx)
-            if param.param_type_name == "option" and str(param.metavar)[:1] == "["
-            for name in param.opts
-        }
-        words = []
-        for word, following in zip(args, [*args[1:], "-"], strict=False):
-            words.append(word)
-            if word in alone and following.startswith("-"):
-                words.append("")
-        rest = super().parse_args(ctx, words)
-        if own and "robot" not in ctx.params:
-            reason = f"{own[0]} is an argument of a robot, and this command takes none"
-            raise OptionError(reason)
-        if own:
-            ctx.params["robot"] = " ".join([ctx.params["robot"], *own])
-        return rest
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Arguments, then the options under the heading of their help panel."""
-        topics: dict[str, list[tuple[str, str]]] = {}
-        for param in self.get_params(ctx):
-            if param.param_type_name != "option":
-                row = (param.metavar or "", getattr(param, "help", None) or "")
-                topics.setdefault("Arguments", []).append(row)
-            elif record := param.get_help_record(ctx):
-                topic = getattr(param, "rich_help_panel", None) or "Other"
-                topics.setdefault(topic, []).append((record[0], _filled(record[1])))
-        for topic, rows in sorted(topics.items(), key=lambda t: ORDER.get(t[0], 2)):
-            with formatter.section(topic):
-                formatter.write_dl(rows)
-
-
-def _is_argument(word: str) -> bool:
-    """Whether a word is an argument of a xacro file; loads little for those without."""
-    if ":=" not in word:
-        return False
-    from calib_pin.io.urdf import ARGUMENT
-
-    return ARGUMENT.fullmatch(word) is not None
-
-
-def _filled(text: str) -> str:
-    """A help text, in its braces the parameterizations of other packages."""
-    if "{}" not in text:
-        return text
-    outside = extensions("calib_pin.parameterizations").items()
-    kinds = ([n for n, m in outside if m.geometric is kind] for kind in (True, False))
-    return text.format(*("".join(f", {name}" for name in names) for names in kinds))
+    # One worker: jobs share remarks, the working folder and the processors.
+    worker = ThreadPoolExecutor(1)
+    with TemporaryDirectory(prefix="calib-pin-") as folder:
+        window = Window("calib-pin", asked.port, file)
+        window.welcome(page)
+        serve(asked, window)
+        for job in jobs.values():
+            job.stopped.set()
+        worker.shutdown(cancel_futures=True)
+    return 0

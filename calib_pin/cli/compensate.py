@@ -2,209 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import cast
 
-import typer
+import numpy as np
 
-from calib_pin.cli import files, options, printing
-from calib_pin.cli.options import Told, known, number
+import calib_pin.control.compensation as compensation
+import calib_pin.report.compensation_text as texts
+from calib_pin.cli import files, printing
+from calib_pin.cli.asked import FRAMES, POINTS, Compensate
+from calib_pin.control import calibrated, joints
+from calib_pin.control.calibrated import (
+    Frame,
+    Point,
+    block_of,
+    model_errors,
+    with_payload,
+)
+from calib_pin.control.compensation import Compensation
 from calib_pin.errors import OptionError
-
-if TYPE_CHECKING:
-    from calib_pin.control.calibrated import Frame, Point
-    from calib_pin.control.compensation import Compensation
-    from calib_pin.io.targets import Targets
-    from calib_pin.kinematics.chain import Chain
-    from calib_pin.kinematics.spatial import Floats
-    from calib_pin.observations import BlockKey, Indices
-    from calib_pin.planning.travel import Ways
-    from calib_pin.progress import Progress
-    from calib_pin.report.blocks import Block
-    from calib_pin.setup import Setup
-    from calib_pin.validation.calibrated_model import CalibratedChain
-    from calib_pin.validation.result import CalibrationResult
+from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.io.exchange.motions import PROGRAMS, moving_times, paced, speed_limits
+from calib_pin.io.json_text import Json, format_keys
+from calib_pin.io.results import read_result, written_before
+from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.collision import Collisions
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import declared
+from calib_pin.observations import BlockKey, Indices
+from calib_pin.planning.travel import Passage, Ways
+from calib_pin.progress import Progress
+from calib_pin.report import blocks, trust
+from calib_pin.report.blocks import Block
+from calib_pin.report.compensation_text import line_list
+from calib_pin.setup import Setup
+from calib_pin.validation.calibrated_model import CalibratedChain
+from calib_pin.validation.result import CalibrationResult
 
 SPEED = 0.25
 """Part of the joint speeds at which programs move."""
 
-FRAMES, POINTS = ("measuring", "base"), ("tool", "tip")
-"""Frames of targets, and points that are brought there; the usual ones first."""
 
-PART = number(float, "--speed", "0.001 to 1", 1e-3, 1.0)
-FORMAT = known("format", "io.exchange.motions:PROGRAMS", "csv")
-FRAME, POINT = known("frame", "", *FRAMES), known("point", "", *POINTS)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Commands(options.Untouched, options.InDegrees, options.OfChain):
-    """Commands as they are asked for.
-
-    Attributes:
-        calibration: A calibration.
-        targets: CSV file of positions or poses (optionally with joint positions to
-            start from), or of joint positions alone: a motion of the nominal robot.
-        output: File of joint commands to write.
-        setup: Setup file (YAML); options override it.
-        frame: Frame of the targets: measuring (default), that of the measurements, or
-            base, the base link.
-        point: Point to bring there: tool (default), the measured point, or tip, the tip
-            link.
-        payload: Payload of the robot, by its name in the setup of the calibration; none
-            for nothing.
-        station: Station in whose measurement frame the targets are; default the first.
-        tool: Tool to bring there; default the first.
-        position: Reach positions only, with any orientation.
-        avoid_collisions: Touch neither the robot itself nor the obstacles of the setup,
-            at targets and between them: via configurations are added.
-        format: csv (default); urscript, a program of moves; joint-trajectory, a message
-            of ROS (YAML).
-        speed: Part of the URDF's joint speeds at which commands follow one another: of
-            programs (default 0.25, or the file's own times), in CSV a column 'time'.
-    """
-
-    calibration: Annotated[Path, Told("calibration.json", "")]
-    targets: Annotated[Path, Told("TARGETS", "")]
-    output: Annotated[Path, Told("CSV", "Output")]
-    setup: Annotated[Path | None, Told("FILE", "Robot")] = None
-    frame: Annotated[str | None, Told("NAME", "Targets", FRAME)] = None
-    point: Annotated[str | None, Told("NAME", "Targets", POINT)] = None
-    payload: Annotated[str | None, Told("NAME", "Targets")] = None
-    station: Annotated[str | None, Told("NAME", "Targets")] = None
-    tool: Annotated[str | None, Told("NAME", "Targets")] = None
-    position: Annotated[bool, Told("", "Targets")] = False
-    avoid_collisions: Annotated[bool, Told("", "Constraints")] = False
-    format: Annotated[str, Told("NAME", "Output", FORMAT)] = "csv"
-    speed: Annotated[float | None, Told("PART", "Output", PART)] = None
-
-    def checked(self) -> Setup:
-        """The setup, of options that go together and files that may be written."""
-        if self.format != "csv" and self.degrees:
-            raise OptionError("--degrees is for --format csv")
-        stated, avoided = files.open_setup(self.setup), self.avoid_collisions
-        files.require_folders(self.package_dir or [])
-        if not avoided:
-            self.refuse_unused("--avoid-collisions belongs to", "package_dir")
-        files.require_joints_only(self.setup, stated, *["obstacles"] * avoided)
-        files.require_file(self.calibration)
-        inputs = (self.calibration, self.targets, self.setup, self.srdf)
-        files.check_outputs([self.output], inputs, self.force)
-        return stated
-
-    def read(
-        self, model: CalibratedChain, stated: Setup
-    ) -> tuple[Targets, Floats | None]:
-        """The targets, and when they are reached if the file says so, (N,) [s]."""
-        import numpy as np
-
-        from calib_pin.io.targets import read_target_file, read_times
-
-        file = self.targets
-        targets = read_target_file(
-            file,
-            model.chain,
-            columns=stated.columns or model.setup.columns,
-            joints=stated.joints or model.setup.joints,
-            base=None if self.frame == "base" else model.error.base.translation,
-            notice=None if self.quiet else printing.notice,
-        )
-        motion, csv, times = targets.T is None, self.format == "csv", None
-        if motion and (self.frame or self.point) is not None:
-            reason = "the file holds joint positions only, and --frame and --point are "
-            raise OptionError(f"{reason}for targets", file=file)
-        if motion or not csv:
-            times = read_times(targets)
-        if times is not None and self.speed is not None:
-            if csv:
-                raise OptionError("--speed: the motion has times of its own", file=file)
-            times = None
-        # A file that cannot be written must not turn up after the work.
-        still = np.zeros((1, len(model.chain.joints)))
-        q = still if targets.q is None else targets.q[:1]
-        first = None if times is None else times[:1]
-        self.encoded(model.chain, targets, q, np.array([0]), first)
-        return targets, times
-
-    def found(
-        self,
-        model: CalibratedChain,
-        targets: Targets,
-        ways: Ways | None,
-        progress: Progress | None,
-    ) -> Compensation:
-        """The commands for targets, or for a motion of the nominal robot."""
-        from calib_pin.control.compensation import compensate, follow
-
-        free = None if ways is None else ways.collisions.free
-        if targets.T is None:
-            assert targets.q is not None
-            oriented = not self.position and len(targets.columns.tells) >= 6
-            return follow(
-                model, targets.q, orientation=oriented, free=free, progress=progress
-            )
-        return compensate(
-            model,
-            targets.T,
-            targets.q,
-            frame=cast("Frame", self.frame or FRAMES[0]),
-            point=cast("Point", self.point or POINTS[0]),
-            orientation=targets.oriented and not self.position,
-            free=free,
-            progress=progress,
-        )
-
-    def encoded(
-        self,
-        chain: Chain,
-        targets: Targets,
-        q: Floats,
-        row: Indices,
-        times: Floats | None,
-        comments: Sequence[str] = (),
-    ) -> bytes:
-        """The file of commands (M, n), of rows of the targets (M,), by times (M,)."""
-        from calib_pin.io.exchange.motions import PROGRAMS, moving_times, speed_limits
-        from calib_pin.io.targets import encode_commands
-
-        part = SPEED if self.speed is None else self.speed
-        if self.format != "csv":
-            program = PROGRAMS[self.format]
-            return program(chain, targets.columns, q, part, comments, times)
-        if self.speed is not None:
-            times = moving_times(q, speed_limits(chain, part))
-        elif targets.T is None:
-            times = None  # The motion keeps its own.
-        encode = partial(encode_commands, degrees=self.degrees, times=times)
-        return encode(targets, q, row, comments=comments)
-
-
-@options.spread
-def compensate(asked: Commands, context: typer.Context) -> int:
-    """Find the joint commands that bring the real robot to targets.
-
-    Commands for targets have a column 'row', the line of the target, empty where a
-    command only leads around something. A motion keeps its other columns; its commands
-    bring the tip link to where that of the nominal robot would be in the base link
-    (with fewer than six joints: its position), as exactly as base and tool are known.
-    Exit status 2: a target cannot be reached (only the others are written, of a motion
-    none), no way to it is free or the calibration must not be trusted (no command is
-    written).
-    """
-    import numpy as np
-
-    import calib_pin.report.compensation_text as texts
-    from calib_pin.cli.documents import compensation_document
-    from calib_pin.control.calibrated import block_of, model_errors, with_payload
-    from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.exchange.motions import paced
-    from calib_pin.io.results import read_result, written_before
-    from calib_pin.planning.travel import Passage
-    from calib_pin.report import blocks, trust
-
-    stated, file, output = asked.checked(), asked.calibration, asked.output
+def compensate(asked: Compensate, words: Sequence[str]) -> int:
+    """Do what `Compensate` asks for."""
+    stated, file, output = checked(asked), asked.calibration, asked.output
     result = read_result(file)
     doubt = ""
     if result.verdict not in TRUSTED:
@@ -214,7 +59,7 @@ def compensate(asked: Commands, context: typer.Context) -> int:
     chain, robot = model.chain, model.chain.robot.file
     own: list[str | Path] = [robot, file.parent / robot, *written_before(file)]
     files.check_outputs([output], own, asked.force)
-    targets, timed = asked.read(model, stated)
+    targets, timed = read(asked, model, stated)
     motion, lines = targets.T is None, targets.table.lines
     for remark in _remarks(asked, result, key, targets, chain):
         asked.tell(remark)
@@ -222,9 +67,9 @@ def compensate(asked: Commands, context: typer.Context) -> int:
     if asked.avoid_collisions:
         obstacles = stated.obstacles or model.setup.obstacles
         collisions = asked.collisions(chain, obstacles, stated.file or str(file))
-        ways = options.ways_of("--avoid-collisions", chain, collisions)
+        ways = ways_of("--avoid-collisions", chain, collisions)
     with printing.progress_bar(quiet=asked.quiet) as bar:
-        found = asked.found(model, targets, ways, printing.stage(bar, "compensate"))
+        found = commands(asked, model, targets, ways, printing.stage(bar, "compensate"))
         (rows,) = np.nonzero(found.good)
         passage = Passage.straight(found.q[rows])
         if ways is not None:
@@ -239,8 +84,8 @@ def compensate(asked: Commands, context: typer.Context) -> int:
     good = not (doubt or shut or hasty or torn) and found.complete
     contents = {}
     if good or not (motion or doubt or shut or hasty or not len(rows)):
-        comments = [f"commands of: {printing.told_command(context)}"]
-        data = asked.encoded(chain, targets, passage.q, row, times, comments)
+        comments = [f"commands of: {printing.told_command(words)}"]
+        data = encoded(asked, chain, targets, passage.q, row, times, comments)
         contents[output] = data
     accuracy, numbers = model_errors(result), lines.tolist()
     said: list[Block] = [trust.judged(doubt), blocks.Line("")] if doubt else []
@@ -275,17 +120,13 @@ def compensate(asked: Commands, context: typer.Context) -> int:
 
 
 def _remarks(
-    asked: Commands,
+    asked: Compensate,
     result: CalibrationResult,
     key: BlockKey,
     targets: Targets,
     chain: Chain,
 ) -> Iterator[str]:
     """Remarks on targets, before commands for them are looked for."""
-    from calib_pin.control import calibrated, joints
-    from calib_pin.measurement_models import declared
-    from calib_pin.report.compensation_text import line_list
-
     own = [k.model for k in result.model.terms if k.chain == key.chain]
     oriented = targets.oriented and not asked.position and asked.point != "tip"
     if oriented and all(declared(name).tracks == "point" for name in own):
@@ -305,3 +146,205 @@ def _remarks(
         result, key, *(("base", "tip") if targets.T is None else ends)
     ):
         yield known
+
+
+def checked(asked: Compensate) -> Setup:
+    """The setup, of options that go together and files that may be written."""
+    if asked.format != "csv" and asked.degrees:
+        raise OptionError("--degrees is for --format csv")
+    stated, avoided = files.open_setup(asked.setup), asked.avoid_collisions
+    files.require_folders(asked.package_dir or [])
+    if not avoided:
+        asked.refuse_unused("--avoid-collisions belongs to", "package_dir")
+    files.require_joints_only(asked.setup, stated, *["obstacles"] * avoided)
+    files.require_file(asked.calibration)
+    inputs = (asked.calibration, asked.targets, asked.setup, asked.srdf)
+    files.check_outputs([asked.output], inputs, asked.force)
+    return stated
+
+
+def read(
+    asked: Compensate, model: CalibratedChain, stated: Setup
+) -> tuple[Targets, Floats | None]:
+    """The targets, and when they are reached if the file says so, (N,) [s]."""
+    file = asked.targets
+    targets = read_target_file(
+        file,
+        model.chain,
+        columns=stated.columns or model.setup.columns,
+        joints=stated.joints or model.setup.joints,
+        base=None if asked.frame == "base" else model.error.base.translation,
+        notice=None if asked.quiet else printing.notice,
+    )
+    motion, csv, times = targets.T is None, asked.format == "csv", None
+    if motion and (asked.frame or asked.point) is not None:
+        reason = "the file holds joint positions only, and --frame and --point are "
+        raise OptionError(f"{reason}for targets", file=file)
+    if motion or not csv:
+        times = read_times(targets)
+    if times is not None and asked.speed is not None:
+        if csv:
+            raise OptionError("--speed: the motion has times of its own", file=file)
+        times = None
+    # A file that cannot be written must not turn up after the work.
+    still = np.zeros((1, len(model.chain.joints)))
+    q = still if targets.q is None else targets.q[:1]
+    first = None if times is None else times[:1]
+    encoded(asked, model.chain, targets, q, np.array([0]), first)
+    return targets, times
+
+
+def commands(
+    asked: Compensate,
+    model: CalibratedChain,
+    targets: Targets,
+    ways: Ways | None,
+    progress: Progress | None,
+) -> Compensation:
+    """The commands for targets, or for a motion of the nominal robot."""
+    free = None if ways is None else ways.collisions.free
+    if targets.T is None:
+        assert targets.q is not None
+        oriented = not asked.position and len(targets.columns.tells) >= 6
+        return compensation.follow(
+            model, targets.q, orientation=oriented, free=free, progress=progress
+        )
+    return compensation.compensate(
+        model,
+        targets.T,
+        targets.q,
+        frame=cast(Frame, asked.frame or FRAMES[0]),
+        point=cast(Point, asked.point or POINTS[0]),
+        orientation=targets.oriented and not asked.position,
+        free=free,
+        progress=progress,
+    )
+
+
+def encoded(
+    asked: Compensate,
+    chain: Chain,
+    targets: Targets,
+    q: Floats,
+    row: Indices,
+    times: Floats | None,
+    comments: Sequence[str] = (),
+) -> bytes:
+    """The file of commands (M, n), of rows of the targets (M,), by times (M,)."""
+    part = SPEED if asked.speed is None else asked.speed
+    if asked.format != "csv":
+        program = PROGRAMS[asked.format]
+        return program(chain, targets.columns, q, part, comments, times)
+    if asked.speed is not None:
+        times = moving_times(q, speed_limits(chain, part))
+    elif targets.T is None:
+        times = None  # The motion keeps its own.
+    encode = partial(encode_commands, degrees=asked.degrees, times=times)
+    return encode(targets, q, row, comments=comments)
+
+
+def compensation_document(
+    found: Compensation,
+    chain: Chain,
+    asked: Targets,
+    doubt: str,
+    output: Path | None,
+    accuracy: Mapping[str, Mapping[str, object]],
+    ways: tuple[int, Sequence[int]] | None = None,
+    hasty: Sequence[int] = (),
+) -> Json:
+    """The summary of a compensation.
+
+    Args:
+        found: The commands.
+        chain: The nominal chain.
+        asked: The targets.
+        doubt: Why the calibration must not be trusted; empty where it may.
+        output: File that the commands were written to; None for none.
+        accuracy: Accuracy of the calibration, by quantity.
+        ways: Number of via configurations, and lines to which no way is free; None
+            where collisions are not looked at.
+        hasty: Lines to which a joint would move faster than it can.
+    """
+    lines, reached, motion = asked.table.lines, found.reached, asked.T is None
+    errors = {"position": ("m", found.position_before, found.position)}
+    if found.oriented:
+        errors["orientation"] = "rad", found.orientation_before, found.orientation
+    corrections = np.abs(found.corrections).T
+    missed = zip(
+        lines[~reached], *(e[2][~reached] for e in errors.values()), strict=True
+    )
+    return {
+        **format_keys("calib-pin/compensation"),
+        "verdict": {
+            "status": "untrusted" if doubt else "good",
+            "reason": doubt,
+        },
+        "kind": "motion" if motion else "targets",
+        "rows": len(found),
+        "reached": reached.sum(),
+        "too_fast": hasty,
+        "collisions": ways
+        and {
+            "vias": ways[0],
+            "colliding": lines[found.collides],
+            "blocked": ways[1],
+        },
+        "unreachable": [
+            dict(zip(("line", *errors), row, strict=True)) for row in missed
+        ],
+        "corrections": {
+            name: {"unit": "rad" if turns else "m", **(_spread(column) or {})}
+            for name, turns, column in zip(
+                chain.joints, chain.revolute, corrections, strict=True
+            )
+        },
+        "errors": {
+            name: {
+                "unit": unit,
+                "nominal": _spread(before[reached]),
+                "compensated": _spread(after[reached]),
+            }
+            for name, (unit, before, after) in errors.items()
+        },
+        "at_limit": lines[reached & found.at_limit],
+        "outside_trained_region": lines[reached & found.outside],
+        "jumps": lines[found.jumps] if motion else [],
+        "written": None if output is None else str(output),
+        "model_errors": accuracy,
+    }
+
+
+def _spread(values: Floats) -> dict[str, float] | None:
+    """Mean and largest of the known values; None where none is known."""
+    known = values[np.isfinite(values)]
+    return {"mean": known.mean(), "max": known.max()} if len(known) else None
+
+
+def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:
+    """The ways of a chain on which nothing is touched.
+
+    Raises:
+        OptionError: If its URDF describes no solids, or a joint follows one elsewhere.
+    """
+    chains = Chains.of(chain)
+    if len(chains.joints) > len(chain.joints):
+        reason = f"{option} needs the joints that others mimic in the chain"
+        raise OptionError(reason, value=chains.joints[-1])
+    solid = require_solids(option, chains, collisions)
+    return Ways(chains, solid, chain.lower, chain.upper)
+
+
+def require_solids(
+    option: str, chains: Chains, collisions: Collisions | None
+) -> Collisions:
+    """The collisions of a robot.
+
+    Raises:
+        OptionError: If its URDF describes no solids, which an option needs.
+    """
+    if collisions is None:
+        reason = f"{option} needs the solids of the robot, and the URDF has none"
+        file, allowed = chains.robot.file, "<collision> in its links"
+        raise OptionError(reason, file=file, allowed=allowed)
+    return collisions

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-import typer
+import numpy as np
 
-from calib_pin.cli import files, options, printing
-from calib_pin.cli.options import Told, known
+import calib_pin.io.logs as logs
+from calib_pin.cli import files, printing
+from calib_pin.cli.asked import Detect, Join
 from calib_pin.errors import InputError, OptionError, enumerated
-
-if TYPE_CHECKING:
-    from calib_pin.io.boards import Detector, Found, Start
-    from calib_pin.io.table import Notice, Table
+from calib_pin.io import boards, measurements
+from calib_pin.io.boards import Detector, Found, Start, encode_png
+from calib_pin.io.measurements import encode_table
+from calib_pin.io.setup import setup_document, yaml_text
+from calib_pin.io.table import Notice, Table, read_table
+from calib_pin.setup import Setup
 
 OURS = ("u", "v", "target", "sigma_u", "sigma_v")
 """Columns of the measurement file, beside `image` and those of the joints."""
@@ -24,65 +28,14 @@ BLURRED = 3.0
 """Standard deviation of an image's corners, in that of all images, above which it is
 named as blurred."""
 
-MOUNT = known("mount", "", "hand", "world")
-
 SHEET = 200
 """Pixels of a square or tag on a sheet."""
 
 ASSUMED = "the focal lengths are assumed: the images do not determine them"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Detection(options.QuietAnswer):
-    """Images of a board, and what is to be found in them.
-
-    Attributes:
-        images: Images of one camera: PNG, JPEG, TIFF, BMP, PGM.
-        output: Measurement file to write.
-        board: The board, lengths in m: charuco:7x5:SQUARE:MARKER:DICT_4X4_50 (':legacy'
-            at the end for boards of OpenCV before 4.6), chessboard:9x6:SQUARE,
-            circles:9x6:DISTANCE, apriltag:6x6:EDGE:GAP,
-            marker:1x1:EDGE:DICT_4X4_50:first=7; columns x rows of squares (not of inner
-            corners), circles or tags. Default is 'board' of the setup file.
-        setup: Setup file with the 'board'.
-        joints: Configurations: those of a column 'image' (file name); a log with times,
-            see --times; or in the order of the images, img_2 before img_10. All its
-            columns are passed on, as 'time'. Without it the output has no joints; its
-            column 'image' tells which to add.
-        times: When the images were taken, columns 'image' and 'time': each gets the
-            joints of its standstill in the log of --joints.
-        mount: Where the camera is: hand (default) or world (board on the robot).
-        setup_output: Write a setup file for calibrate: the board, and the camera with
-            intrinsics to start from.
-        draw: Write the board to print (charuco and tags) at its size; no images then.
-    """
-
-    images: Annotated[list[Path] | None, Told("IMAGES...", "")] = None
-    output: Annotated[Path | None, Told("CSV", "Output")] = None
-    board: Annotated[str | None, Told("SPEC", "Images")] = None
-    setup: Annotated[Path | None, Told("FILE", "Images")] = None
-    joints: Annotated[Path | None, Told("CSV", "Images")] = None
-    times: Annotated[Path | None, Told("CSV", "Images")] = None
-    mount: Annotated[str, Told("WHERE", "Images", MOUNT)] = "hand"
-    setup_output: Annotated[Path | None, Told("FILE", "Output")] = None
-    draw: Annotated[Path | None, Told("PNG", "Output")] = None
-
-
-@options.spread
-def detect(asked: Detection, context: typer.Context) -> int:
-    """Find the corners of a board in images, as measurements of the model 'camera'.
-
-    Corners are numbered row by row from 0, those of tag 7 are 7/0 to 7/3, clockwise.
-    Pixel centers are whole numbers, the first is (0, 0). Standard deviations follow
-    from the noise of the image and the edges at each corner. Needs OpenCV: pip install
-    'calib-pin[vision]'.
-    """
-    import numpy as np
-
-    from calib_pin.io import boards, measurements
-    from calib_pin.io.setup import setup_document, yaml_text
-    from calib_pin.setup import Setup
-
+def detect(asked: Detect, words: Sequence[str]) -> int:
+    """Do what `Detect` asks for."""
     if asked.board is not None and asked.setup is not None:
         raise OptionError("give --board or --setup, not both")
     board = asked.board and boards.board_of(asked.board)
@@ -107,15 +60,8 @@ def detect(asked: Detection, context: typer.Context) -> int:
         asked.tell("no image shows enough of the board to check how it is stated")
     found = {path.name: one for path, one in zip(images, every, strict=True)}
     start = boards.start_camera(asked.mount, detector, size, found)
-    image_of = [k for k, one in enumerate(every) for _ in one.names]
-    pixels = np.concatenate([one.pixels for one in every])
-    sigma = np.concatenate([one.sigma for one in every])
-    columns: dict[str, Any] = {"image": [images[k].name for k in image_of]}
-    columns |= {name: [cells[k] for k in image_of] for name, cells in rows.items()}
-    columns["target"] = [name for one in every for name in one.names]
-    for k, name in enumerate("uv"):
-        columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
-    comment = f"found by: {printing.told_command(context)}"
+    columns = corner_columns(images, every, rows)
+    comment = f"found by: {printing.told_command(words)}"
     contents = {output: measurements.encode_table(columns, [comment])}
     setup = setup_document(Setup(model="camera", board=board, camera=start.camera))
     if extra is not None:
@@ -128,9 +74,10 @@ def detect(asked: Detection, context: typer.Context) -> int:
             "the board looks the same when it is turned: corner 0 is the one nearest "
             "to the upper left of each image, so the camera must not roll"
         )
-    shown, median = sum(bool(one.names) for one in every), float(np.median(sigma))
+    median = float(np.median(np.concatenate([one.sigma for one in every])))
+    shown, corners = sum(bool(k.names) for k in every), sum(len(k.names) for k in every)
     document: dict[str, Any] = {"images": len(images), "shown": shown}
-    document |= {"corners": len(pixels), "sigma": median, "camera": setup["camera"]}
+    document |= {"corners": corners, "sigma": median, "camera": setup["camera"]}
     document |= {"assumed": start.assumed, "rms": start.rms}
     document["written"] = [*map(str, contents)]
     ends = start.camera.focal, start.camera.center
@@ -139,7 +86,7 @@ def detect(asked: Detection, context: typer.Context) -> int:
     rms = f"rms {start.rms:.3f} px" if checked else "not checked: too few corners"
     told = (
         f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px\n"
-        f"{len(pixels)} of {shown * len(detector.points)} corners in them, sigma "
+        f"{corners} of {shown * len(detector.points)} corners in them, sigma "
         f"{median:.3f} px (median)\nstart of the camera: "
         f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
     )
@@ -147,10 +94,8 @@ def detect(asked: Detection, context: typer.Context) -> int:
     return 0
 
 
-def _drawn(asked: Detection, file: Path, detector: Detector) -> int:
+def _drawn(asked: Detect, file: Path, detector: Detector) -> int:
     """Write the board to print."""
-    from calib_pin.io.boards import encode_png
-
     if asked.images or asked.output or asked.joints or asked.setup_output:
         raise OptionError("--draw takes --board or --setup, and nothing else")
     files.check_outputs([file], [asked.setup], asked.force)
@@ -162,6 +107,67 @@ def _drawn(asked: Detection, file: Path, detector: Detector) -> int:
     return 0
 
 
+def corner_columns(
+    images: Sequence[Path], every: Sequence[Found], cells: Mapping[str, Sequence[Any]]
+) -> dict[str, Any]:
+    """The columns of corners found in images, with the cells of each image."""
+    image_of = [k for k, one in enumerate(every) for _ in one.names]
+    columns: dict[str, Any] = {"image": [images[k].name for k in image_of]}
+    columns |= {name: [own[k] for k in image_of] for name, own in cells.items()}
+    columns["target"] = [name for one in every for name in one.names]
+    for k, axis in enumerate("uv"):
+        for name, of in ((axis, "pixels"), (f"sigma_{axis}", "sigma")):
+            found = [getattr(one, of)[:, k] for one in every]
+            columns[name] = np.concatenate(found).round(4)
+    return columns
+
+
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm")
+
+
+def images_of(
+    folder: Path, board: str, joints: Path | None, pause: float
+) -> tuple[Path, Callable[[], None]]:
+    """A file of corners beside a folder, and what adds those of new images to it.
+
+    Args:
+        folder: The folder.
+        board: The board, as `detect` takes it.
+        joints: The configurations of the images, with a column 'image'.
+        pause: Time to wait before looking [s].
+
+    Raises:
+        OptionError: If the folder is none, or the configurations are missing.
+    """
+    if not folder.is_dir() or joints is None:
+        raise OptionError("--board needs a folder of images, and --joints", file=folder)
+    detector, file = boards.Detector(boards.board_of(board)), folder.with_suffix(".csv")
+    seen = set[str]()
+    if file.exists():
+        seen |= {*read_table(file).texts(["image"])["image"]}
+
+    def add() -> None:
+        time.sleep(pause)
+        there = (p for p in folder.iterdir() if p.suffix.lower() in ENDINGS)
+        new = [path for path in there if path.name not in seen]
+        for image in sorted(new, key=numbers_in):
+            try:
+                asked = Detect(images=[image], joints=joints)
+                _, cells = configurations_of(asked, [image])
+                _, found = boards.find_board(detector, [image], None)
+            except InputError:
+                continue  # Its configuration, or a part of it, is not there yet.
+            seen.add(image.name)
+            if not found[0].names:
+                continue
+            table = encode_table(corner_columns([image], found, cells), ())
+            with file.open("ab") as stream:
+                stream.write(table.partition(b"\n")[2] if stream.tell() else table)
+
+    add()
+    return file, add
+
+
 def numbers_in(image: Path) -> list[int]:
     """The numbers in a name: img_2 comes before img_10."""
     return [int(word or 0) for word in re.split(r"\D+", str(image))]
@@ -169,8 +175,6 @@ def numbers_in(image: Path) -> list[int]:
 
 def _remarks(found: dict[str, Found], start: Start, tell: Notice) -> None:
     """Name the images without a board, and the blurred ones."""
-    import numpy as np
-
     if without := [name for name, one in found.items() if not one.names]:
         tell(f"no board in {len(without)} images: {enumerated(without)}")
     medians = {name: np.median(one.sigma) for name, one in found.items() if one.names}
@@ -182,19 +186,13 @@ def _remarks(found: dict[str, Found], start: Start, tell: Notice) -> None:
 
 
 def configurations_of(
-    asked: Detection, images: list[Path]
+    asked: Detect, images: list[Path]
 ) -> tuple[list[Path], dict[str, list[Any]]]:
     """Images of known joints, and for each the cells of the columns of their file.
 
     Raises:
         InputError: If it has not one row for each image, or columns of ours.
     """
-    import numpy as np
-
-    import calib_pin.io.logs as logs
-    from calib_pin.cli.join import Logs
-    from calib_pin.io.table import read_table
-
     if (file := asked.joints) is None:
         return images, {}
     table = read_table(file)
@@ -204,7 +202,7 @@ def configurations_of(
         # Where the joints stood at the time of each image, by its name.
         taken = logs.with_images(read_table(asked.times))
         taken = taken.rows(np.array(_rows(taken, images)))
-        stand = Logs.settle, Logs.tolerance
+        stand = Join.settle, Join.tolerance
         found, data = logs.join_logs(table, taken, (), *stand, asked.tell, True)
         if found.clock is None:
             reason = "there is no column 'time' here, or in the log of the joints"

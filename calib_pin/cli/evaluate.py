@@ -2,46 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Annotated
 
-import calib_pin.cli.options as options
-from calib_pin.cli.options import Told
+from calib_pin.cli.asked import Evaluate
 from calib_pin.cli.printing import notice, progress_bar, stage
+from calib_pin.io.json_text import Json, format_keys, plain
+from calib_pin.io.results import used_files
+from calib_pin.io.urdf import other_robots
+from calib_pin.report.accuracy import evaluated
+from calib_pin.validation.evaluation import evaluate as run
+from calib_pin.validation.result import Evaluation
 
 
-@dataclass(frozen=True, kw_only=True)
-class Evaluate(
-    options.Shown, options.OfStations, options.OfChain, options.OfCalibration
-):
-    """A question for the accuracy of a robot.
-
-    Attributes:
-        measurements: CSV or Parquet files.
-        register: Register the frames and the instrument of a calibration on these
-            measurements.
-    """
-
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
-    register: Annotated[bool, Told()] = False
-
-
-@options.spread
 def evaluate(asked: Evaluate) -> int:
-    """Print the accuracy of a robot or a calibration on measurements.
-
-    A URDF knows neither base nor tool: they are registered on these measurements, and
-    the output says so. A calibration is used as it is unless --register is given. Exit
-    status 2: the measurements are too few, or the calibration must not be trusted.
-    """
-    from calib_pin.cli.documents import evaluation_document
-    from calib_pin.io.results import used_files
-    from calib_pin.io.urdf import other_robots
-    from calib_pin.report.accuracy import evaluated
-    from calib_pin.validation.evaluation import evaluate as run
-
+    """Do what `Evaluate` asks for."""
     doubts, rows_in, sockets = list[str](), asked.measurements, list[str]()
     calibrated, chains, stated = asked.subject(doubts.append, asked.chain)
     if calibrated is not None:
@@ -57,3 +32,10 @@ def evaluate(asked: Evaluate) -> int:
         found = replace(found, verdict="untrusted", reason=doubts[0])
     asked.give({}, lambda: evaluation_document(found), evaluated(found))
     return 0 if found.verdict == "good" else 2
+
+
+def evaluation_document(found: Evaluation) -> Json:
+    """The accuracy of a robot on measurements."""
+    errors = {n: {"unit": unit, **plain(size)} for n, unit, size in found.errors}
+    head = format_keys("calib-pin/evaluation")
+    return {**head, **plain(found), "errors": errors}

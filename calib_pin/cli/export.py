@@ -2,45 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
-
-from calib_pin.cli import files, options, printing
-from calib_pin.cli.options import Told
+from calib_pin.cli import files, printing
+from calib_pin.cli.asked import Export
 from calib_pin.errors import OptionError, require_known
-
-FORMAT = options.known("format", "io.exchange:FORMATS", "list")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Export(options.QuietAnswer, options.OfChain):
-    """A file for other software, as it is asked for.
-
-    Attributes:
-        calibration: Folder of the results, or its .json file.
-        format: One of ur-kinematics, xarm-kinematics, urdf, xacro, mjcf, ros2-control,
-            lerobot, joint-offsets, camera-info, dh, tf; 'list' explains them.
-        output: The file to write.
-        template: Your own file of this format, which is corrected: needed for
-            ur-kinematics, xarm-kinematics and lerobot, possible for ros2-control.
-    """
-
-    calibration: Annotated[Path, Told("DIR|CALIBRATION", "")]
-    format: Annotated[str, Told("NAME", "Output", FORMAT)]
-    output: Annotated[Path | None, Told("FILE", "Output")] = None
-    template: Annotated[Path | None, Told("FILE", "Output")] = None
+from calib_pin.io import exchange, results
+from calib_pin.report.blocks import table
 
 
-@options.spread
 def export(asked: Export) -> int:
-    """Write what other software loads: vendors' kinematics, offsets, cameras, frames.
-
-    Exit status 1: the calibration must not be trusted, or has nothing of this kind.
-    """
-    from calib_pin.io import exchange, results
-    from calib_pin.report.blocks import table
-
+    """Do what `Export` asks for."""
     form, output, template = asked.format, asked.output, asked.template
     if form == "list":
         rows = [

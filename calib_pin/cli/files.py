@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from calib_pin.cli.printing import Bar, notice, stage
 from calib_pin.errors import (
@@ -16,14 +18,19 @@ from calib_pin.errors import (
     require_known,
     stated_in,
 )
+from calib_pin.io.measured_columns import asked_models
+from calib_pin.io.measurements import read_measurements
+from calib_pin.io.setup import read_setup
+from calib_pin.io.urdf import load_chains, locate_robot
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_space import FREE_TRAVEL
+from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.observations import BlockKey, Observations
+from calib_pin.setup import WORLD, Setup
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.result import CalibrationResult
 
-if TYPE_CHECKING:
-    from calib_pin.kinematics.chains import Chains
-    from calib_pin.observations import BlockKey, Observations
-    from calib_pin.setup import Setup
-    from calib_pin.validation.calibrated_model import CalibratedModel
-    from calib_pin.validation.result import CalibrationResult
-
+exists = os.path.exists  # False also where that cannot be determined.
 
 FLAGS = ("base", "tip", "model", "parameters", "solver", "loss", "learned")
 """Settings that flags may state in place of a setup file."""
@@ -40,10 +47,6 @@ def open_setup(file: Path | None, **flags: Any) -> Setup:
         InputError: If the file cannot be used.
         OptionError: If a flag cannot.
     """
-    from calib_pin.io.measured_columns import asked_models
-    from calib_pin.io.setup import read_setup
-    from calib_pin.setup import Setup
-
     setup = Setup() if file is None else read_setup(file)
     given = {key: value for key, value in flags.items() if value is not None}
     asked_models(given.get("model"))
@@ -64,12 +67,6 @@ def stated_blocks(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
     Raises:
         OptionError: If neither the setup nor a flag names a measurement model.
     """
-    from itertools import product
-
-    from calib_pin.io.measured_columns import asked_models
-    from calib_pin.measurement_models import MEASUREMENT_MODELS
-    from calib_pin.observations import BlockKey
-
     if setup.model is None:
         raise OptionError(
             "without measurements, --model must name the measurement model",
@@ -100,8 +97,6 @@ def open_chains(
         OptionError: If one of the folders is not there.
         RobotError: If the robot, a link or a chain cannot be used.
     """
-    from calib_pin.io.urdf import load_chains
-
     require_folders(package_dirs or [])
 
     if robot.endswith(".json"):
@@ -129,8 +124,6 @@ def open_chains(
 
 def tell_limits(chains: Chains) -> None:
     """Remark on joints whose range is only assumed."""
-    from calib_pin.kinematics.joint_space import FREE_TRAVEL
-
     if chains.unlimited:
         notice(
             f"{chains.robot.file}: limits missing, inverted or endless: "
@@ -222,7 +215,6 @@ def open_older(
         return None, setup
     from calib_pin.io.results import document_file, read_result, used_files
     from calib_pin.planning.suggestions import calibrated_setup
-    from calib_pin.setup import WORLD
 
     found = read_result(path)
     for file in used_files(document_file(path), used):
@@ -277,9 +269,6 @@ def open_measurements(
     Raises:
         InputError: If a file cannot be used.
     """
-    from calib_pin.io.measurements import read_measurements
-    from calib_pin.observations import Observations
-
     require_distinct(files)
     known = (name for name, s in setup.sockets.items() if s.estimate is False)
     with stated_in(setup.file):
@@ -338,8 +327,6 @@ def check_outputs(
         OptionError: If an output exists without `force`, is a folder or an input, or
             is given twice, or would be the folder of another.
     """
-    from calib_pin.io.urdf import locate_robot
-
     read = [locate_robot(str(file)) for file in inputs if file is not None]
     written = [path for path in outputs if path is not None]
     for k, path in enumerate(written):
@@ -364,11 +351,3 @@ def _same(first: Path, second: Path) -> bool:
         return first.samefile(second)
     except (OSError, ValueError):
         return False  # One of them does not exist.
-
-
-def exists(path: Path) -> bool:
-    """Whether a file or folder exists; False where that cannot be determined."""
-    try:
-        return path.exists()
-    except (OSError, ValueError):
-        return False  # Whatever is wrong with it, writing will tell.

@@ -5,25 +5,32 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 import calib_pin.cli.files as files
-import calib_pin.cli.options as options
-from calib_pin.cli.options import SEED, Told, asked_workers
+import calib_pin.cli.jobs as jobs
+import calib_pin.estimation.statistics.population_prior as population_prior
+from calib_pin.cli.asked import Fleet
+from calib_pin.cli.jobs import Job
+from calib_pin.cli.options import asked_workers
 from calib_pin.cli.printing import Bar, notice, progress_bar
 from calib_pin.errors import OptionError
-
-if TYPE_CHECKING:
-    from calib_pin.cli.jobs import Job
-    from calib_pin.estimation.statistics.population_prior import (
-        Population,
-        RobotEvidence,
-    )
-    from calib_pin.monte_carlo import Study, Trial
-    from calib_pin.report.blocks import Block
-    from calib_pin.setup import Setup
-    from calib_pin.validation.fleet import FleetRow
-    from calib_pin.workers import Workers
+from calib_pin.estimation.statistics.population_prior import Population, RobotEvidence
+from calib_pin.io import json_text, measurements, results, setup
+from calib_pin.io.files import sha256
+from calib_pin.io.json_text import Json, encode, format_keys
+from calib_pin.io.measurements import read_configurations
+from calib_pin.io.results import model_name
+from calib_pin.io.setup import setup_document
+from calib_pin.io.trials import kept, read_trials
+from calib_pin.monte_carlo import Outlook, Study, Trial, outlooks, study_of, try_robot
+from calib_pin.monte_carlo.summary import LEVELS
+from calib_pin.report import fleet_text, html
+from calib_pin.report.blocks import Block
+from calib_pin.report.figures import drawn
+from calib_pin.setup import LimitSetup, Setup
+from calib_pin.validation.fleet import FleetRow, by_urgency, fleet_columns, with_joint
+from calib_pin.workers import Workers
 
 TABLE, PAGE, PRIOR = FILES = ("fleet.csv", "fleet.html", "fleet.json")
 """Files of a fleet beside the folders of its calibrations.
@@ -34,29 +41,6 @@ setup.
 
 TRIALS, NUMBERS, CURVES = (f"monte-carlo.{kind}" for kind in ("csv", "json", "html"))
 """Files of a study: its trials, and what they tell."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Fleet(options.QuietAnswer, options.Shared):
-    """Many calibrations as they are asked for.
-
-    Attributes:
-        table: Table of calibrations, CSV or YAML: robot, measurements, setup,
-            serial_number, date, ...
-        monte_carlo: Simulate robots instead, as 'monte_carlo' in this setup file says:
-            how accurate will they be, against number of configurations?
-        seed: Random seed of the study.
-        output: Folder for all results.
-        resume: Go on with what a stopped run has left, as far as it is whole.
-        no_pages: No report.html in the folders; 'calib-pin report' writes it later.
-    """
-
-    table: Annotated[Path | None, Told("JOBS", "")] = None
-    monte_carlo: Annotated[Path | None, Told("SETUP", "Study")] = None
-    seed: Annotated[int, Told("N", "Study", SEED)] = 0
-    output: Annotated[Path, Told("DIR", "Output")]
-    resume: Annotated[bool, Told("", "Output")] = False
-    no_pages: Annotated[bool, Told("", "Output")] = False
 
 
 @dataclass(frozen=True)
@@ -80,16 +64,8 @@ class Made:
     status: int = 0
 
 
-@options.spread
 def fleet(asked: Fleet) -> int:
-    """Calibrate a fleet of robots, or simulate one.
-
-    Every job gets a folder of results as 'calibrate' writes it. fleet.csv and
-    fleet.html list verdicts, accuracy before and after, and the drift since the last
-    calibration of the same serial number, those that need attention first. A job that
-    fails is a row with its reason and stops nothing. Workers of a cluster need to see
-    the same files. Exit status 2: some calibration failed or must not be trusted.
-    """
+    """Do what `Fleet` asks for."""
     if (asked.table is None) == (asked.monte_carlo is None):
         raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
     # A job may end the process that does it.
@@ -119,11 +95,6 @@ def fleet(asked: Fleet) -> int:
 
 def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
     """Calibrate the robots of a table."""
-    import calib_pin.cli.jobs as jobs
-    from calib_pin.io import json_text, measurements
-    from calib_pin.report import fleet_text, html
-    from calib_pin.validation.fleet import by_urgency, fleet_columns
-
     output = asked.output
     orders = jobs.Orders(Path.cwd(), output, not asked.no_pages, asked.resume)
     every = jobs.read_jobs(table, notice)
@@ -208,9 +179,6 @@ def types_of(
     Returns:
         The types with robots enough, the largest first.
     """
-    import calib_pin.estimation.statistics.population_prior as population_prior
-    from calib_pin.validation.fleet import with_joint
-
     earlier = {job.before for job in jobs}
     alike: list[dict[str, RobotEvidence]] = []
     for job in jobs:
@@ -237,8 +205,6 @@ def types_of(
 
 def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]:
     """The files of the priors; all but the first have the name of their robot."""
-    from calib_pin.io import json_text, results, setup
-
     found: dict[Path, bytes] = {}
     for number, population in enumerate(populations, 1):
         robot = Path(results.urdf_name(population.evidences[0].robot.name)).stem
@@ -254,13 +220,6 @@ def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]
 
 def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
     """Simulate the robots of a study; its trials are written as they come."""
-    from calib_pin.cli.documents import outlook_document
-    from calib_pin.io import json_text, setup
-    from calib_pin.io.trials import kept, read_trials
-    from calib_pin.monte_carlo import outlooks, try_robot
-    from calib_pin.report import fleet_text, html
-    from calib_pin.report.figures import drawn
-
     stated, resume = setup.read_setup(file), asked.resume
     study, name = _study(file, stated, asked.seed)
     trials, *made = (asked.output / name for name in (TRIALS, NUMBERS, CURVES))
@@ -289,12 +248,6 @@ def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
 
 def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
     """The study of a setup file, and a hash of everything its numbers depend on."""
-    from calib_pin.io.files import sha256
-    from calib_pin.io.json_text import encode
-    from calib_pin.io.measurements import read_configurations
-    from calib_pin.io.setup import setup_document
-    from calib_pin.monte_carlo import study_of
-
     asked = stated.monte_carlo
     for key, value in (("monte_carlo.robot", asked.robot), ("model", stated.model)):
         if value is None:
@@ -319,3 +272,16 @@ def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
         "seed": seed,
     }
     return study, sha256(encode(about))
+
+
+def outlook_document(study: Study, found: Sequence[Outlook], limit: LimitSetup) -> Json:
+    """Outlooks of a Monte Carlo study, in SI units; quantiles are those of `levels`."""
+    return {
+        **format_keys("calib-pin/monte-carlo"),
+        "robot": study.chains.robot.name,
+        "model": model_name(study.truth),
+        "seed": study.seed,
+        "limit": limit,
+        "levels": LEVELS,
+        "outlooks": found,
+    }

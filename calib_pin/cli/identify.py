@@ -3,50 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import fields, replace
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
-from calib_pin.cli import files, options, printing
-from calib_pin.cli.options import SEED, Told
-
-if TYPE_CHECKING:
-    from calib_pin.observations import BlockKey
-    from calib_pin.validation.result import Identification
-
-
-@dataclass(frozen=True, kw_only=True)
-class Identify(
-    options.Shown, options.Detailed, options.OfStations, options.OfParameters
-):
-    """A question for the parameters of a robot.
-
-    Attributes:
-        measurements: CSV or Parquet files; without them identifiability is structural.
-        seed: Random seed.
-    """
-
-    measurements: Annotated[list[Path] | None, Told("[MEASUREMENTS...]", "")] = None
-    seed: Annotated[int, Told("N", parse=SEED)] = 0
+from calib_pin.calibration import calibrate as run
+from calib_pin.cli import files, printing
+from calib_pin.cli.asked import Identify
+from calib_pin.estimation.evidence import TRUSTED, Finding
+from calib_pin.io.json_text import Json, format_keys, merged, plain
+from calib_pin.io.urdf import other_robots
+from calib_pin.observations import BlockKey
+from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
+from calib_pin.report.identification import identified
+from calib_pin.report.trust import below, findings, judged
+from calib_pin.validation.assessment import identify as structural
+from calib_pin.validation.result import Identification
 
 
-@options.spread
 def identify(asked: Identify) -> int:
-    """Print which parameters are identifiable, and which only in combinations.
-
-    Without measurements: structural identifiability, from the robot and the measurement
-    model alone. With measurements: practical identifiability. No file is written.
-    """
-    from calib_pin.calibration import calibrate as run
-    from calib_pin.cli.documents import identification_document
-    from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.urdf import other_robots
-    from calib_pin.planning.suggestions import calibrated_setup, suggestions
-    from calib_pin.report.identification import identified
-    from calib_pin.report.trust import below, findings, judged
-    from calib_pin.validation.assessment import identify as structural
-
+    """Do what `Identify` asks for."""
     stated, seed = asked.stated(), asked.seed
     found: Identification
     keys: Sequence[BlockKey]
@@ -78,3 +53,32 @@ def identify(asked: Identify) -> int:
         (part for of in (doubts, findings(faults, reason), told) for part in of),
     )
     return 2 if doubts else 0
+
+
+def identification_document(
+    found: Identification,
+    suggestions: Sequence[Suggestion],
+    verdict: str,
+    reason: str,
+    findings: Sequence[Finding] = (),
+) -> Json:
+    """The identifiability of a robot.
+
+    Args:
+        found: It.
+        suggestions: Suggested measurements.
+        verdict: Verdict of the fit that it is of; `good` without one.
+        reason: Why; empty where there is nothing to say.
+        findings: Defects of the measurements.
+    """
+    # A fit has found more than this.
+    own = {part.name: getattr(found, part.name) for part in fields(Identification)}
+    return merged(
+        format_keys("calib-pin/identification"),
+        plain(Identification(**own)),
+        {
+            "identifiability": {"remedies": suggestions},
+            "verdict": {"status": verdict, "reason": reason},
+            "findings": findings,
+        },
+    )

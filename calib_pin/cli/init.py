@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 import typer
 
-from calib_pin.cli import options, printing
+from calib_pin.cli import printing
+from calib_pin.cli.asked import Init
 from calib_pin.cli.files import check_outputs, require_distinct, require_folders
-from calib_pin.cli.options import Told
-from calib_pin.errors import OptionError, enumerated, stated_in
+from calib_pin.errors import InputError, OptionError, enumerated, stated_in
+from calib_pin.io.columns import LENGTH, Kind
+from calib_pin.io.first_look import Choose, Look, draft, first_look
+from calib_pin.io.setup import setup_document
+from calib_pin.io.urdf import load_robot
+from calib_pin.kinematics.robot import Robot
+from calib_pin.setup import DistanceSetup, Setup
 from calib_pin.units import as_number
-
-if TYPE_CHECKING:
-    from calib_pin.io.first_look import Choose, Look
-    from calib_pin.kinematics.robot import Robot
 
 SIGMA = 1e-5
 """Standard deviation of a distance between sockets [m]: they are gauged."""
@@ -30,40 +33,12 @@ Ask = Callable[[str], str]
 """The answer of a user to a question."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Draft(options.Answer, options.OfStations):
-    """A setup file that is to be drafted.
-
-    Attributes:
-        measurements: CSV or Parquet files with one row per measurement, as they are.
-        output: Setup file to write; without it, it is printed.
-        tip: Last link of the chain; of chains that the measurements name, NAME=LINK,...
-        distance: Known distance of the two sockets of each place, such as '50 mm'.
-        board: Board of a camera, as for 'detect'.
-    """
-
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
-    output: Annotated[Path | None, Told("YAML", "Output")] = None
-    distance: Annotated[str | None, Told("LENGTH", "Robot")] = None
-    board: Annotated[str | None, Told("SPEC", "Robot")] = None
-
-
-@options.spread
-def init(asked: Draft, context: typer.Context) -> int:
-    """Look at a robot and its measurements, and draft a setup file.
-
-    Finds the tip, the joints, what was measured, foreign names of columns and their
-    units, by trying on the nominal robot, and says in comments what it found. Asks what
-    cannot be known, on a terminal; elsewhere an error names the option that says it.
-    The setup file that `detect` wrote (--setup) has the board and the camera.
-    """
-    from calib_pin.io.first_look import draft
-    from calib_pin.io.setup import setup_document
-
+def init(asked: Init, words: Sequence[str]) -> int:
+    """Do what `Init` asks for."""
     files = asked.measurements
     check_outputs([asked.output], [asked.robot, *files, asked.setup], asked.force)
     robot, look = looked_at(asked, _choose, _ask)
-    text = draft(robot, look, printing.told_command(context))
+    text = draft(robot, look, printing.told_command(words))
     found: dict[str, Any] = {"setup": setup_document(look.setup)}
     found["nominal"] = look.errors
     written, contents = list[str](), dict[Path, bytes]()
@@ -75,7 +50,7 @@ def init(asked: Draft, context: typer.Context) -> int:
     return 0
 
 
-def looked_at(asked: Draft, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
+def looked_at(asked: Init, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
     """A robot and the reading of measurement files that fits it best.
 
     Args:
@@ -87,9 +62,6 @@ def looked_at(asked: Draft, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
         CalibPinError: If one of the files cannot be used.
     """
     from calib_pin.io.boards import board_of
-    from calib_pin.io.first_look import first_look
-    from calib_pin.io.urdf import load_robot
-    from calib_pin.setup import Setup
 
     files, folders = asked.measurements, asked.package_dir or []
     require_folders(folders)
@@ -150,8 +122,6 @@ def _ask(question: str) -> str:
 
 def _with_distances(look: Look, stated: str | None, ask: Ask) -> Look:
     """The reading with the known distance of the sockets of each place."""
-    from calib_pin.setup import DistanceSetup
-
     assert look.data is not None
     places = dict[str, list[str]]()
     for name in dict.fromkeys(k.rpartition("@")[2] for k in look.data.target.distinct):
@@ -161,21 +131,41 @@ def _with_distances(look: Look, stated: str | None, ask: Ask) -> Look:
         raise OptionError("no place has two sockets, called PLACE/0 and PLACE/1")
     if pairs and stated is None:
         stated = ask(f"how far apart are {' and '.join(pairs[0])} (such as 50 mm)")
-    known = tuple(DistanceSetup((a, b), _length(stated or ""), SIGMA) for a, b in pairs)
+    if not pairs:
+        return look
+    (length,), _ = reading(stated or "", {"--distance": LENGTH}, "m")
+    if length <= 0.0:
+        raise OptionError("--distance is no length", value=stated)
+    known = tuple(DistanceSetup((a, b), length, SIGMA) for a, b in pairs)
     return replace(look, setup=replace(look.setup, distances=known))
 
 
-def _length(text: str) -> float:
-    """A length such as `50 mm` [m].
+def reading(text: str, kinds: Mapping[str, Kind], unit: str) -> tuple[list[float], str]:
+    """Typed numbers in SI units, and the unit they were in.
+
+    A comma is a decimal mark; blanks or semicolons separate. Where no unit is typed, it
+    is that of the reading before.
+
+    Args:
+        text: The text.
+        kinds: The columns or options that are asked for.
+        unit: The unit of the reading before; empty where there was none.
 
     Raises:
-        OptionError: If it is none.
+        InputError: If the text is something else.
     """
-    from calib_pin.io.columns import LENGTH
-
-    found = re.fullmatch(r"\s*([0-9.]+)\s*\[?(\w*)\]?\s*", text)
-    unit = LENGTH.units.get(found[2] or "m") if found else None
-    value = unit * (as_number(found[1]) or 0.0) if found and unit else 0.0
-    if not 0.0 < value < 100.0:
-        raise OptionError("--distance is no length", value=text, allowed="50 mm, 0.05")
-    return value
+    parts = r"(?<=[.\d])(?=(?!e[-+\d])[a-zA-Z])|[\s;\[\]]+"
+    words, names = re.sub(parts, " ", text.replace(",", ".")).split(), ", ".join(kinds)
+    if words and not re.match(r"[-+.\d]", words[-1]):
+        unit = words.pop()
+    (kind,) = {one.si: one for one in kinds.values()}.values()
+    if unit not in kind.units:
+        reason, allowed = f"say the unit of {names}", ", ".join(kind.units)
+        raise InputError(reason, value=unit, allowed=allowed)
+    given = [as_number(word) for word in words]
+    numbers = [math.nan if n is None else kind.units[unit] * n for n in given]
+    if len(numbers) != len(kinds) or not all(abs(n) <= kind.largest for n in numbers):
+        allowed = "a number for each and a unit, such as 523.5 mm, up to "
+        allowed += f"{kind.largest:g} {kind.si}"
+        raise InputError(f"{names} cannot be read", value=text, allowed=allowed)
+    return numbers, unit

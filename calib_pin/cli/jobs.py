@@ -18,7 +18,7 @@ from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type_hints
 
-from calib_pin.cli.calibrate import calibrate
+from calib_pin.cli.asked import Calibrate
 from calib_pin.cli.options import Request, Told
 from calib_pin.cli.printing import complaint, taken_notices
 from calib_pin.cli.requests import calibrated, opened
@@ -192,7 +192,7 @@ def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Row]:
     foreign = [name for name in table.columns if name not in KEYS]
     for name in foreign:
         hint = nearest(name, KEYS)
-        if hint or name in signature(calibrate).parameters:
+        if hint or name in signature(Calibrate).parameters:
             raise table.error(f"no column of a job{hint}", name, ", ".join(KEYS))
     if remark := table.ignored(foreign):
         notice(remark)
@@ -250,7 +250,9 @@ def _value(key: str, texts: Sequence[str], folder: Path) -> Any:
     (text,) = texts
     if kind is Path:
         return PREVIOUS if (key, text) == ("start", "previous") else folder / text
-    return FLAGS[text.lower()] if kind is bool else (told.parse or kind)(text)
+    if kind is bool:
+        return FLAGS[text.lower()]
+    return (told.parser(key, kind) or kind)(text)
 
 
 def folder_name(serial: str) -> str:

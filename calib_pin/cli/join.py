@@ -3,67 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
-from calib_pin.cli import options, printing
+import calib_pin.io.exchange.rosbag as rosbag
+from calib_pin.cli import printing
+from calib_pin.cli.asked import Join
 from calib_pin.cli.files import check_outputs, open_setup, require_file
-from calib_pin.cli.options import Told, number
-
-if TYPE_CHECKING:
-    from calib_pin.io.table import Table
-    from calib_pin.observations.joining import Joined
-
-SECONDS = "a time in seconds, more than 0 and at most 60"
-SETTLE, TOLERANCE = (
-    number(float, option, SECONDS, 1e-3, 60.0) for option in ("--settle", "--tolerance")
-)
+from calib_pin.io import logs, table
+from calib_pin.io.table import Table
+from calib_pin.observations.joining import Joined
 
 
-@dataclass(frozen=True, kw_only=True)
-class Logs(options.QuietAnswer):
-    """Two logs that are to be joined.
-
-    Attributes:
-        log: Log of the joints: CSV with a column of times, or a bag of ROS.
-        measurements: Log of the instrument, by its own clock: CSV or a bag.
-        output: Measurement file to write.
-        setup: Setup file: 'columns' says which foreign names are ours.
-        settle: Time that the joints stand before a reading counts; default 0.5.
-        tolerance: Longest time without a sample of the joints; default 0.5.
-        topic: Topic of MEASUREMENTS if it is a bag, of transforms the child frame;
-            default the only one.
-        joint_topic: Topic of JOINTS if it is a bag.
-        keep: Keep every reading, instead of one mean for each standstill.
-    """
-
-    log: Annotated[Path, Told("JOINTS", "")]
-    measurements: Annotated[Path, Told("MEASUREMENTS", "")]
-    output: Annotated[Path, Told("CSV", "Output")]
-    setup: Annotated[Path | None, Told("FILE", "Logs")] = None
-    settle: Annotated[float, Told("S", "Logs", SETTLE)] = 0.5
-    tolerance: Annotated[float, Told("S", "Logs", TOLERANCE)] = 0.5
-    topic: Annotated[str | None, Told("NAME", "Logs")] = None
-    joint_topic: Annotated[str | None, Told("NAME", "Logs")] = None
-    keep: Annotated[bool, Told("", "Logs")] = False
-
-
-@options.spread
-def join(asked: Logs) -> int:
-    """Join the log of a robot and that of an instrument to a measurement file.
-
-    Readings count where the joints stood still; those in motion are dropped and
-    counted. The offset of both clocks is estimated from the motions between, if the
-    instrument measured during some. The standard deviation of a mean is that of
-    readings that scatter about it, by their autocorrelation. Images, which have a
-    column 'image', stay apart; a list of images and times gets their joints. Files
-    without times are joined by the names of points that both have. A bag with
-    CalibrationData (robot_calibration) is given twice.
-    """
-    import calib_pin.io.exchange.rosbag as rosbag
-    from calib_pin.io import logs, table
-
+def join(asked: Join) -> int:
+    """Do what `Join` asks for."""
     columns = open_setup(asked.setup).columns
     files = joints, measurements = asked.log, asked.measurements
     for path in files:

@@ -11,17 +11,16 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, fields, replace
-from functools import partial, wraps
+from dataclasses import dataclass, fields
+from functools import partial
 from importlib import import_module
 from inspect import Parameter, Signature, cleandoc, signature
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type_hints
 
 import typer
 
-import calib_pin.cli.files as files
 from calib_pin.cli.printing import notice, say, say_written, show
 from calib_pin.errors import OptionError, require_known
 from calib_pin.units import as_number
@@ -31,13 +30,10 @@ if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
     from calib_pin.kinematics.collision import Collisions
     from calib_pin.observations import BlockKey, Observations
-    from calib_pin.planning.travel import Ways
     from calib_pin.report.blocks import Block
-    from calib_pin.setup import Obstacle, ReportSetup, Setup
+    from calib_pin.setup import Obstacle, Setup
     from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.workers import Workers
-
-_Number = TypeVar("_Number", int, float)
 
 PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
 """Options of nearly all commands, by their places before or behind others."""
@@ -55,24 +51,37 @@ class Told(NamedTuple):
     Attributes:
         word: Stands for its value in a help text; empty for a switch.
         heading: Heading of the option there; empty for an argument.
-        parse: Makes the value of a text, where that is more than its type.
+        parse: Makes the value of a text where that is more than its type, or the least
+            and the largest of a number.
     """
 
     word: str = ""
     heading: str = "Fit"
-    parse: Callable[[str], Any] | None = None
+    parse: Callable[[str], Any] | tuple[float, float] | None = None
+
+    def parser(
+        self, name: str, kind: Any, unit: str = ""
+    ) -> Callable[[str], Any] | None:
+        """Makes the value of a text; None where the type alone says how."""
+        if not isinstance(self.parse, tuple):
+            return self.parse
+        whole = int in (kind, *get_args(kind))
+        return number(int if whole else float, as_option(name), *self.parse, unit)
+
+
+def as_option(name: str) -> str:
+    """The option of a field."""
+    return f"--{name.replace('_', '-')}"
 
 
 def number(
-    kind: type[_Number],
-    option: str,
-    allowed: str,
-    least: float = -math.inf,
-    most: float = math.inf,
-) -> Callable[[str], _Number]:
+    kind: type, option: str, least: float, most: float, unit: str = ""
+) -> Callable[[str], Any]:
     """A parser of a number whose errors name the option, the value and the range."""
+    allowed = f"{least:.6g} {f'to {most:.6g}' if most < math.inf else 'or more'}{unit}"
+    allowed = f"whole numbers, {allowed}" if kind is int else allowed
 
-    def parse(text: str | _Number) -> _Number:
+    def parse(text: str | float) -> Any:
         try:
             value = None if as_number(str(text)) is None else kind(text)
         except ValueError:
@@ -167,41 +176,40 @@ def meanings(cls: type) -> dict[str, str]:
     return found
 
 
-def _declared(name: str, told: Told, meaning: str) -> Any:
+def _declared(name: str, told: Told, kind: Any, meaning: str) -> Any:
     """The argument or the option for a field."""
+    unit = "".join(f" {unit}" for unit in re.findall(r"\[(m|s|m, rad)\]", meaning)[:1])
     shared: dict[str, Any] = {"metavar": told.word or None, "help": meaning}
     if not told.heading:
         return typer.Argument(**shared, autocompletion=completed(name))
     return typer.Option(
         *["-o"] * (name == "output"),
-        f"--{name.replace('_', '-')}",
+        as_option(name),
         **shared,
-        parser=told.parse,
+        parser=told.parser(name, kind, unit),
         autocompletion=completed(told.parse),
         rich_help_panel=told.heading,
     )
 
 
-def spread(function: Callable[..., int]) -> Callable[..., int]:
-    """A command whose first argument, a request, is made from options of its own."""
-    first, *own = signature(function, eval_str=True).parameters.values()
-    kind, only = first.annotation, Parameter.KEYWORD_ONLY
+def command(name: str, kind: type) -> Callable[..., int]:
+    """The command that takes a request, which the module of its name does."""
     hints, texts = get_type_hints(kind, include_extras=True), meanings(kind)
-    for name, hint in hints.items():
-        made = _declared(name, hint.__metadata__[0], texts[name])
-        hints[name] = Annotated[hint.__origin__, made]
-    given = signature(kind).parameters
-    asked = [given[name] for name in sorted(hints, key=lambda n: PLACES.get(n, 0))]
-    options = [p.replace(annotation=hints[p.name], kind=only) for p in asked]
-    options += [p.replace(kind=only) for p in own]
+    given, only = signature(kind).parameters, Parameter.KEYWORD_ONLY
+    parameters = [Parameter("context", only, annotation=typer.Context)]
+    for field in sorted(hints, key=lambda name: PLACES.get(name, 0)):
+        (told,), of = hints[field].__metadata__, hints[field].__origin__
+        made: Any = Annotated[of, _declared(field, told, of, texts[field])]
+        parameters.append(given[field].replace(annotation=made, kind=only))
 
-    @wraps(function)
-    def run(**given: Any) -> int:
-        own = {name: given.pop(name) for name in hints.keys() & given.keys()}
-        return function(kind(**own), **given)
+    def run(context: typer.Context, **given: Any) -> int:
+        work = getattr(import_module(f"calib_pin.cli.{name}"), name)
+        words = (context.obj,)[: len(signature(work).parameters) - 1]
+        return int(work(kind(**given), *words))
 
-    run.__signature__ = Signature(options)  # type: ignore[attr-defined]
-    run.__annotations__ = {p.name: p.annotation for p in options}
+    run.__doc__ = cleandoc(kind.__doc__ or "").partition("\n\nAttributes:")[0]
+    run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
     return run
 
 
@@ -213,11 +221,7 @@ def same(asked: object, function: Callable[..., Any]) -> dict[str, Any]:
 
 # --- options that several commands share --------------------------------------------
 
-PART = number(float, "--holdout", "a number between 0 and 1", 0, 1)
-NOISE = number(float, "--process-noise", "1e-9 to 0.01 [m, rad]", 1e-9, 1e-2)
-SEED = number(int, "--seed", "0, 1, 2, ...", 0)
-CLEARANCE = number(float, "--clearance", "0 to 1 m", 0.0, 1.0)
-WORKERS = number(int, "--workers", "a number of processes, 1 to 1000", 1, 1000)
+SEED = (0, math.inf)
 SOLVER = known("solver", "estimation.solve:SOLVERS")
 LOSS = known("loss", "estimation.robust:LOSSES")
 LEARNED = known("residual model", "residual_models:RESIDUAL_MODELS")
@@ -229,22 +233,32 @@ PARAMETERS = known(
 
 
 @dataclass(frozen=True, kw_only=True)
-class OfRobot:
+class OfPackages:
+    """The packages of a robot.
+
+    Attributes:
+        package_dir: Where to find ROS packages that the robot file references; may be
+            repeated.
+    """
+
+    package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfRobot(OfPackages):
     """The robot that a command is for, as it is asked for.
 
     Attributes:
         robot: URDF or xacro file (with its arguments, name:=value), name of a bundled
             robot, or example:NAME if example-robot-data is installed.
-        package_dir: Folder of the ROS packages that the robot names; may be repeated.
         setup: Setup file (YAML); options override it.
         model: Measurement model, or several joined by +; by default inferred from the
             columns. 'list' prints all.
-        base: First link of the chain; by default the root.
-        tip: Last link of the chain; by default the only leaf.
+        base: First link of the chain; by default the root link.
+        tip: Last link of the chain; by default the end link, if there is only one.
     """
 
     robot: Annotated[str, Told("ROBOT", "")]
-    package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
     setup: Annotated[Path | None, Told("FILE", "Robot")] = None
     model: Annotated[str | None, Told("NAME", "Robot", _model)] = None
     base: Annotated[str | None, Told("LINK", "Robot")] = None
@@ -252,6 +266,8 @@ class OfRobot:
 
     def stated(self) -> Setup:
         """The setup file with the options on top; errors as of `open_setup`."""
+        from calib_pin.cli import files
+
         own = {name: value for name, value in vars(self).items() if name in files.FLAGS}
         return files.open_setup(self.setup, **own)
 
@@ -259,12 +275,16 @@ class OfRobot:
         self, setup: Setup, measured: Sequence[BlockKey] | str | None = None
     ) -> Chains:
         """The chains of the robot; all else as for `open_chains`."""
+        from calib_pin.cli import files
+
         return files.open_chains(self.robot, setup, measured, self.package_dir)
 
     def read(
         self, rows: Sequence[Path], chains: Chains, setup: Setup, **more: Any
     ) -> tuple[Chains, Observations]:
         """Measurements by the options of the command, see `open_measurements`."""
+        from calib_pin.cli import files
+
         given = {**same(self, files.open_measurements), "setup": setup, **more}
         return files.open_measurements(rows, chains, **given)
 
@@ -324,6 +344,8 @@ class OfCalibration(OfRobot):
 
         The rest as for `open_calibration`.
         """
+        from calib_pin.cli import files
+
         stated = self.stated()
         files.require_file(self.robot, ", or a robot")
         if not self.robot.endswith(".json"):
@@ -364,7 +386,7 @@ class Request(OfStations, OfParameters):
             calibration.json: few measurements are enough, and sudden changes of the
             robot are told.
         process_noise: With --start: how far each error of the geometry may have
-            drifted since then, standard deviation in m and rad; by default as the
+            drifted since then, standard deviation [m, rad]; by default as the
             measurements show.
         seed: Random seed.
     """
@@ -376,9 +398,9 @@ class Request(OfStations, OfParameters):
     model_ladder: Annotated[bool, Told()] = False
     use: Annotated[str | None, Told("WHERE", parse=USE)] = None
     validation: Annotated[Path | None, Told("FILE")] = None
-    holdout: Annotated[float | None, Told("PART", parse=PART)] = None
+    holdout: Annotated[float | None, Told("PART", parse=(0, 1))] = None
     start: Annotated[Path | None, Told("CALIBRATION")] = None
-    process_noise: Annotated[float | None, Told("S", parse=NOISE)] = None
+    process_noise: Annotated[float | None, Told("S", parse=(1e-9, 1e-2))] = None
     seed: Annotated[int, Told("N", parse=SEED)] = 0
 
     def words(self, output: Path) -> tuple[str, ...]:
@@ -386,7 +408,7 @@ class Request(OfStations, OfParameters):
         words = ["calibrate", self.robot, *map(str, self.measurements)]
         for asked in fields(Request):
             value = getattr(self, asked.name)
-            option = f"--{asked.name.replace('_', '-')}"
+            option = as_option(asked.name)
             if asked.name in ("robot", "measurements") or value == asked.default:
                 continue
             if value is True:
@@ -516,7 +538,7 @@ class Shared:
             or local. Only in a trusted network.
     """
 
-    workers: Annotated[int | None, Told("N", "Workers", WORKERS)] = None
+    workers: Annotated[int | None, Told("N", "Workers", (1, 1000))] = None
     cluster: Annotated[str | None, Told("ADDRESS", "Workers")] = None
 
 
@@ -550,18 +572,16 @@ def asked_workers(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Untouched(QuietAnswer):
+class Untouched(QuietAnswer, OfPackages):
     """The collisions that a command looks after, as they are asked for.
 
     Attributes:
         srdf: SRDF file of the pairs of links that need no collision check.
         clearance: Least distance from obstacles and between links [m]; default 0.01.
-        package_dir: Folder of the ROS packages that the robot names; may be repeated.
     """
 
     srdf: Annotated[Path | None, Told("FILE", "Constraints")] = None
-    clearance: Annotated[float | None, Told("S", "Constraints", CLEARANCE)] = None
-    package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
+    clearance: Annotated[float | None, Told("S", "Constraints", (0, 1))] = None
 
     def refuse_unused(self, reason: str, *options: str) -> None:
         """Refuse options of checks that are not made.
@@ -571,7 +591,7 @@ class Untouched(QuietAnswer):
         """
         own = ("srdf", *options, "clearance")
         if any(getattr(self, name) not in (None, []) for name in own):
-            *most, last = (f"--{name.replace('_', '-')}" for name in own)
+            *most, last = map(as_option, own)
             raise OptionError(f"{reason} {', '.join(most)} and {last}")
 
     def collisions(
@@ -589,42 +609,3 @@ class Untouched(QuietAnswer):
             notice=None if self.quiet else notice,
             file=file,
         )
-
-
-def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:
-    """The ways of a chain on which nothing is touched.
-
-    Raises:
-        OptionError: If its URDF describes no solids, or a joint follows one elsewhere.
-    """
-    from calib_pin.kinematics.chains import Chains
-    from calib_pin.planning.travel import Ways
-
-    chains = Chains.of(chain)
-    if len(chains.joints) > len(chain.joints):
-        reason = f"{option} needs the joints that others mimic in the chain"
-        raise OptionError(reason, value=chains.joints[-1])
-    solid = require_solids(option, chains, collisions)
-    return Ways(chains, solid, chain.lower, chain.upper)
-
-
-def require_solids(
-    option: str, chains: Chains, collisions: Collisions | None
-) -> Collisions:
-    """The collisions of a robot.
-
-    Raises:
-        OptionError: If its URDF describes no solids, which an option needs.
-    """
-    if collisions is None:
-        reason = f"{option} needs the solids of the robot, and the URDF has none"
-        file, allowed = chains.robot.file, "<collision> in its links"
-        raise OptionError(reason, file=file, allowed=allowed)
-    return collisions
-
-
-def dated(entries: ReportSetup) -> ReportSetup:
-    """The entries of a report with their date, by default today."""
-    from datetime import date
-
-    return replace(entries, date=entries.date or date.today().isoformat())

@@ -17,9 +17,10 @@ from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import quote
 
-from calib_pin.cli.files import open_chains, open_setup
-from calib_pin.cli.init import Draft, looked_at
-from calib_pin.cli.options import Request
+from calib_pin.cli.asked import Init
+from calib_pin.cli.files import open_setup
+from calib_pin.cli.init import looked_at
+from calib_pin.cli.options import Request, same
 from calib_pin.cli.printing import complaint, notice, stage, taken_notices
 from calib_pin.cli.requests import Opened, calibrated, opened
 from calib_pin.cli.watch import watched
@@ -53,35 +54,26 @@ NOTHING = "(choose)"
 
 OUT, SETUP, ALL = Path("calibrated"), Path("setup.yaml"), "calibrated.zip"
 
-PAUSE = 1.0
-"""Time between two looks at files that are followed [s]."""
-
 LAST, STANDING = 6, ("waiting", "state", "next")
 """Lines on the latest rows of a file that is followed, and what stands above them."""
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """The choices of a person.
+@dataclass(frozen=True, kw_only=True)
+class Chosen(Init):
+    """The choices of a person: the robot is empty as long as there is none.
 
     Attributes:
-        robot: The robot as `calibrate` takes it; empty for none yet.
-        measurements: The measurement files.
-        packages: Folders of the packages of the robot.
-        setup: The text of a setup file; empty to have one drafted.
+        text: The text of a setup file; empty to have one drafted.
         changes: Lines that were changed or added since.
-        distance: That of the two sockets of a place, where `init` asks for it.
     """
 
     robot: str = ""
-    measurements: tuple[Path, ...] = ()
-    packages: tuple[Path, ...] = ()
-    setup: str = ""
+    measurements: list[Path] = field(default_factory=list)
+    text: str = ""
     changes: Mapping[str, Any] = field(default_factory=dict)
-    distance: str | None = None
 
 
-@dataclass(frozen=True)
+@dataclass
 class Read:
     """The input, as far as it was read.
 
@@ -139,7 +131,6 @@ class Job:
         self._stage: tuple[str, float | None] | None = None
         self._watch: Watch | None = None
         self._seen: Opened | None = None
-        self._waited = 0.0
 
     # --- what a person does --------------------------------------------------------
 
@@ -160,15 +151,15 @@ class Job:
             path = there = self._start / path.expanduser()
         ending = path.suffix.lower()
         if there.is_dir():
-            self.choose(packages=(path,))
+            self.choose(package_dir=[path])
         elif ending in SETUPS and there.is_file():
-            self.choose(setup=there.read_text("utf-8", "replace"), changes={})
+            self.choose(text=there.read_text("utf-8", "replace"), changes={})
         elif ending in ROBOTS or not (ending or there.exists()):
             self.scene, robot = None, word.strip().replace(name, str(path), 1)
             self.choose(robot=robot, changes={})
         else:
-            others = (p for p in self.chosen.measurements if p != path)
-            self.choose(measurements=(*others, path))
+            others = [p for p in self.chosen.measurements if p != path]
+            self.choose(measurements=[*others, path])
 
     def choose(self, **chosen: Any) -> None:
         """Change what was chosen, and read it."""
@@ -219,51 +210,44 @@ class Job:
     def _read(self) -> None:
         """Read what is there, by the setup file that it leads to, and draw it."""
         chosen, self.result, self.files = self.chosen, None, {}
-        files, folders = [*chosen.measurements], [*chosen.packages]
-        self.read = Read()
+        files, self.read = chosen.measurements, Read()
         if not chosen.robot:
             return
         self._bar("robot", None)
-        setup = open_setup(None)
-        chains = open_chains(chosen.robot, setup, package_dirs=folders)
-        self.read = Read(chains.robot, text=chosen.setup)
+        chains = chosen.chains(setup := Setup())
+        self.read = read = Read(chains.robot, text=chosen.text)
         if self.scene is None or not files:
             self.scene = self._drawn(chains, setup)
         if not files:
             return
         self._bar("read", None)
-        columns = read_table(files[0]).whole(chains.robot.model.names).columns
-        self.read = replace(self.read, columns=[*columns])
+        read.columns = [*read_table(files[0]).whole(chains.robot.model.names).columns]
         fault: CalibPinError | None = None
         try:
-            if not chosen.setup:
+            if not chosen.text:
                 self._draft()
         except CalibPinError as error:
             fault = error  # As `calibrate` reads it, it may show what is wrong.
-        self._state(self.read.text)
+        self._state(read.text)
         if chosen.changes:
-            head = self.read.text.partition("\n")[0] * bool(self.read.fit)
+            head = read.text.partition("\n")[0] * bool(read.fit)
             lines = merged(read_tree(SETUP).data or {}, chosen.changes)
             self._state(f"{head}\n\n{yaml_text(lines)}\n".lstrip())
-        asked = Request(
-            robot=chosen.robot, measurements=files, package_dir=folders, setup=SETUP
-        )
+        asked = Request(**same(chosen, Request) | {"setup": SETUP})
         try:
             given = opened(asked, OUT, force=True, bar=self._bar)
         except CalibPinError as error:
             raise (fault or error) from None
         if fault is not None and not chosen.changes:
             notice(f"no setup file could be drafted: {fault}")
-        self.read = replace(self.read, opened=given)
+        read.opened = given
         self.scene = self._drawn(given.chains, given.setup)
 
     def _state(self, text: str) -> None:
         """Write the setup file, and read it."""
         SETUP.write_text(text, "utf-8")
-        self.files = {SETUP.name: text.encode()}
-        self.read = replace(self.read, text=text)
-        keys = setup_document(open_setup(SETUP))
-        self.read = replace(self.read, keys=keys)
+        self.files, self.read.text = {SETUP.name: text.encode()}, text
+        self.read.keys = setup_document(open_setup(SETUP))
 
     def _draft(self) -> None:
         """Draft a setup file as `init` does."""
@@ -274,20 +258,16 @@ class Job:
             return choices[0]
 
         def ask(question: str) -> str:
-            self.read = replace(self.read, question=question)
+            self.read.question = question
             raise OptionError(question)
 
-        chosen = self.chosen
-        known = {key: chosen.changes.get(key) for key in ("base", "tip", "model")}
-        given: dict[str, Any] = {**vars(chosen), **known}
-        names = ("robot", "measurements", "base", "tip", "model", "distance")
-        asked = Draft(package_dir=[*chosen.packages], **{k: given[k] for k in names})
-        robot, look = looked_at(asked, choose, ask)
-        text = draft(robot, look, "calib-pin app")
+        changes, read = self.chosen.changes, self.read
+        known: Any = {key: changes.get(key) for key in ("base", "tip", "model")}
+        robot, look = looked_at(replace(self.chosen, **known), choose, ask)
+        read.tips, read.text = look.tips, draft(robot, look, "calib-pin app")
         # It begins with comments on the whole.
-        told = text.partition("\n\n")[0].replace("\n#   ", " ").split("\n# ")[1:]
-        fit = "\n".join(told)
-        self.read = replace(self.read, tips=look.tips, text=text, fit=fit)
+        told = read.text.partition("\n\n")[0].replace("\n#   ", " ")
+        read.fit = "\n".join(told.split("\n# ")[1:])
 
     def _calibrate(self) -> None:
         given = self.read.opened
@@ -308,13 +288,13 @@ class Job:
         if found := [*self._watch.look()]:
             self._events += found
             given = replace(self._seen or before, files=before.files)
-            self.read = replace(self.read, opened=given)
+            self.read.opened = given
             self.scene = self._drawn(given.chains, given.setup)
 
     def _drawn(
         self, chains: Chains, setup: Setup, model: CalibratedModel | None = None
     ) -> Scene:
-        given, folders = self.read.opened, self.chosen.packages
+        given, folders = self.read.opened, self.chosen.package_dir or ()
         read, tells = None if given is None else given.again, partial(stage, self._bar)
         return make_scene(
             chains, model, setup, read, None, folders, tell=notice, stage=tells
@@ -322,11 +302,9 @@ class Job:
 
     # --- what is shown -------------------------------------------------------------
 
-    def sections(self, seconds: float) -> Iterator[Section]:
-        """All sections of the page, some seconds after the last time."""
-        self._waited += seconds
-        if self._watch is not None and self._stage is None and self._waited > PAUSE:
-            self._waited = 0.0
+    def sections(self) -> Iterator[Section]:
+        """All sections of the page; files that are followed are looked at."""
+        if self._watch is not None and self._stage is None:
             self._do(self._look, "")
         yield Section("Result", [*self._result()])
         yield Section("Now", [*self._now()])
@@ -336,6 +314,8 @@ class Job:
         yield Section("Robot and measurements", [*self._asked()])
         yield Section("Columns and units", [*self._columns()], expanded=False)
         yield Section("Setup file", [*self._lines()], expanded=False)
+        view = [] if self.scene is None else [Widget("scene", value=self.scene)]
+        yield Section("View", view, expanded=False)
 
     def _now(self) -> Iterator[Widget]:
         read, working = self.read, self._stage
@@ -345,9 +325,9 @@ class Job:
             return
         if self.problem:
             yield words(self.problem, "error")
-        if read.question:
-            do, asked = self._answer, (read.question,)
-            yield Widget("entry", "take this length", choices=asked, do=do)
+        if asked := read.question:
+            do = partial(self._take, "distance")
+            yield Widget("entry", "take this length", choices=(asked,), do=do)
         for remark in self._remarks:
             yield words(remark, "note")
         if not self.chosen.robot:
@@ -379,7 +359,7 @@ class Job:
         if robot:
             yield words(f"Robot: {robot}", "head")
         for path in files:
-            others = tuple(other for other in files if other != path)
+            others = [other for other in files if other != path]
             do = partial(self.choose, measurements=others)
             yield words(f"Measurements: {path}", "head")
             yield Widget("button", f"remove {path.name}", do=do)
@@ -441,14 +421,13 @@ class Job:
 
     def _lines(self) -> Iterator[Widget]:
         if self.chosen.measurements:
-            yield Widget("lines", "use these lines", self.read.text, do=self._write)
+            do = partial(self._take, "text")
+            yield Widget("lines", "use these lines", self.read.text, do=do)
             yield self._links({SETUP.name: SETUP.name})
 
-    def _answer(self, distance: str) -> None:
-        self.choose(distance=distance)
-
-    def _write(self, text: str) -> None:
-        self.choose(setup=text.strip() and text, changes={})
+    def _take(self, key: str, text: str) -> None:
+        changes = {} if key == "text" else self.chosen.changes
+        self.choose(**{key: text.strip() and text}, changes=changes)
 
     def _links(self, names: Mapping[str, str], tone: str = "plain") -> Widget:
         """Links to those of the files that are there, by what stands on them."""

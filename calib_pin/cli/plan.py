@@ -6,118 +6,42 @@ import shlex
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-import typer
+import numpy as np
 
 from calib_pin.cli import files, options, printing, results
-from calib_pin.cli.options import SEED, Told, known, number
+from calib_pin.cli.asked import Plan
+from calib_pin.cli.compensate import require_solids, ways_of
+from calib_pin.control.acceptance_poses import acceptance_poses
 from calib_pin.errors import CalibPinError, OptionError
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io import measurements, targets
+from calib_pin.io.columns import ANGLE, LENGTH, split_header
+from calib_pin.io.exchange.motions import speed_limits
+from calib_pin.io.json_text import Json, format_keys, merged, plain
+from calib_pin.io.measured_columns import shown_columns
+from calib_pin.io.measurements import encode_configurations, encode_table
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.collision import Collisions
+from calib_pin.kinematics.joint_columns import JointColumns
+from calib_pin.observations import BlockKey, Observations, fitted_and_held_out
+from calib_pin.parameters import matching
+from calib_pin.planning import plan as planning
+from calib_pin.planning import travel, workspace
+from calib_pin.planning.workspace import joint_limits
+from calib_pin.report.acceptance_text import acceptance_schedule
+from calib_pin.report.compensation_text import line_list
+from calib_pin.report.plan_text import plan_report
+from calib_pin.setup import Setup
+from calib_pin.solvers import Status
+from calib_pin.units import as_number
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.robot_state import expected_setup
 
-if TYPE_CHECKING:
-    from calib_pin.kinematics.chains import Chains
-    from calib_pin.kinematics.collision import Collisions
-    from calib_pin.observations import BlockKey, Observations
-    from calib_pin.setup import Setup
-    from calib_pin.validation.result import CalibrationResult
-
-COUNT = number(int, "--count", "1 to 1000", 1, 1000)
-CYCLES = number(int, "--cycles", "3 to 1000", 3, 1000)
-CANDIDATES = number(int, "--candidates", "1 to 100000", 1, 1e5)
-DISTANCE = number(float, "--distance", "0 to 10", 0.0, 10.0)
-CRITERION = known("criterion", "planning.plan:CRITERION_NAMES")
-METHOD = known("method", "planning.search:METHODS")
-
-USUAL = 30
-"""Cycles of an acceptance test."""
-
-
-def added(text: str) -> int:
-    """The value of `--add`; zero where that leaves the number to `--count`."""
-    return number(int, "--add", "1 to 1000", 1, 1000)(text) if text else 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlanRequest(
-    options.Untouched,
-    options.InDegrees,
-    options.Pictured,
-    options.Shared,
-    options.OfChain,
-    options.OfParameters,
-):
-    """A plan as it is asked for.
-
-    Attributes:
-        count: Number of configurations.
-        add: Number of configurations to add to the measurements of --to.
-        to: Measurements that exist already; may be repeated.
-        criterion: prediction (default; the predicted tool-point uncertainty),
-            condition, or O1 to O5.
-        method: auto (default; exchange, then gradient), exchange, greedy, pso, ga or
-            gradient.
-        candidates: Quasi-random configurations to choose from.
-        seed: Random seed.
-        start: Plan for a calibration that goes on from this older one.
-        tests: Configurations where the robot is to be accurate; by default everywhere.
-        accept: Plan an acceptance test instead: five poses of a cube, and its schedule.
-        cycles: Visits of each pose of an acceptance test; default 30.
-        distance: Least distance between configurations, as the largest movement of a
-            joint [rad, m].
-        limits: Narrower joint limits, such as 'joint_*=-2:2' or
-            'elbow=-120:120 [deg]'; may be repeated.
-        ignore_collisions: Check no collisions.
-        output: File of configurations to write.
-        motion: File of the whole motion to write: the configurations, with via
-            configurations where the straight way collides.
-    """
-
-    count: Annotated[int | None, Told("N", "Plan", COUNT)] = None
-    add: Annotated[int | None, Told("[N]", "Plan", added)] = None
-    to: Annotated[list[Path] | None, Told("CSV", "Plan")] = None
-    criterion: Annotated[str, Told("NAME", "Plan", CRITERION)] = "prediction"
-    method: Annotated[str, Told("NAME", "Plan", METHOD)] = "auto"
-    candidates: Annotated[int, Told("N", "Plan", CANDIDATES)] = 1000
-    seed: Annotated[int, Told("N", "Plan", SEED)] = 0
-    start: Annotated[Path | None, Told("CALIBRATION", "Plan")] = None
-    tests: Annotated[Path | None, Told("CSV", "Plan")] = None
-    accept: Annotated[bool, Told("", "Plan")] = False
-    cycles: Annotated[int | None, Told("N", "Plan", CYCLES)] = None
-    distance: Annotated[float, Told("D", "Constraints", DISTANCE)] = 0.0
-    limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
-    ignore_collisions: Annotated[bool, Told("", "Constraints")] = False
-    output: Annotated[Path, Told("CSV", "Output")]
-    motion: Annotated[Path | None, Told("CSV", "Output")] = None
-
-    def check(self) -> None:
-        """Refuse options that exclude one another."""
-        alone = (n for n in ALONE if getattr(self, n) != getattr(PlanRequest, n))
-        reason = ""
-        if self.accept and (name := next(alone, None)):
-            option = name.replace("_", "-")
-            reason = f"--accept plans an acceptance test, without --{option}"
-        elif self.accept:
-            pass
-        elif self.cycles is not None:
-            reason = "--cycles belongs to --accept"
-        elif self.add is not None and not self.to:
-            reason = "--add needs the measurements to add to: --to CSV"
-        elif self.to and self.add is None:
-            reason = "--to names measurements; say how many to add with --add N"
-        elif self.add and self.count not in (None, self.add):
-            reason = f"--add {self.add} and --count {self.count} contradict each other"
-        elif not (self.add or self.count):
-            reason = "say how many configurations to plan with --count N"
-        if self.ignore_collisions and self.motion is not None:
-            reason = reason or "--ignore-collisions contradicts --motion"
-        if reason:
-            raise OptionError(reason)
-        if self.ignore_collisions:
-            self.refuse_unused("--ignore-collisions contradicts")
-
+UNCHECKED = "--ignore-collisions contradicts"
 
 ALONE = (
     *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
@@ -126,27 +50,32 @@ ALONE = (
 """Options of plans that an acceptance test has no use for."""
 
 
-@options.spread
-def plan(asked: PlanRequest, context: typer.Context) -> int:
-    """Choose optimal calibration configurations, or plan an acceptance test.
+def check(asked: Plan) -> None:
+    """Refuse options that exclude one another."""
+    alone, add, count, to = "", asked.add, asked.count, asked.to
+    for name in reversed(ALONE):
+        if getattr(asked, name) != getattr(Plan, name):
+            alone = options.as_option(name)
+    many, other = "say how many", not asked.accept
+    for wrong, reason in (
+        (alone and not other, f"--accept plans an acceptance test, without {alone}"),
+        (other and asked.cycles != Plan.cycles, "--cycles belongs to --accept"),
+        (add is not None and not to, "--add needs measurements to add to: --to CSV"),
+        (to and add is None, f"--to names measurements; {many} to add with --add N"),
+        (add and count not in (None, add), f"--add {add} contradicts --count {count}"),
+        (other and not (add or count), f"{many} configurations to plan with --count N"),
+        (asked.motion and asked.ignore_collisions, f"{UNCHECKED} --motion"),
+    ):
+        if wrong:
+            raise OptionError(reason)
+    if asked.ignore_collisions:
+        asked.refuse_unused(UNCHECKED)
 
-    They keep the joint limits, collide with nothing, lie in the region of the setup
-    file, and are ordered for short travel. A table shows the accuracy that more or
-    fewer of them would give. Ctrl-C ends the search with the best plan so far. Exit
-    status 2: no free way was found for --motion, which is not written.
-    """
-    import numpy as np
 
-    from calib_pin.cli.documents import plan_document
-    from calib_pin.io import measurements, targets
-    from calib_pin.planning import plan as planning
-    from calib_pin.planning import travel, workspace
-    from calib_pin.report.compensation_text import line_list
-    from calib_pin.report.plan_text import plan_report
-    from calib_pin.solvers import Status
-
+def plan(asked: Plan, words: Sequence[str]) -> int:
+    """Do what `Plan` asks for."""
     older, stated = files.open_older(asked.start, asked.stated(), planned=True)
-    asked.check()
+    check(asked)
     pictures = results.figure_files(asked.figures, asked.figure_format, "plan")
     inputs = [asked.robot, asked.setup, asked.srdf, asked.tests, asked.start]
     outputs = [asked.output, asked.motion, *pictures]
@@ -154,13 +83,13 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
     if asked.accept:
         stated = replace(stated, model="position")
     chains, keys, rows, stated = _opened(asked, stated, older)
-    collisions, command, poses = None, printing.told_command(context), None
+    collisions, command, poses = None, printing.told_command(words), None
     if not asked.ignore_collisions:
         collisions = asked.collisions(chains, stated.obstacles, stated.file)
     if asked.accept:
         return _acceptance(asked, chains, stated, collisions, command)
     if asked.motion is not None:
-        options.require_solids("--motion", chains, collisions)
+        require_solids("--motion", chains, collisions)
     if asked.tests is not None:
         about = stated.joints, stated.columns
         poses = measurements.read_configurations(asked.tests, chains, *about)
@@ -221,15 +150,9 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
 
 
 def _opened(
-    asked: PlanRequest, stated: Setup, older: CalibrationResult | None
+    asked: Plan, stated: Setup, older: CalibrationResult | None
 ) -> tuple[Chains, Sequence[BlockKey], Observations | None, Setup]:
     """The chains, what is measured there, what was measured before, and the setup."""
-    import numpy as np
-
-    from calib_pin.io.measurements import encode_configurations
-    from calib_pin.observations import fitted_and_held_out
-    from calib_pin.validation.robot_state import expected_setup
-
     rows: Observations | None = None
     keys: Sequence[BlockKey]
     if asked.to:
@@ -291,10 +214,6 @@ def parse_limits(
         OptionError: If a word is not of this form, the limits cross, or the unit is
             none of a joint that is meant.
     """
-    from calib_pin.io.columns import ANGLE, LENGTH, split_header
-    from calib_pin.parameters import matching
-    from calib_pin.units import as_number
-
     units = {**ANGLE.units, **LENGTH.units}
     limits = {}
     for word in words:
@@ -323,7 +242,7 @@ def parse_limits(
 
 
 def _acceptance(
-    asked: PlanRequest,
+    asked: Plan,
     chains: Chains,
     setup: Setup,
     collisions: Collisions | None,
@@ -341,15 +260,6 @@ def _acceptance(
     Raises:
         OptionError: If there are several chains, or no cube is found.
     """
-    from calib_pin.control.acceptance_poses import acceptance_poses
-    from calib_pin.estimation.formulation import nominal_problem
-    from calib_pin.io.exchange.motions import speed_limits
-    from calib_pin.io.measured_columns import shown_columns
-    from calib_pin.io.measurements import encode_table
-    from calib_pin.kinematics.joint_columns import JointColumns
-    from calib_pin.planning.workspace import joint_limits
-    from calib_pin.report.acceptance_text import acceptance_schedule
-
     if len(chains.names) > 1:
         reason = "an acceptance test is of one chain; say which one with --chain"
         raise OptionError(reason, allowed=", ".join(chains.names))
@@ -358,7 +268,7 @@ def _acceptance(
     lower, upper = joint_limits(problem)
     ways = None
     if collisions is not None:
-        ways = options.ways_of("--accept", chain, collisions)
+        ways = ways_of("--accept", chain, collisions)
     (term,) = problem.terms.values()
     found = acceptance_poses(
         chain,
@@ -376,7 +286,7 @@ def _acceptance(
     for name in ("setup", "base", "tip"):
         if (value := getattr(asked, name)) is not None:
             words += [f"--{name}", str(value)]
-    cycles, robot = asked.cycles or USUAL, chains.robot.name
+    cycles, robot = asked.cycles, chains.robot.name
     schedule = acceptance_schedule(found, robot, cycles, speeds, shlex.join(words))
     q, poses, each = found.cycles(cycles)
     shown = shown_columns(q, JointColumns.of(chain, setup.joints), asked.degrees)
@@ -391,3 +301,23 @@ def _acceptance(
         [f"wrote {len(found.q) * cycles} visits to {asked.output}"],
     )
     return 0
+
+
+def plan_document(plan: planning.Plan) -> Json:
+    """A plan: its configurations, what they reach, and the expected result."""
+    expected, blocked = plan.predicted, plan.blocked
+    return merged(
+        format_keys("calib-pin/plan"),
+        {"joints": plan.problem.chains.joints, "target": plan.target},
+        plain(plan),
+        {
+            "collisions": {
+                "checked": blocked is not None,
+                "blocked_moves": blocked or (),
+            },
+            "predicted": {
+                "rank": expected.directions.count,
+                "structural_rank": expected.rank,
+            },
+        },
+    )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from time import monotonic
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import typer
 
@@ -16,6 +16,8 @@ from calib_pin.errors import CalibPinError, one_line
 from calib_pin.progress import Progress, named
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from calib_pin.report.blocks import Block
 
 PATIENCE = 10.0
@@ -28,26 +30,29 @@ Bar = Callable[[str, float | None], None]
 """Told the stage and the part that is done, 0 to 1; None where that is not known."""
 
 
-def show(blocks: Iterable[Block]) -> None:
-    """Print to standard output: colored on a terminal, plain 80 columns elsewhere."""
+def console(file: IO[str] | None = None) -> Console:
+    """A terminal on which names are what they are: no markup, no emoji codes."""
     from rich.console import Console
 
+    return Console(file=file, highlight=False, markup=False, emoji=False)
+
+
+def show(blocks: Iterable[Block]) -> None:
+    """Print to standard output: colored on a terminal, plain 80 columns elsewhere."""
     from calib_pin.report.terminal import WIDTH, laid_out, plain_text
 
     if sys.stdout.isatty():
-        # Names are what they are: no markup and no emoji codes in them.
-        console = Console(highlight=False, markup=False, emoji=False)
+        terminal = console()
         # A narrower terminal wraps lines; rich would cut numbers off.
-        console.width = max(console.width, WIDTH)
-        console.print(laid_out(blocks))
+        terminal.width = max(terminal.width, WIDTH)
+        terminal.print(laid_out(blocks))
     else:
         say(plain_text(blocks))
 
 
-def told_command(context: typer.Context) -> str:
+def told_command(words: Sequence[str]) -> str:
     """The command line, but for `--force`, which changes nothing of what follows."""
-    words = [word for word in context.obj if word != "--force"]
-    return shlex.join(["calib-pin", *words])
+    return shlex.join(["calib-pin", *(word for word in words if word != "--force")])
 
 
 def say(text: str) -> None:
@@ -121,16 +126,12 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Bar | None]:
     if not sys.stderr.isatty():
         yield _lines()
         return
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TimeRemainingColumn(),
-    )
-    console = Console(file=sys.stderr, highlight=False, markup=False, emoji=False)
-    with Progress(*columns, console=console, transient=True) as progress:
+    stages = TextColumn("{task.description}", markup=False)
+    columns = (stages, BarColumn(), TimeRemainingColumn())
+    terminal = console(sys.stderr)
+    with Progress(*columns, console=terminal, transient=True) as progress:
         task = progress.add_task("", total=None)
         done = 0.0
 

@@ -2,52 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
-from calib_pin.cli import files, options, printing, results
-from calib_pin.cli.options import Told
+from calib_pin.cli import files, printing, results
+from calib_pin.cli.asked import Report
 from calib_pin.cli.results import draw_calibration
+from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.io.measurement_errors import MEASUREMENTS
+from calib_pin.io.results import REPORT, document_file, read_written
+from calib_pin.io.robot_shapes import robot_shapes
+from calib_pin.report.cover import calibration_cover
+from calib_pin.report.html import html_report, provenance_blocks
+from calib_pin.report.pdf import pdf_report, require_pdf
+from calib_pin.report.text import report as blocks
 
 
-@dataclass(frozen=True, kw_only=True)
-class Report(options.QuietAnswer, options.Pictured):
-    """A report as it is asked for.
-
-    Attributes:
-        calibration: Folder of the results, or its .json file.
-        output: The page; default report.html of the folder, which is replaced.
-        pdf: Write a PDF for a customer as well.
-        package_dir: Folder of the ROS packages that the robot names; may be repeated.
-    """
-
-    calibration: Annotated[Path, Told("DIR|CALIBRATION", "")]
-    output: Annotated[Path | None, Told("PAGE", "Output")] = None
-    pdf: Annotated[Path | None, Told("FILE", "Output")] = None
-    package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
-
-
-@options.spread
 def report(asked: Report) -> int:
-    """Write the page and the figures of a calibration again, from its files alone.
-
-    calibration.json, measurements.csv and the robot are all that it takes. The robot is
-    drawn with its meshes where they are found as in the calibration, and with simple
-    shapes where the folder has been moved away from them. Without
-    measurements.csv it has no figures of single measurements. '--pdf' writes a report
-    to be printed and signed; 'report' in the setup of the calibration says whose robot
-    it is. Exit status 2: the calibration must not be trusted.
-    """
-    from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.measurement_errors import MEASUREMENTS
-    from calib_pin.io.results import REPORT, document_file, read_written
-    from calib_pin.io.robot_shapes import robot_shapes
-    from calib_pin.report.cover import calibration_cover
-    from calib_pin.report.html import html_report, provenance_blocks
-    from calib_pin.report.pdf import pdf_report, require_pdf
-    from calib_pin.report.text import report as blocks
-
+    """Do what `Report` asks for."""
     pdf, folders = asked.pdf, asked.package_dir or []
     if pdf is not None:
         require_pdf()
@@ -70,7 +42,7 @@ def report(asked: Report) -> int:
         text = html_report(result, document, figures=drawn, suggestions=suggestions)
         contents = {page: text}
         if pdf is not None:
-            stated = options.dated(result.model.setup.report)
+            stated = results.dated(result.model.setup.report)
             cover = calibration_cover(result, stated, drawn)
             annex = blocks(result, suggestions, details=True, formulae=False)
             contents[pdf] = pdf_report(cover, [*annex, *provenance_blocks(document)])

@@ -8,19 +8,21 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import calib_pin.calibration as calibration
 import calib_pin.cli.files as files_of
 from calib_pin.cli import options, printing, results
 from calib_pin.cli.results import draw_calibration
+from calib_pin.io.measured_columns import place_of
+from calib_pin.io.results import document_file
+from calib_pin.io.urdf import other_robots
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import Observations
+from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
+from calib_pin.setup import Setup
+from calib_pin.validation.model_selection import USES
+from calib_pin.validation.result import CalibrationResult, Provenance
 from calib_pin.workers import SERIAL, Workers
-
-if TYPE_CHECKING:
-    from calib_pin.kinematics.chains import Chains
-    from calib_pin.observations import Observations
-    from calib_pin.planning.suggestions import Suggestion
-    from calib_pin.setup import Setup
-    from calib_pin.validation.result import CalibrationResult
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,6 @@ def opened(
         InputError: If the input cannot be used.
         OptionError: If an option cannot, or results must not be written there.
     """
-    from calib_pin.io.measured_columns import place_of
-    from calib_pin.io.results import document_file
-
     rows_in = request.measurements
     further = [] if request.validation is None else [request.validation]
     older, stated = files_of.open_older(
@@ -137,15 +136,10 @@ def calibrated(
         bar: Told the progress.
         workers: Who fits the folds and candidates.
     """
-    from calib_pin.calibration import calibrate
-    from calib_pin.io.urdf import other_robots
-    from calib_pin.planning.suggestions import calibrated_setup, suggestions
-    from calib_pin.validation.model_selection import USES
-
     request, files, setup = opened.request, opened.files, opened.setup
     shown = (files is not None and page) or bool(pictures)
     start = time.perf_counter()
-    given = options.same(request, calibrate) | {
+    given = options.same(request, calibration.calibrate) | {
         "setup": setup,
         "validation": opened.validation,
         "measurements": opened.measurements,
@@ -155,7 +149,7 @@ def calibrated(
         "workers": workers,
     }
     others = partial(other_robots, opened.chains, setup)
-    result = calibrate(opened.chains, **given, progress=bar, others=others)
+    result = calibration.calibrate(opened.chains, **given, progress=bar, others=others)
     seconds = time.perf_counter() - start
     better = suggestions(
         opened.chains,
@@ -172,8 +166,6 @@ def calibrated(
         drawn = draw_calibration(result, bar, shapes)
     contents = drawings = results.figure_contents(drawn, pictures)
     if files is not None:
-        from calib_pin.validation.result import Provenance
-
         created = datetime.now(UTC).isoformat(timespec="seconds")
         made = Provenance.at(created, tuple(words), seconds)
         contents = results.result_contents(

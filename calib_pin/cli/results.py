@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,13 +14,18 @@ from typing import TYPE_CHECKING, NamedTuple
 from calib_pin.cli.files import check_outputs, exists
 from calib_pin.cli.printing import Bar, notice
 from calib_pin.errors import OptionError
+from calib_pin.io import json_text, measurement_errors, results, urdf
+from calib_pin.io.files import listed, sha256, write_files
+from calib_pin.io.measurement_errors import MEASUREMENTS
+from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name, written_before
+from calib_pin.kinematics.robot import Robot
+from calib_pin.kinematics.shapes import Shape
+from calib_pin.planning.suggestions import Suggestion
+from calib_pin.setup import ReportSetup
+from calib_pin.validation.result import CalibrationResult, Provenance
 
-if TYPE_CHECKING:
-    from calib_pin.kinematics.robot import Robot
-    from calib_pin.kinematics.shapes import Shape
-    from calib_pin.planning.suggestions import Suggestion
+if TYPE_CHECKING:  # Drawing loads slowly, and is not always asked for.
     from calib_pin.report.figures import Drawn
-    from calib_pin.validation.result import CalibrationResult, Provenance
 
 
 class ResultFiles(NamedTuple):
@@ -37,9 +44,6 @@ def result_files(folder: Path, robot: str) -> ResultFiles:
     Raises:
         OptionError: If a file stands in the place of the folder.
     """
-    from calib_pin.io.measurement_errors import MEASUREMENTS
-    from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name
-
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
     names = (urdf_name(robot), NOMINAL, DOCUMENT, MEASUREMENTS, REPORT)
@@ -60,8 +64,6 @@ def check_results(
     Raises:
         OptionError: See `cli.files.check_outputs`.
     """
-    from calib_pin.io import results, urdf
-
     # The nominal robot of a folder may be calibrated again: it stays as it is.
     kept = files.nominal if urdf.is_source(files.nominal, robot) else None
     all_files = dict.fromkeys((*files, *pictures, *results.written_before(files.json)))
@@ -81,8 +83,6 @@ def result_contents(
     The corrected URDF is there if it can be trusted, and is the nominal one where
     there is no gain; the page is there if figures for it are given, however few.
     """
-    from calib_pin.io import json_text, measurement_errors, results, urdf
-    from calib_pin.io.files import listed, sha256
     from calib_pin.report.html import html_report
 
     document = results.calibration_document(result, made, suggestions)
@@ -127,9 +127,6 @@ def write_results(
     Files of an earlier run that are not rewritten would pass for a result of this
     one, so they are removed.
     """
-    from calib_pin.io.files import listed, write_files
-    from calib_pin.io.results import written_before
-
     folder = files.json.parent
     names = {listed(path, folder) for path in (*contents, files.nominal)}
     old = [p for p in written_before(files.json) if listed(p, folder) not in names]
@@ -217,3 +214,8 @@ def told_figures(pictures: Collection[Path], files: Sequence[Path]) -> list[str]
     _tell_others(files, pictures, "figure")
     count = f"{len(pictures)} figure{'s' if len(pictures) != 1 else ''}"
     return [f"wrote {count} to {files[0].parent}"] if files else []
+
+
+def dated(entries: ReportSetup) -> ReportSetup:
+    """The entries of a report with their date, by default today."""
+    return replace(entries, date=entries.date or date.today().isoformat())

@@ -2,39 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
-
-import calib_pin.cli.options as options
-from calib_pin.cli.options import Told
+from calib_pin.cli.asked import Robots
 from calib_pin.errors import OptionError, require_known
+from calib_pin.io.files import read_bytes
+from calib_pin.io.urdf import bundled_robots, load_robot
+from calib_pin.kinematics.chain import Chain
+from calib_pin.report.blocks import table
 
 
-@dataclass(frozen=True, kw_only=True)
-class Robots(options.Answer):
-    """A question for the bundled robots.
-
-    Attributes:
-        name: The robot to copy; without it, a list.
-        output: Folder for its URDF and example files.
-    """
-
-    name: Annotated[str | None, Told("[NAME]", "")] = None
-    output: Annotated[Path | None, Told("DIR", "Output")] = None
-
-
-@options.spread
 def robots(asked: Robots) -> int:
-    """List the bundled robots, whose names can stand for a URDF file, or copy one.
-
-    A copy holds robot.urdf, measurements.csv and setup.yaml: a calibration to try.
-    """
-    from calib_pin.io.files import read_bytes
-    from calib_pin.io.urdf import bundled_robots, load_robot
-    from calib_pin.kinematics.chain import Chain
-    from calib_pin.report.blocks import table
-
+    """Do what `Robots` asks for."""
     known, name, output = bundled_robots(), asked.name, asked.output
     if (name is None) != (output is None):
         raise OptionError("name the robot and the folder: robots NAME -o DIR")

@@ -2,78 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
+import numpy as np
 
 import calib_pin.cli.files as files
-import calib_pin.cli.options as options
-from calib_pin.cli.options import SEED, Told, number
+from calib_pin.cli.asked import Simulate
 from calib_pin.cli.printing import notice, progress_bar, stage, told_command
 from calib_pin.errors import OptionError, stated_in
-
-COUNT = number(int, "--count", "1 to 1000000", 1, 1e6)
-NOISE = number(float, "--noise", "0 to 1 m or rad", 0.0, 1.0)
-REPEATS = number(int, "--repeats", "1 to 1000000", 1, 1e6)
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io import measurements, results, setup
+from calib_pin.io.table import read_table
+from calib_pin.simulation import draw_errors
+from calib_pin.simulation import simulate as run
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 PLACES = ("chain", "station", "tool")
 """Columns of a file that say which block measures a configuration."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Simulation(options.Answer, options.OfParameters):
-    """Measurements as they are asked for.
-
-    Attributes:
-        output: Measurement file to write.
-        model: Measurement model, or several joined by +; 'list' prints all.
-        count: Number of random configurations, or
-        configurations: the configurations of this file.
-        errors: True errors by parameter name [m, rad]; by default drawn.
-        seed: Random seed of errors, configurations and noise.
-        noise: Standard deviation of every component [m, rad]; by default that of the
-            setup file, or 0.1 mm and 0.1 mrad.
-        repeats: Readings per configuration.
-        average: Average the readings of a configuration into one measurement.
-        all_targets: Measure all targets that the instrument sees at each configuration,
-            as the corners of a board in an image.
-        truth: Write the robot with its true errors.
-    """
-
-    output: Annotated[Path, Told("CSV", "Output")]
-    count: Annotated[int | None, Told("N", "Simulation", COUNT)] = None
-    configurations: Annotated[Path | None, Told("CSV", "Simulation")] = None
-    errors: Annotated[Path | None, Told("YAML", "Simulation")] = None
-    seed: Annotated[int, Told("N", "Simulation", SEED)] = 0
-    noise: Annotated[float | None, Told("S", "Simulation", NOISE)] = None
-    repeats: Annotated[int, Told("K", "Simulation", REPEATS)] = 1
-    average: Annotated[bool, Told("", "Simulation")] = False
-    all_targets: Annotated[bool, Told("", "Simulation")] = False
-    truth: Annotated[Path | None, Told("URDF", "Output")] = None
-
-
-@options.spread
-def simulate(asked: Simulation, context: typer.Context) -> int:
-    """Simulate measurements of a robot with true errors, given or drawn.
-
-    Errors that are not given are drawn uniformly within the expected size of each
-    parameter, such as plus and minus 1 mm and 3 mrad for a placement. Frames and planes
-    are taken from the setup file. Its chains, stations and tools share the
-    configurations, unless columns 'chain', 'station' and 'tool' of --configurations say
-    what is measured at each. Of a board each image shows all corners in sight.
-    """
-    import numpy as np
-
-    from calib_pin.estimation.formulation import nominal_problem
-    from calib_pin.io import measurements, results, setup
-    from calib_pin.io.table import read_table
-    from calib_pin.simulation import draw_errors
-    from calib_pin.simulation import simulate as run
-    from calib_pin.validation.calibrated_model import CalibratedModel
-
+def simulate(asked: Simulate, words: Sequence[str]) -> int:
+    """Do what `Simulate` asks for."""
     stated, file, truth = asked.stated(), asked.configurations, asked.truth
     keys = files.stated_blocks(stated)
     if (asked.count is None) == (file is None):
@@ -114,7 +65,7 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
             target = named.pop("target", ())
             with stated_in(str(file)):
                 rows = measure(q=q, target=target, places=named, conditions=held)
-        comment = f"simulated by: {told_command(context)}"
+        comment = f"simulated by: {told_command(words)}"
         columns = measurements.measurement_columns(rows)
         data = measurements.encode_table(columns, [comment], stage(bar, "write"))
     contents = {asked.output: data}

@@ -4,57 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
-import os
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
-
-from calib_pin.cli.files import FLAGS, open_chains, open_setup
+from calib_pin.cli.init import reading
 from calib_pin.cli.options import Request
 from calib_pin.cli.printing import say
 from calib_pin.errors import InputError, OptionError
-
-if TYPE_CHECKING:
-    from calib_pin.io.columns import Kind
-
-ASKED = "a number each, and a unit, such as 523.5 mm"
-
-
-def reading(text: str, kinds: Mapping[str, Kind], unit: str) -> tuple[list[float], str]:
-    """Typed numbers in SI units, and the unit they were in.
-
-    A comma is a decimal mark; blanks or semicolons separate. Where no unit is typed, it
-    is that of the reading before.
-
-    Args:
-        text: The text.
-        kinds: The columns that are asked for.
-        unit: The unit of the reading before; empty where there was none.
-
-    Raises:
-        InputError: If the text is something else.
-    """
-    words = re.sub(r"(?<=\d)(?=[a-zA-Z])", " ", text.replace(",", ".")).split()
-    words = [word for word in re.split(r"[\s;]+", " ".join(words)) if word]
-    if words and not re.match(r"[-+.\d]", words[-1]):
-        unit = words.pop()
-    (kind,) = {one.si: one for one in kinds.values()}.values()
-    if unit not in kind.units:
-        raise InputError("say the unit", value=unit, allowed=", ".join(kind.units))
-    try:
-        numbers = [kind.units[unit] * float(word) for word in words]
-    except ValueError:
-        numbers = []
-    if len(numbers) != len(kinds) or not np.isfinite(numbers).all():
-        raise InputError("cannot be read", value=text, allowed=ASKED)
-    if max(map(abs, numbers)) > kind.largest:
-        raise InputError(
-            "is too large", value=text, allowed=f"{kind.largest:g} {kind.si}"
-        )
-    return numbers, unit
+from calib_pin.guidance.proposals import remaining
+from calib_pin.io.files import write_atomically
+from calib_pin.io.measured_columns import asked_models, infer_model, needed
+from calib_pin.io.table import read_table
 
 
 def typed(request: Request, plan: Path) -> Callable[[], None]:
@@ -67,13 +27,8 @@ def typed(request: Request, plan: Path) -> Callable[[], None]:
         InputError: If the plan or the file cannot be used.
         OptionError: If nothing says what is measured.
     """
-    from calib_pin.guidance.proposals import remaining
-    from calib_pin.io.measured_columns import asked_models, infer_model, needed
-    from calib_pin.io.table import read_table
-
-    (file,), asked = request.measurements, vars(request)
-    setup = open_setup(request.setup, **{name: asked[name] for name in FLAGS})
-    chains = open_chains(request.robot, setup, "", request.package_dir)
+    (file,), setup = request.measurements, request.stated()
+    chains = request.chains(setup, "")
     table = read_table(plan, columns=setup.columns)
     models = asked_models(setup.model)
     if not models and not file.exists():
@@ -84,7 +39,7 @@ def typed(request: Request, plan: Path) -> Callable[[], None]:
         raise OptionError("readings of this model cannot be typed", value=model)
     header = [*(c.header for c in table.columns.values()), *kinds]
     if not file.exists() or not file.stat().st_size:
-        _append(file, header)
+        _rewrite(file, header)
     skipped, unit = set[int](), ""
 
     def ask() -> None:
@@ -109,35 +64,25 @@ def typed(request: Request, plan: Path) -> Callable[[], None]:
                 skipped.add(row)
                 return
             if text.strip() == "back":
-                _take_back(file)
+                _rewrite(file)
                 return
             try:
                 numbers, unit = reading(text, kinds, unit)
             except InputError as error:
                 say(f"{error}\n")
                 continue
-            _append(file, [*cells, *(f"{number:.9g}" for number in numbers)])
+            _rewrite(file, [*cells, *(f"{number:.9g}" for number in numbers)])
             return
 
     return ask
 
 
-def _append(file: Path, cells: list[str]) -> None:
-    """A row at the end of a file, on the disk when this returns."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(cells)
-    with file.open("ab+") as stream:
-        if stream.tell():
-            stream.seek(-1, os.SEEK_END)
-            stream.write(b"" if stream.read() == b"\n" else b"\n")
-        stream.write(text.getvalue().encode())
-        stream.flush()
-        os.fsync(stream.fileno())
+def _rewrite(file: Path, cells: Sequence[str] = ()) -> None:
+    """Put a row at the end of a file, or take the last one back; the header stays.
 
-
-def _take_back(file: Path) -> None:
-    """Take the last row of a file back; the header stays."""
-    lines = file.read_bytes().splitlines(keepends=True)
-    with file.open("rb+") as stream:
-        stream.truncate(len(b"".join(lines[:-1] if len(lines) > 1 else lines)))
-        os.fsync(stream.fileno())
+    It is on the disk when this returns.
+    """
+    lines, row = file.read_text().splitlines() if file.exists() else [], io.StringIO()
+    csv.writer(row, lineterminator="").writerow(cells)
+    lines = [*lines, row.getvalue()] if cells else lines[: max(len(lines) - 1, 1)]
+    write_atomically(file, "".join(f"{k}\n" for k in lines).encode(), force=True)

@@ -2,50 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from calib_pin.cli import files, options, printing
-from calib_pin.cli.options import Told, number
+from calib_pin.cli import files, printing
+from calib_pin.cli.asked import View, Windowed
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
     from calib_pin.viewer.server import Window
 
-PORT = number(int, "--port", "0 to 65535", 0, 65535)
 
-
-@dataclass(frozen=True, kw_only=True)
-class View(options.OfStations, options.OfChain, options.OfCalibration):
-    """A window as it is asked for.
-
-    Attributes:
-        measurements: CSV or Parquet files.
-        plan: Configurations to play in order.
-        port: Port on this machine; 0 for any free port.
-        once: Stop when the last window is closed.
-    """
-
-    measurements: Annotated[list[Path] | None, Told("[MEASUREMENTS...]", "")] = None
-    plan: Annotated[Path | None, Told("CSV", "Window")] = None
-    port: Annotated[int, Told("N", "Window", PORT)] = 8080
-    once: Annotated[bool, Told("", "Window")] = False
-
-
-@options.spread
 def view(asked: View) -> int:
-    """Show a robot in the browser, with the errors of measurements and a plan.
-
-    A calibration shows the nominal robot beside the corrected one. Errors are those of
-    the nominal robot with base and tool registered on these measurements (before), and
-    those of the calibration as it is (after). The page is open to this machine only, at
-    the address that is printed.
-    """
+    """Do what `View` asks for."""
     require_viser()
     from calib_pin.viewer.scene import make_scene
     from calib_pin.viewer.server import Window
@@ -67,7 +39,7 @@ def view(asked: View) -> int:
         )
     window = Window(scene.title, asked.port)
     window.show(scene)
-    serve(window, asked.port, asked.once)
+    serve(asked, window)
     return 0
 
 
@@ -82,14 +54,15 @@ def require_viser() -> None:
         raise OptionError(f"{reason}'calib-pin[view]'")
 
 
-def serve(window: Window, port: int, once: bool) -> None:
-    """Tell where a window is, and keep it until Ctrl-C or the last tab is closed."""
+def serve(asked: Windowed, window: Window) -> None:
+    """Tell where a window is; keep it until Ctrl-C or the last tab is closed."""
     try:
-        if port not in (0, window.port):
-            printing.notice(f"port {port} cannot be used; {window.port} is free")
+        if asked.port not in (0, window.port):
+            free = f"port {asked.port} cannot be used; {window.port} is free"
+            printing.notice(free)
         printing.tell_notices()
         typer.echo(f"viewing at {window.url} (Ctrl-C ends it)")
-        window.run(once)
+        window.run(asked.once)
     except KeyboardInterrupt:
         typer.echo()
     finally:

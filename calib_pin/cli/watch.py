@@ -6,58 +6,31 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
+from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-import typer
+from rich.console import Group
+from rich.live import Live
+from rich.text import Text
 
 import calib_pin.cli.options as options
+import calib_pin.guidance as guidance
+from calib_pin.cli.asked import Calibrate, Watch
 from calib_pin.cli.calibrate import calibrate
-from calib_pin.cli.options import Request, Told, number
-from calib_pin.cli.printing import notice, say, taken_notices
+from calib_pin.cli.options import Request
+from calib_pin.cli.printing import console, notice, say, taken_notices
 from calib_pin.cli.requests import Opened, opened
-from calib_pin.errors import InputError, OptionError, RobotError
-
-if TYPE_CHECKING:
-    from rich.text import Text
-
-    from calib_pin.guidance import Event, Watch
+from calib_pin.cli.typed import typed
+from calib_pin.errors import InputError, OptionError, RobotError, enumerated
+from calib_pin.guidance import Event
+from calib_pin.guidance.proposals import Proposals
 
 PAUSE = 0.2
 """Time between two looks at the files [s]."""
 
-LIMIT = number(float, "--limit", "1e-6 to 1 m", 1e-6, 1.0)
-
-Tell = Callable[["Event"], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Watching(options.QuietAnswer, Request):
-    """A job to watch, as it is asked for.
-
-    Attributes:
-        output: Folder for the results, written at the end as by calibrate.
-        plan: Configurations to measure.
-        type: Ask for the readings of --plan one by one, and write the rows.
-        board: MEASUREMENTS are a folder of images of this board, see detect; their
-            corners go to a file of its name beside it.
-        joints: With --board, the configurations by a column 'image' (file name).
-        limit: Expected error of the tool point to reach [m]; by default 'limit' of the
-            setup file.
-        srdf: SRDF file of the pairs of links that need no collision check.
-        once: Look once, and end without a result.
-    """
-
-    output: Annotated[Path | None, Told("DIR", "Output")] = None
-    plan: Annotated[Path | None, Told("CSV", "Watch")] = None
-    type: Annotated[bool, Told("", "Watch")] = False
-    board: Annotated[str | None, Told("SPEC", "Watch")] = None
-    joints: Annotated[Path | None, Told("CSV", "Watch")] = None
-    limit: Annotated[float | None, Told("S", "Watch", LIMIT)] = None
-    srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
-    once: Annotated[bool, Told("", "Watch")] = False
+Tell = Callable[[Event], None]
 
 
 def watched(
@@ -67,7 +40,7 @@ def watched(
     *,
     srdf: Path | None = None,
     seen: Callable[[Opened], object] = lambda _: None,
-) -> Watch:
+) -> guidance.Watch:
     """The watch of a calibration as `calibrate` takes it.
 
     Args:
@@ -77,7 +50,6 @@ def watched(
         srdf: Pairs of links that need no collision check.
         seen: Told the input whenever it was read.
     """
-    from calib_pin.guidance import Watch
 
     def read() -> Any:
         try:
@@ -86,30 +58,18 @@ def watched(
         finally:
             taken_notices()
 
-    return Watch(
-        read,
-        [*request.measurements, *filter(None, [request.setup])],
-        plan,
-        limit,
-        srdf=srdf,
-        package_dirs=request.package_dir or (),
-        seed=request.seed,
-    )
+    files, folders = request.measurements, request.package_dir or ()
+    proposals = Proposals(files[0], plan, srdf, folders, True)
+    followed = [*files, *filter(None, [request.setup])]
+    return guidance.Watch(read, followed, proposals, limit, request.seed)
 
 
-@options.spread
-def watch(asked: Watching, context: typer.Context) -> int:
-    """Follow measurements while they are taken.
-
-    Reads the files again whenever another program has written to them. Each new row is
-    compared with its prediction by the rows before it; the verdict so far, the expected
-    accuracy and the configuration to measure next follow. Ctrl-C ends, with the result
-    as calibrate would write it. The same command goes on with the rows that are there.
-    """
+def watch(asked: Watch) -> int:
+    """Do what `Watch` asks for."""
     own = options.same(asked, Request)
     before: Callable[[], object] = partial(time.sleep, PAUSE)
     if asked.board is not None:
-        from calib_pin.cli.watched_images import images_of
+        from calib_pin.cli.detect import images_of
 
         folder = asked.measurements[0]
         file, before = images_of(folder, asked.board, asked.joints, PAUSE)
@@ -123,16 +83,17 @@ def watch(asked: Watching, context: typer.Context) -> int:
         pass  # There may be no rows yet.
     taken_notices()
     if asked.type:
-        from calib_pin.cli.typed import typed
-
         if asked.plan is None or len(request.measurements) != 1 or asked.json:
             raise OptionError("--type needs --plan and one file of measurements")
         before = typed(request, asked.plan)
-    job, live = watched(request, asked.plan, asked.limit, srdf=asked.srdf), None
-    if sys.stdout.isatty() and not asked.type:
-        from rich.console import Console
-
-        live = Console(highlight=False, markup=False, emoji=False)
+    job = watched(request, asked.plan, asked.limit, srdf=asked.srdf)
+    lines = asked.type or asked.json or asked.quiet or not sys.stdout.isatty()
+    live = None if lines else console()
+    if live is not None and not asked.once:
+        end = f"writes {asked.output}" if asked.output else "prints the result"
+        live.print(
+            f"following {enumerated(map(str, request.measurements))}; Ctrl-C {end}"
+        )
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
         follow(job, tell, before if not asked.once else None)
     if job.fit is None:
@@ -140,11 +101,13 @@ def watch(asked: Watching, context: typer.Context) -> int:
         return 1
     if asked.once:
         return 0
-    context.obj = request.words(asked.output or Path())[1:]
-    return calibrate(**options.same(asked, calibrate) | own, context=context)
+    whole = Calibrate(**options.same(asked, Calibrate) | own)
+    return calibrate(whole, request.words(asked.output or Path())[1:])
 
 
-def follow(job: Watch, tell: Tell, before: Callable[[], object] | None) -> None:
+def follow(
+    job: guidance.Watch, tell: Tell, before: Callable[[], object] | None
+) -> None:
     """Look at the files again and again, until somebody interrupts.
 
     Args:
@@ -171,8 +134,6 @@ STYLES = {
 
 def styled(event: Event) -> Text:
     """The line of an event on a terminal."""
-    from rich.text import Text
-
     wrong = event.numbers.get("wrong")
     return Text(event.text, style="red" if wrong else STYLES.get(event.kind, ""))
 
@@ -189,19 +150,16 @@ def display(
         live: A rich console where the state and the next configuration stay below the
             other events.
     """
-    if json or quiet or live is None:
-        from json import dumps
+    if live is None:
 
         def line(event: Event) -> None:
-            text = dumps(event.document(), default=dict) if json else event.text
-            say("" if quiet and not json else f"{text}\n")
+            if json or not quiet:
+                text = dumps(event.document(), default=dict) if json else event.text
+                say(f"{text}\n")
 
         yield line
         return
-    from rich.live import Live
-    from rich.text import Text
-
-    below = dict[str, Text]()
+    below: dict[str, Text] = {}
     with Live(console=live, auto_refresh=False) as shown:
 
         def tell(event: Event) -> None:
@@ -210,6 +168,6 @@ def display(
                 return
             below.pop("waiting", None)
             below[event.kind] = styled(event)
-            shown.update(Text("\n").join(below.values()), refresh=True)
+            shown.update(Group(*below.values()), refresh=True)
 
         yield tell

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from calib_pin.errors import enumerated
 from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.units import DISPLAY
 
 Kind = Literal[
     "row", "removed", "waiting", "finding", "state", "next", "reached", "problem"
@@ -97,31 +98,29 @@ class State:
     @property
     def text(self) -> str:
         """One line."""
-        words = [f"{self.rows} rows"]
-        if self.aside:
-            words[0] += f", {self.aside} set aside"
-        words.append(self.verdict.upper() or "no verdict yet")
+        aside = f", {self.aside} set aside" * (self.aside > 0)
+        words = [f"{self.rows} rows{aside}", self.verdict.upper() or "no verdict yet"]
         if self.verdict not in TRUSTED and self.reason:
             words[-1] += f" ({self.reason.partition(';')[0]})"
         if not math.isnan(self.workspace):
-            near = "" if math.isnan(self.near) else f"near {_mm(self.near)}, "
-            bound = f"95 %: below {_mm(self.bound)}"
-            over = f"over the workspace {_mm(self.workspace)} ({bound})"
+            bound = f"95 %: below {sized(self.bound)}"
+            over = f"{sized(self.workspace)} over the workspace ({bound})"
+            near = f"{sized(self.near)} near the rows, " * (self.near == self.near)
             words.append(f"expected error {near}{over}")
         if self.unknown:
             words.append(f"still unknown: {enumerated(self.unknown, 60)}")
         if self.more:
-            words.append(f"about {self.more} more reach {_mm(self.limit or 0.0)}")
+            words.append(f"about {self.more} more reach {sized(self.limit or 0.0)}")
         elif self.limit is None and len(self.ahead) > AHEAD:
-            words.append(f"{AHEAD} more leave {_mm(self.ahead[AHEAD])}")
+            words.append(f"with {AHEAD} more rows {sized(self.ahead[AHEAD])}")
         return "; ".join(words)
 
     @property
     def conclusion(self) -> str:
         """Why more rows are not needed, one line."""
         if self.limit is not None:
-            return f"reached: below {_mm(self.limit)} over the workspace"
-        now, then = _mm(self.workspace), _mm(self.ahead[AHEAD])
+            return f"reached: below {sized(self.limit)} over the workspace"
+        now, then = sized(self.workspace), sized(self.ahead[AHEAD])
         return f"enough: {AHEAD} more rows would only lower {now} to {then}"
 
     def document(self) -> dict[str, Any]:
@@ -129,5 +128,7 @@ class State:
         return {**vars(self), "more": self.more, "reached": self.reached}
 
 
-def _mm(size: float) -> str:
-    return f"{1e3 * size:.2g} mm"
+def sized(size: float, unit: str = "m") -> str:
+    """Two digits of a size [m, rad or px], in the unit that people read."""
+    shown, factor = DISPLAY[unit]
+    return f"{float(f'{factor * size:.2g}'):g} {shown}"

@@ -19,6 +19,7 @@ from calib_pin.estimation.row_blocks import Priors
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.guidance.events import State
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations, states_sigmas
 from calib_pin.setup import JointPrior, Setup
 from calib_pin.validation.assessment import registration_reason, robot_errors
@@ -105,7 +106,11 @@ class Fitted:
                     return replace(self, reason=reason)
             model = fit_model(self.chains, self.rows, self.setup, self.seed)
             if early := not model.fit.noise:
-                setup = replace(self.setup, prior=_wide(problem), learned=None)
+                prior, sizes = self.setup.prior, _wide(problem)
+                if not isinstance(prior, JointPrior):
+                    named = zip(problem.parameters.names, sizes.tolist(), strict=True)
+                    prior = {**prior, **{n: size for n, size in named if size < np.inf}}
+                setup = replace(self.setup, prior=prior, learned=None)
                 model = fit_model(self.chains, self.rows, setup, self.seed)
             return replace(self, model=model, early=early)
         except (CalibPinError, np.linalg.LinAlgError) as error:
@@ -116,10 +121,7 @@ class Fitted:
         """The problem of the fit with wide priors on all errors of the robot."""
         assert self.model is not None
         problem = self.model.fit.problem
-        of = problem.parameters
-        alone = of.free & ~of.nuisance & np.isinf(of.priors)
-        sizes = np.where(alone, WIDE * of.scales, np.inf)
-        return replace(problem, expected=Priors.alone(sizes))
+        return replace(problem, expected=Priors.alone(_wide(problem)))
 
     def deviation(self, row: Observations) -> Deviation | None:
         """How far measurements are from their prediction; None where nothing tells."""
@@ -208,11 +210,8 @@ class Fitted:
         return replace(known, verdict=verdict, reason=reason, **told), found.findings
 
 
-def _wide(problem: Problem) -> JointPrior | dict[str, float]:
-    """Priors of all errors of the robot, those that the setup states first."""
-    stated = problem.setup.prior
-    if isinstance(stated, JointPrior):
-        return stated
-    errors = [p for p in problem.parameters if p.free and not p.nuisance]
-    wide = {p.name: WIDE * p.scale for p in errors if np.isinf(p.prior)}
-    return {**stated, **wide}
+def _wide(problem: Problem) -> Floats:
+    """Wide priors on the errors of the robot that have none of their own, (P,)."""
+    of = problem.parameters
+    alone = of.free & ~of.nuisance & np.isinf(of.priors)
+    return np.where(alone, WIDE * of.scales, np.inf)

@@ -16,7 +16,7 @@ from calib_pin.errors import CalibPinError, one_line
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.formulation import fitting
-from calib_pin.guidance.events import Event, State
+from calib_pin.guidance.events import Event, State, sized
 from calib_pin.guidance.fitted import Deviation, Fitted
 from calib_pin.guidance.proposals import Proposal, Proposals
 from calib_pin.io.urdf import other_robots
@@ -24,7 +24,6 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Booleans, Observations, fitted_and_held_out
 from calib_pin.setup import ReadingSetup, Setup
-from calib_pin.units import DISPLAY
 
 SETTLED = 1.0
 """Age of a file from which what looks unfinished is what it is [s]."""
@@ -52,13 +51,10 @@ class Watch:
 
     Args:
         read: Reads the job as it stands now: nominal chains, setup, measurements.
-        files: The files to follow, the first one of measurements.
-        plan: Configurations to measure.
+        files: The files to follow.
+        proposals: Chooses the configuration to measure next.
         limit: Expected error of the tool point that is to be reached [m]; default the
             limit of the setup.
-        srdf: Pairs of links that need no collision check.
-        package_dirs: Folders of the packages that the robot names.
-        free: Whether configurations that are proposed must be free of collisions.
         seed: Seed of whatever is random.
 
     Attributes:
@@ -71,17 +67,13 @@ class Watch:
         self,
         read: Callable[[], tuple[Chains, Setup, Observations]],
         files: Sequence[Path],
-        plan: Path | None = None,
+        proposals: Proposals,
         limit: float | None = None,
-        *,
-        srdf: Path | None = None,
-        package_dirs: Sequence[Path] = (),
-        free: bool = True,
         seed: int = 0,
     ) -> None:
         """Begin with nothing."""
         self._read, self._files, self._limit = read, tuple(files), limit
-        self._proposals = Proposals(files[0], plan, srdf, package_dirs, free)
+        self._proposals = proposals
         self._seed, self._searched, self._reviewed = seed, 0, 2 * FEW
         self._stamp: tuple[Any, ...] | None = None
         self._told, self._reached, self._found = "", False, set[str]()
@@ -188,8 +180,7 @@ class Watch:
         if found is None:
             reason = "not known yet" if self._fitted is None else self._fitted.reason
             return Event("row", f"{place}: {reason}", numbers)
-        unit, factor = DISPLAY[found.unit]
-        size, sigma = (f"{factor * x:.2g} {unit}" for x in found[:2])
+        size, sigma = (sized(x, found.unit) for x in found[:2])
         text = f"{place}: {size} from where it is expected ({sigma})"
         if found.wrong:
             text += "; set aside: is the target seated? is the robot still?"
@@ -204,12 +195,10 @@ class Watch:
             return
         aside = [k for k, key in enumerate(keys) if key in self._aside and not key[2]]
         for unit in _units(rows, aside):
-            found, place = (
-                fitted.deviation(rows.rows(np.array(unit))),
-                rows.source(unit[0]),
-            )
+            found = fitted.deviation(rows.rows(np.array(unit)))
             if found is not None and not found.wrong:
                 self._aside -= {keys[k] for k in unit}
+                place = rows.source(unit[0])
                 text = f"{place}: agrees with the others now; used again"
                 yield Event("row", text, {"place": place, "wrong": False})
         assert fitted.model is not None

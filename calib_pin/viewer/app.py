@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from calib_pin.viewer.panel import Controls, Player, add_panel, text
 from calib_pin.viewer.scene import Scene
@@ -53,7 +53,8 @@ class Widget:
 
     Attributes:
         kind: `words`; `links` to files; `choice` of one of several; `entry` and `lines`
-            of a person, each with a button; `button`; `upload` of files; `progress`.
+            of a person, each with a button; `button`; `upload` of files; `progress`;
+            `scene` for the controls of a `Scene`, which is drawn.
         label: What stands beside it or on its button.
         value: What it shows: words, addresses by their labels, the choice, a part.
         choices: What can be chosen.
@@ -89,52 +90,39 @@ class Section:
     expanded: bool = True
 
 
-class Told(Protocol):
-    """The content of a page."""
-
-    @property
-    def scene(self) -> Scene | None:
-        """The robot and its measurements, if there are any yet."""
-
-    def sections(self, seconds: float) -> Iterable[Section]:
-        """All sections in their order, some seconds after the last time."""
-
-
 class Page:
     """The page of one tab, drawn again where what it shows has changed.
 
     Args:
         viewer: Where widgets and the scene of the tab are added.
         camera: Its camera.
-        told: What is shown.
+        sections: All sections in their order.
     """
 
     def __init__(
         self,
         viewer: viser.ViserServer | viser.ClientHandle,
         camera: viser.InitialCameraConfig | viser.CameraHandle,
-        told: Told,
+        sections: Callable[[], Iterable[Section]],
     ) -> None:
         """Nothing is drawn before the first tick."""
-        self._viewer, self._camera, self._told = viewer, camera, told
+        self._viewer, self._camera, self._sections = viewer, camera, sections
         self._drawn = dict[str, tuple[Section, Any]]()
         self._scene: Scene | None = None
-        self._look: tuple[Any, Player | None] | None = None
+        self._player: Player | None = None
         self._waited = PAUSE
 
     def tick(self, seconds: float) -> None:
         """Go on by some seconds."""
-        if self._look is not None and self._look[1] is not None:
-            self._look[1].tick(seconds)
+        if self._player is not None:
+            self._player.tick(seconds)
         self._waited += seconds
         if self._waited < PAUSE:
             return
-        waited, self._waited = self._waited, 0.0
+        self._waited = 0.0
         with self._viewer.atomic():
-            for order, section in enumerate(self._told.sections(waited)):
+            for order, section in enumerate(self._sections()):
                 self._show(section, order)
-            if (scene := self._told.scene) is not self._scene and scene is not None:
-                self._draw(scene)
 
     def _show(self, section: Section, order: int) -> None:
         before, folder = self._drawn.get(section.title, (None, None))
@@ -149,24 +137,22 @@ class Page:
             )
             with folder:
                 for widget in section.widgets:
-                    draw(self._viewer.gui, widget)
+                    if widget.kind == "scene":
+                        self._view(widget.value)
+                    else:
+                        draw(self._viewer.gui, widget)
         self._drawn[section.title] = section, folder
 
-    def _draw(self, scene: Scene) -> None:
-        """Draw another scene, and its controls below everything else."""
-        gui, before = self._viewer.gui, self._scene
-        if self._look is not None:
-            self._look[0].remove()
+    def _view(self, scene: Scene) -> None:
+        """Draw another scene, with its controls."""
         self._viewer.scene.reset()
-        folder = gui.add_folder("View", order=len(self._drawn), expand_by_default=False)
-        with folder:
-            stage = Stage(self._viewer, scene)
-            player = add_panel(Controls(gui), scene, stage)
+        stage = Stage(self._viewer, scene)
+        self._player = add_panel(Controls(self._viewer.gui), scene, stage)
         # While rows come in, and after the calibration, nobody's view is moved.
-        kinds = [(s.title, s.rows is None) for s in (before, scene) if s is not None]
-        if len(kinds) == 1 or kinds[0] != kinds[1]:
+        kinds = [(s.title, s.rows is None) for s in (self._scene, scene) if s]
+        if kinds[1:] != kinds[:1]:
             stage.see(self._camera)
-        self._scene, self._look = scene, (folder, player)
+        self._scene = scene
 
 
 def draw(gui: viser.GuiApi, widget: Widget) -> None:
@@ -178,9 +164,7 @@ def draw(gui: viser.GuiApi, widget: Widget) -> None:
             shown = f'<div style="white-space: pre-wrap; {style}">{html.escape(value)}'
             gui.add_html(text(f"{shown}</div>"))
         case "links":
-            style = LINK + (
-                "color: white; background: #228be6" * (widget.tone == "good")
-            )
+            style = LINK + PRIMARY * (widget.tone == "good")
             links = (
                 f'<a style="{style}" target="_blank" href="{html.escape(to)}"'
                 f"{'' if to.partition('?')[0].endswith('.html') else ' download'}>"

@@ -28,6 +28,7 @@ from benchmarks.timing import processor_time
 from benchmarks.verdict.jobs import Job, draw
 from benchmarks.verdict.truth import WORKSPACE, position_error
 from calib_pin.guidance import Event, Watch
+from calib_pin.guidance.proposals import Proposals
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
@@ -62,8 +63,8 @@ class Trial:
         """Begin with no rows."""
         self.chains, self.setup = Chains.of(job.chain), job.setup
         self.rows, self.file, self.looks = rows, folder / "rows", 0
-        self.watch = Watch(self.read, [self.file], free=False)
-        self.watch._proposals.file = None  # It holds no columns.
+        anywhere = Proposals(None, None, None, (), False)
+        self.watch = Watch(self.read, [self.file], anywhere)
 
     def read(self) -> tuple[Chains, Setup, Observations]:
         """The rows that are there."""

@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterator
 
 from calib_pin.cli import main
-from calib_pin.cli.app import COMMANDS
+from calib_pin.cli.asked import COMMANDS
 
 INTRODUCTION = """\
 # Commands
@@ -35,14 +35,13 @@ def text() -> str:
 
 
 def _sections() -> Iterator[str]:
-    for command, summary in COMMANDS.items():
-        name = command.__name__
+    for name in COMMANDS:
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
             main([name, "--help"])
-        lines = (line.rstrip() for line in printed.getvalue().strip().splitlines())
+        lines = [line.rstrip() for line in printed.getvalue().strip().splitlines()]
         session = "\n".join(lines)
         yield (
-            f"## {name}\n\n{summary}\n\n"
+            f"## {name}\n\n{lines[2].strip()}\n\n"
             f"```console\n$ calib-pin {name} --help\n{session}\n```\n"
         )

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from typer.exceptions import TyperException
 
-import calib_pin.cli.app as cli_app
+import calib_pin.cli.application as cli_app
 from calib_pin.cli import main
 from calib_pin.cli.options import asked_workers
 from calib_pin.errors import InputError, OutputError

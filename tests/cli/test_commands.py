@@ -16,7 +16,7 @@ import pytest
 
 import calib_pin
 from calib_pin.cli import main
-from calib_pin.cli.app import COMMANDS
+from calib_pin.cli.asked import COMMANDS
 from calib_pin.errors import InputError
 from calib_pin.io.setup import read_setup, setup_document
 from calib_pin.parameterizations import PARAMETERIZATIONS
@@ -77,12 +77,12 @@ def test_help(run):
     assert result.status == 0
     assert "..." not in result.out.replace("[ARGS]...", "")  # nothing is cut off
     for command in COMMANDS:
-        assert f"\n  {command.__name__} " in result.out
+        assert f"\n  {command} " in result.out
     assert run("").out == result.out
     assert run("--version").out.startswith("calib-pin 0.")
 
 
-@pytest.mark.parametrize("command", [command.__name__ for command in COMMANDS])
+@pytest.mark.parametrize("command", [*COMMANDS])
 def test_help_of_a_command(command, run):
     result = run(f"{command} --help")
     assert result.status == 0

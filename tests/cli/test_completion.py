@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import typer
 
-from calib_pin.cli.app import application
+from calib_pin.cli.application import application
 
 COMMANDS = typer.main.get_command(application([])).commands  # type: ignore[attr-defined]
 

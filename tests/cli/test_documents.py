@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.cli.documents import comparison_document
+from calib_pin.cli.compare import comparison_document
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.json_text import encode
 from calib_pin.kinematics.chains import Chains

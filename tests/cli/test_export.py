@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calib_pin.cli.export import Export
+from calib_pin.cli.asked import Export
 from calib_pin.cli.options import meanings
 from calib_pin.io.exchange import FORMATS
 

@@ -13,7 +13,6 @@ import pytest
 import calib_pin
 from calib_pin.cli import init as module
 from calib_pin.cli import main
-from calib_pin.errors import OptionError
 from calib_pin.io.setup import read_setup
 from calib_pin.kinematics.spatial import Floats
 from tests.cli.files import document, numbers, table, write
@@ -176,7 +175,7 @@ def test_a_camera_and_its_board(count):
     assert (both.board, both.camera) == (given.board, given.camera)
 
 
-def test_sockets():
+def test_sockets(fails):
     Path("sockets.yaml").write_text(
         "tip: tool\nmodel: fixed-point\n"
         "targets: {ball: {xyz: [0.02, 0.03, 0.1], estimate: true}}\n"
@@ -189,6 +188,8 @@ def test_sockets():
     assert found["setup"]["distances"][0]["value"] == 0.08
     before, after = held_out(found)
     assert after < 1e-3 < before
+    for length in ("0 mm", "-5 mm", "fifty", "5 furlongs"):
+        fails(["init", "space6", "a.csv", f"--distance={length}"], "--distance")
 
 
 LIMB = """<link name="{name}"/>
@@ -318,11 +319,3 @@ def test_options_and_files_that_do_not_fit(words, text, named, measured, fails):
     if text is not None:
         Path("foreign.csv").write_text(text)
     fails(f"init space6 foreign.csv {words}", named)
-
-
-def test_lengths():
-    for text, value in (("50 mm", 0.05), ("0.05", 0.05), ("2[in]", 0.0508)):
-        assert module._length(text) == pytest.approx(value, rel=1e-9)
-    for text in ("fifty", "-5 mm", "5 furlongs", "mm"):
-        with pytest.raises(OptionError):
-            module._length(text)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from calib_pin.cli.app import COMMANDS
+from calib_pin.cli.asked import COMMANDS
 from tests.cli.files import table, write
 
 INTERACTIVE = {"app", "view", "watch"}
@@ -63,7 +63,7 @@ def inputs(workshop: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_command_has_it():
-    named = {command.__name__ for command in COMMANDS}
+    named = {*COMMANDS}
     assert named == {*RESULTS, *INTERACTIVE, "detect"}  # See test_detect.
 
 

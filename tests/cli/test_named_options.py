@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 import calib_pin
-from calib_pin.cli.app import application
+from calib_pin.cli.application import application
 
 FOREIGN = {"--frame-id", "--child-frame-id"}
 """Options of other programs."""

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from calib_pin.cli.typed import reading
+from calib_pin.cli.init import reading
 from calib_pin.cli.watch import display
 from calib_pin.errors import InputError
 from calib_pin.guidance import Event
@@ -119,6 +119,10 @@ def test_typed_readings_survive_a_kill(here: Path, run):
         ("523.5", LENGTHS, "mm", [0.5235]),
         ("0,5m", LENGTHS, "mm", [0.5]),
         ("1,5;-2 3 in", PLACES, "", [0.0381, -0.0508, 0.0762]),
+        ("0.05", LENGTHS, "m", [0.05]),
+        ("2[in]", LENGTHS, "m", [0.0508]),
+        ("5e-1 m", LENGTHS, "", [0.5]),
+        ("0 mm", LENGTHS, "", [0.0]),
     ],
 )
 def test_readings(text: str, kinds, unit: str, numbers: list[float]):
@@ -126,7 +130,8 @@ def test_readings(text: str, kinds, unit: str, numbers: list[float]):
 
 
 @pytest.mark.parametrize(
-    "text", ["12.5", "12.5 parsec", "1 2 mm", "mm", "x mm", "nan mm", "1e9 m"]
+    "text",
+    ["12.5", "12.5 parsec", "1 2 mm", "mm", "x mm", "nan mm", "1e9 m", "fifty"],
 )
 def test_readings_that_are_none(text: str):
     with pytest.raises(InputError):
@@ -153,7 +158,7 @@ def test_a_file_that_cannot_be_read_gives_no_other_reason(here: Path, run):
 @pytest.mark.needs("vision")
 def test_only_new_images_are_detected(tmp_path: Path, monkeypatch):
     import calib_pin.io.boards as boards
-    from calib_pin.cli.watched_images import images_of
+    from calib_pin.cli.detect import images_of
 
     folder, word = tmp_path / "images", "charuco:7x5:0.03:0.022"
     folder.mkdir()

@@ -15,6 +15,7 @@ import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.guidance import Event, Watch
+from calib_pin.guidance.proposals import Proposals
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import FrameSetup, LimitSetup, Setup
@@ -52,8 +53,8 @@ class Job:
         self.chains, self.rows, self.setup = chains, rows, setup
         self.file, self.time = folder / "rows.csv", 0
         self.error: InputError | None = None
-        self.watch = Watch(self.read, [self.file], free=False)
-        self.watch._proposals.file = None
+        self.proposals = Proposals(None, None, None, (), False)
+        self.watch = Watch(self.read, [self.file], self.proposals)
 
     def read(self) -> tuple[Chains, Setup, Observations]:
         if self.error is not None:
@@ -194,7 +195,7 @@ def test_the_next_configuration_is_that_of_the_plan_then_a_new_one(
     cells = [",".join(map(str, q)) for q in job.rows.q[8:11].tolist()]
     plan = job.file.with_name("plan.csv")
     plan.write_text("\n".join([header, *cells]) + "\n")
-    job.watch._proposals.plan = plan
+    job.proposals.plan = plan
     job.look(8)
     assert job.watch.next is not None and job.watch.next.left == 3
     np.testing.assert_allclose(job.watch.next.q, job.rows.q[8])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.cli.documents import evaluation_document
+from calib_pin.cli.evaluate import evaluation_document
 from calib_pin.report.accuracy import evaluated
 from calib_pin.report.terminal import plain_text
 

@@ -34,7 +34,7 @@ class Tab:
 
     def shown(self, title: str) -> list[Widget]:
         """The widgets of a section."""
-        (found,) = (s for s in self.job.sections(0.0) if s.title == title)
+        (found,) = (s for s in self.job.sections() if s.title == title)
         return [*found.widgets]
 
     def said(self, title: str) -> str:
@@ -198,11 +198,11 @@ def test_paths_examples_and_files_of_the_same_name(tab, tmp_path):
     (example,) = tab.job.chosen.measurements
     assert example.name == "measurements.csv" and tab.job.read.opened is not None
     tab.widget("Chosen", f"remove {example.name}").do()
-    assert tab.job.chosen.measurements == () and tab.job.read.opened is None
+    assert tab.job.chosen.measurements == [] and tab.job.read.opened is None
     (tmp_path / "own.csv").write_bytes(table()[:-300])
     tab.widget("Robot and measurements", "take this path").do(" own.csv ")
-    assert tab.job.chosen.measurements == (tmp_path / "own.csv",)
-    tab.job.choose(measurements=())
+    assert tab.job.chosen.measurements == [tmp_path / "own.csv"]
+    tab.job.choose(measurements=[])
     for count in (1, 2):  # A file that is corrected takes the place of the first.
         tab.job.give("rows.csv", b"\n".join(table().splitlines()[: 20 * count + 1]))
         assert len(tab.job.scene.rows.data) == 20 * count
@@ -265,12 +265,12 @@ def test_files_are_followed_while_they_are_written(tab, tmp_path):
     tab.job.add("live.csv")
     (follow,) = tab.shown("While it is measured")
     follow.do()
-    [*tab.job.sections(10.0)]
+    [*tab.job.sections()]
     told = tab.said("While it is measured")
     assert told
     with file.open("ab") as stream:
         stream.write(one)
-    [*tab.job.sections(10.0)]
+    [*tab.job.sections()]
     assert tab.said("While it is measured") != told
     assert len(tab.job.scene.rows.data) == 22
 
@@ -310,9 +310,13 @@ def test_only_sections_that_changed_are_drawn_again(scene, viser_server, monkeyp
         Widget("button", "go"),
         Widget("upload", "choose", "drop"),
     ]
-    told = SimpleNamespace(scene=None, shown=[])
-    told.sections = lambda _: [Section("One", told.shown), Section("Two", every)]
-    page = Page(viser_server, viser_server.initial_camera, told)  # type: ignore[arg-type]
+    told = SimpleNamespace(view=[], shown=[])
+
+    def sections() -> list[Section]:
+        shown = {"One": told.shown, "Two": every, "View": told.view}
+        return [Section(title, widgets) for title, widgets in shown.items()]
+
+    page = Page(viser_server, viser_server.initial_camera, sections)
     made = dict[str, list[str]](add_folder=[], add_html=[])
     for name, known in made.items():
         add = getattr(viser_server.gui, name)
@@ -324,7 +328,7 @@ def test_only_sections_that_changed_are_drawn_again(scene, viser_server, monkeyp
     told.shown = every[:2]
     page.tick(1.0)
     assert folders == ["Two", "One"]
-    told.scene = scene
+    told.view = [Widget("scene", value=scene)]
     page.tick(1.0)
     assert folders[2] == "View" and "Residual map" in folders
     assert any("&lt;b&gt;1 &lt; 2" in content for content in html)

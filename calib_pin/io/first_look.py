@@ -216,8 +216,12 @@ def first_look(
     same = [look for look in looks if look.joints is found.joints]
     next_share = min((k.share for k in same if k.units != found.units), default=inf)
     if CLEAR * next_share <= found.share < inf:
-        reason = "the robot fits about as well with other units; state them in the "
-        raise InputError(f"{reason}header, such as 'x [mm]', or in 'columns'")
+        plain = [k for k in same if not k.units and CLEAR * k.share <= found.share]
+        if found.fits or not plain:
+            reason = "the robot fits about as well with other units; state them in the "
+            raise InputError(f"{reason}header, such as 'x [mm]', or in 'columns'")
+        # It is something else that does not fit, and plain headers are in m and rad.
+        found = plain[0]
     ends = _answers("tip", looks, found)
     if len(ends) > 1 and found.share < inf:
         tip = choose("which link was measured", ends, "--tip")

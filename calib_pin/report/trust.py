@@ -120,7 +120,9 @@ def below(text: str, found: Iterable[Finding]) -> str:
     for finding in found:
         if finding.setup:
             lines = f"in the setup file: {written(finding.setup)}"
-            text = text.replace(f"state {lines}", "state the lines below")
+            text = text.replace(
+                f"state {lines}", "add the lines below to the setup file"
+            )
             text = text.replace(f"({lines})", "(the lines below)")
     return text
 

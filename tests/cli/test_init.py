@@ -284,15 +284,21 @@ def test_axes_that_meet_tell_no_unit_of_lengths(fails):
     fails("init table.urdf foreign.csv -o setup.yaml", "units")
 
 
-def test_what_fits_no_robot_is_said(measured, run, fails):
-    """Where not even units are stated, they are asked for."""
+def test_what_fits_no_robot_is_said(run):
+    """Plain headers are then in m and rad, as documented, where numbers may be."""
     drawn = np.random.default_rng(0).uniform(-1.0, 1.0, (30, 9))
-    foreign([*JOINTS, *"xyz"], drawn)
-    fails(INIT, "units")
-    foreign([*(f"{j} [rad]" for j in JOINTS), "x [m]", "y [m]", "z [m]"], drawn)
-    result = run("init space6 foreign.csv")
-    assert result.status == 0 and "NO fit" in " ".join(result.out.split())
-    assert result.err.startswith("calib-pin: note: ")
+    for marks in ([""] * 9, [" [rad]"] * 6 + [" [m]"] * 3):
+        foreign([*map("".join, zip([*JOINTS, *"xyz"], marks, strict=True))], drawn)
+        result = run("init space6 foreign.csv")
+        assert result.status == 0 and "NO fit" in " ".join(result.out.split())
+        assert result.err.startswith("calib-pin: note: ")
+
+
+def test_the_draft_of_a_reversed_joint_leads_to_its_name(measured, run):
+    foreign([*JOINTS, *"xyz"], measured * [1, 1, -1, 1, 1, 1, 1, 1, 1])
+    assert run(INIT).status == 0
+    found = run("calibrate space6 foreign.csv --setup setup.yaml")
+    assert found.status == 2 and "'joint_3' is reversed" in found.out
 
 
 @pytest.mark.parametrize(

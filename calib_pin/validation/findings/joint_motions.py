@@ -364,7 +364,7 @@ def approach(case: Case) -> Iterator[Finding]:
     for joint, (size, sigma) in lost.items():
         unit = "mrad" if case.turns(joint) else "mm"
         said.append(f"'{joint}' {1e3 * size:.2g} +- {1e3 * sigma:.1g} {unit}")
-    words = "errors depend on the side from which joints came, lost motion: "
+    words = "errors depend on the approach direction (backlash): "
     words += enumerated(said) + f" ({BY_ORDER})" * (held.source == "order")
     how = estimating([*case.setup.parameters, "hysteresis"], "it")
     numbers["joints"] = ", ".join(lost)

@@ -56,7 +56,7 @@ from calib_pin.validation.findings.sentences import lines_of, shown, told, writt
 
 Kind = Literal["station", "tool", "joint"]
 
-KINDS: dict[Kind, tuple[str, str]] = {
+CHANGED: dict[Kind, tuple[str, str]] = {
     "station": ("instrument-moved", "the instrument{} moved"),
     "tool": ("tool-remounted", "the tool{} was re-mounted"),
     "joint": ("joint-rehomed", "the zero of joint{} changed"),
@@ -429,7 +429,7 @@ def changes(case: Case) -> Iterator[Finding]:
         return
     data, (first, last) = case.data.weighted(np.ones(len(case.data))), found
     rank, said = np.argsort(data.in_order), []
-    places: dict[Kind, list[str]] = {kind: [] for kind in KINDS}
+    places: dict[Kind, list[str]] = {kind: [] for kind in CHANGED}
     for k in sorted(range(len(last.changes)), key=lambda k: last.changes[k].rank):
         change = last.changes[k]
         at = last.place(k, data, rank)  # It may be one that was not looked at.
@@ -449,7 +449,7 @@ def changes(case: Case) -> Iterator[Finding]:
         numbers |= {"file": file, "line": line}
         numbers |= {"rms_before": first.errors, "rms_after": last.errors}
         owner = " at station" if change.kind == "station" else ""
-        of = KINDS[change.kind][1].format(f"{owner} '{name}'" if name else "")
+        of = CHANGED[change.kind][1].format(f"{owner} '{name}'" if name else "")
         said.append((change.kind, f"{of} {where} ({size})", numbers))
     moved, remounted = tuple(places["station"]), tuple(places["tool"])
     reading = lines_of(ReadingSetup(moved=moved, remounted=remounted))
@@ -462,7 +462,7 @@ def changes(case: Case) -> Iterator[Finding]:
             remedy = "measure anew, or calibrate what was measured before and behind "
             remedy += "apart"
         how = (remedy + undone, lines, "over-order")
-        yield told(KINDS[kind][0], words, numbers, *how, error=True)
+        yield told(CHANGED[kind][0], words, numbers, *how, error=True)
 
 
 def _sides(mine: Booleans, rank: Indices, at: int) -> Indices:

@@ -334,7 +334,7 @@ class Job:
             yield words(remark, "note")
         if self.problem and read.columns and read.opened is None:
             said = "Correct the file, or choose below what is known: tip, measured, "
-            yield words(said + "columns. With tip and measured, few rows do.", "note")
+            yield words(said + "columns. A few rows need tip and measured.", "note")
         if not self.chosen.robot:
             yield words("Begin with the robot: its file, or a bundled one.")
         elif not self.chosen.measurements:

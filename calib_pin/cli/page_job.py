@@ -26,7 +26,7 @@ from calib_pin.cli.requests import Opened, calibrated, opened
 from calib_pin.cli.watch import watched
 from calib_pin.errors import CalibPinError, OptionError
 from calib_pin.guidance import Event, Watch
-from calib_pin.io.columns import ANGLE, LENGTH
+from calib_pin.io.columns import ANGLE, LENGTH, Column
 from calib_pin.io.first_look import draft
 from calib_pin.io.json_text import merged
 from calib_pin.io.measured_columns import POSITION, measured
@@ -83,7 +83,7 @@ class Read:
         fit: How well the nominal robot fits as drafted; empty without a draft.
         text: The setup file.
         keys: Its keys.
-        columns: Columns with units that may be meant.
+        columns: Columns of the first file.
         question: A question that only a person can answer; empty for none.
         opened: The input of `calibrate`; None as long as it cannot be used.
     """
@@ -93,7 +93,7 @@ class Read:
     fit: str = ""
     text: str = ""
     keys: Mapping[str, Any] = field(default_factory=dict)
-    columns: Sequence[str] = ()
+    columns: Mapping[str, Column] = field(default_factory=dict)
     question: str = ""
     opened: Opened | None = None
 
@@ -221,7 +221,7 @@ class Job:
         if not files:
             return
         self._bar("read", None)
-        read.columns = [*read_table(files[0]).whole(chains.robot.model.names).columns]
+        read.columns = read_table(files[0]).whole(chains.robot.model.names).columns
         fault: CalibPinError | None = None
         try:
             if not chosen.text:
@@ -312,7 +312,9 @@ class Job:
         yield Section("Chosen", [*self._listed()])
         yield Section("Found in the files", [*self._found()])
         yield Section("Robot and measurements", [*self._asked()])
-        yield Section("Columns and units", [*self._columns()], expanded=False)
+        yield Section(
+            "Columns and units", [*self._columns()], "columns" in self.chosen.changes
+        )
         yield Section("Setup file", [*self._lines()], expanded=False)
         view = [] if self.scene is None else [Widget("scene", value=self.scene)]
         yield Section("View", view, expanded=False)
@@ -330,6 +332,9 @@ class Job:
             yield Widget("entry", "take this length", choices=(asked,), do=do)
         for remark in self._remarks:
             yield words(remark, "note")
+        if self.problem and read.columns and read.opened is None:
+            said = "Correct the file, or choose below what is known: tip, measured, "
+            yield words(said + "columns. A few rows need tip and measured.", "note")
         if not self.chosen.robot:
             yield words("Begin with the robot: its file, or a bundled one.")
         elif not self.chosen.measurements:
@@ -397,19 +402,24 @@ class Job:
         if read.nominal is None or not read.columns:
             return
         joints, stated = [*read.nominal.model.names][1:], read.keys.get("columns", {})
-        kinds = [*LENGTH.units, *ANGLE.units]
-        units = [f"{name} [{unit}]" for name in read.columns for unit in kinds]
+        kinds, headers = (LENGTH.units, ANGLE.units), list[str]()
+        for name, column in read.columns.items():
+            # Another unit than that of the header is refused.
+            free = column.numeric and not any(column.unit in kind for kind in kinds)
+            every = (unit for kind in kinds if free for unit in kind)
+            headers += [*(f"{name} [{unit}]" for unit in every), column.header]
         known = [name for name in read.columns if name in {*joints, *measured()}]
         missing = [] if read.fit else [*joints, *POSITION]
         for ours in dict.fromkeys([*stated, *known, *missing]):
             # The units of the column that is taken come first.
             own = str(stated.get(ours, ours)).partition(" [")[0]
-            choices = sorted(units, key=lambda one: one.partition(" [")[0] != own)
-            yield self._choice(ours, [*choices, *read.columns], "columns", ours)
+            choices = sorted(headers, key=lambda one: one.partition(" [")[0] != own)
+            yield self._choice(ours, choices, "columns", ours)
 
     def _choice(self, label: str, choices: Iterable[str], *keys: str) -> Widget:
         """The choice of a value of the setup file."""
-        unstated = label if keys[0] == "columns" else "(automatic)"
+        own = self.read.columns.get(label) if keys[0] == "columns" else None
+        unstated = own.header if own else label if "columns" in keys else "(automatic)"
         found = reduce(lambda of, key: of.get(key) or {}, keys, self.read.keys)
         shown = str(found or unstated)
 

@@ -206,7 +206,9 @@ def first_look(
     if found.setup.model in TOUCHES:
         question = "did the tool rest in sockets or touch planes or spheres"
         models = [] if found.share < AT_REST or setup.model else [*TOUCHES]
-    if len(models) > 1 and models[0] in (*TOUCHES, *DISTANCES):
+    # What cannot be read as any distance is not asked about.
+    asked = TOUCHES if found.fault is not None else (*TOUCHES, *DISTANCES)
+    if len(models) > 1 and models[0] in asked:
         setup = replace(setup, model=choose(question, models, "--model"))
         return first_look(robot, files, setup, choose, apart)
     if found.fault is not None:

@@ -304,11 +304,12 @@ class Table:
             # All joints of a robot are counted by servos of one kind.
             plain = [c.numbers for c in self.columns.values() if counted(c.numbers)]
             meant = counted(np.concatenate([[], *plain])) or meant
-        if meant and column.theirs not in ("", name):
-            both = f"{{{name}: {column.theirs} [{meant}]}}"
+        theirs, stated = column.theirs or name, split_header(column.header)[1]
+        if meant and theirs != name and stated is None:
+            both = f"{{{name}: {theirs} [{meant}]}}"
             reason += f"; state in the setup 'columns: {both}'"
         elif meant:
-            reason += f"; write the header as '{name} [{meant}]'"
+            reason += f"; write the header as '{theirs} [{meant}]'"
         # Percent of a range come near to 100, and no farther.
         if kind.si == ANGLE.si and 90.0 < np.nanmax(np.abs(column.numbers)) <= 100.0:
             reason += ", of percent [steps/N@0] with N = 72000 / range in deg"

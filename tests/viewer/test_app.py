@@ -163,6 +163,26 @@ def test_what_was_found_can_be_changed(tab):
     assert tab.job.problem == "" and tab.job.read.text.startswith("# Setup file")
 
 
+def test_units_of_headers_are_shown_and_a_wrong_one_has_no_dead_end(tab):
+    joints = ",".join(f"joint_{k} [deg]" for k in range(1, 8))
+    rows = [f"{9 * k},{k},20,{-7 * k},5,{k * k},40,{700 + k}\n" for k in range(9)]
+    tab.job.add("pa10")
+    tab.job.give("rows.csv", f"{joints},distance [m]\n{''.join(rows)}".encode())
+    assert "write the header as 'distance [mm]'" in tab.job.problem
+    assert "is taken" not in tab.said("Now") and "choose below" in tab.said("Now")
+    columns = {w.label: w for w in tab.shown("Columns and units")}
+    assert columns["joint_2"].value == "joint_2 [deg]"
+    assert columns["distance"].value == "distance [m]"
+    # Another unit would contradict the header.
+    assert "distance [mm]" not in columns["distance"].choices
+    columns["distance"].do("distance [m]")
+    (section,) = (s for s in tab.job.sections() if s.title == "Columns and units")
+    assert section.expanded  # Nobody has to open it again.
+    tab.job.give("rows.csv", f"{joints},Abstand [m]\n{''.join(rows)}".encode())
+    tab.job.choose(changes={"columns": {"distance": "Abstand [m]"}})
+    assert "write the header as 'Abstand [mm]'" in tab.job.problem
+
+
 BROKEN = {
     "bad.urdf": (b"<robot", "bad.urdf:1: "),
     "bad.csv": (table() + b"1,2,x\n", "bad.csv:62: "),

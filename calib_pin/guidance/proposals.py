@@ -31,7 +31,7 @@ MORE = 20
 TOGETHER = 15
 """Configurations that are planned together where no plan is left. After five random
 rows of a tracker, 20 such ones are worth 30 random ones; the best next one again and
-again takes 25 (`scripts/benchmark watch --part plan`)."""
+again takes 25 (`scripts/benchmark watch`, its part `plan`)."""
 
 NEAR = 0.02
 """Difference of a joint up to which a planned configuration was measured [rad, m]."""

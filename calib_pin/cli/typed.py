@@ -92,4 +92,4 @@ def _rewrite(file: Path, cells: Sequence[str] = ()) -> None:
         lines.append(row.getvalue().encode())
     elif len(lines) > 1:
         lines.pop()
-    write_atomically(file, b"".join(lines), force=True)
+    write_atomically(file.resolve(), b"".join(lines), force=True)

@@ -116,7 +116,8 @@ def test_typed_readings_survive_a_kill(here: Path, run):
 def test_rows_of_others_stay_byte_by_byte(tmp_path: Path):
     file = tmp_path / "watched.csv"
     file.write_bytes(b"a,x\r\n1,2\r\n# 20 \xb0C\x85\r\n3,4")
-    _rewrite(file, ("5", "6"))
+    (link := tmp_path / "link.csv").symlink_to(file)
+    _rewrite(link, ("5", "6"))
     assert file.read_bytes() == b"a,x\r\n1,2\r\n# 20 \xb0C\x85\r\n3,4\n5,6\n"
     for left in (b"3,4\n", b"# 20 \xb0C\x85\r\n", b"1,2\r\n", b"a,x\r\n", b"a,x\r\n"):
         _rewrite(file)

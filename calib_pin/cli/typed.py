@@ -80,9 +80,16 @@ def typed(request: Request, plan: Path) -> Callable[[], None]:
 def _rewrite(file: Path, cells: Sequence[str] = ()) -> None:
     """Put a row at the end of a file, or take the last one back; the header stays.
 
-    It is on the disk when this returns.
+    It is on the disk when this returns. The other rows stay byte by byte: a person may
+    have written them with another program.
     """
-    lines, row = file.read_text().splitlines() if file.exists() else [], io.StringIO()
-    csv.writer(row, lineterminator="").writerow(cells)
-    lines = [*lines, row.getvalue()] if cells else lines[: max(len(lines) - 1, 1)]
-    write_atomically(file, "".join(f"{k}\n" for k in lines).encode(), force=True)
+    lines = file.read_bytes().splitlines(keepends=True) if file.exists() else []
+    if cells:
+        row = io.StringIO()
+        csv.writer(row, lineterminator="\n").writerow(cells)
+        if lines and not lines[-1].endswith((b"\n", b"\r")):
+            lines[-1] += b"\n"
+        lines.append(row.getvalue().encode())
+    elif len(lines) > 1:
+        lines.pop()
+    write_atomically(file.resolve(), b"".join(lines), force=True)

@@ -19,7 +19,12 @@ from calib_pin.measurement_models.base import (
 )
 from calib_pin.measurement_models.camera import CameraModel
 from calib_pin.measurement_models.contact import PlaneContact, SphereContact
-from calib_pin.measurement_models.declaration import Declaration, Quantity
+from calib_pin.measurement_models.declaration import (
+    Declaration,
+    Inference,
+    Naming,
+    Quantity,
+)
 from calib_pin.measurement_models.distance import PointDistance, RelativeDistance
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
@@ -33,8 +38,11 @@ __all__ = [
     "MEASUREMENT_MODELS",
     "Batch",
     "BatchedModel",
+    "Declaration",
+    "Inference",
     "Linearization",
     "MeasurementModel",
+    "Naming",
     "Quantity",
     "declared",
     "measurement_model",

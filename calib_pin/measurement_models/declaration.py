@@ -72,7 +72,7 @@ class Naming:
 class Inference:
     """How the columns of a file show that it is of a model.
 
-    Of the models with one phrase, the first in the catalog that has an orientation as
+    Of the models with one phrase, the first in their list that has an orientation as
     the file does is the one.
 
     Attributes:

@@ -75,9 +75,10 @@ class Conditions:
             result = replace(self, payload=Labels.all("", count))
         for name in ROWS:
             array, width = getattr(result, name), {"direction": (joints,)}.get(name, ())
-            if len(array) and np.shape(array) != (count, *width):
+            array = array.codes if name == "payload" else array  # Not name by name.
+            if len(array) and array.shape != (count, *width):
                 raise InputError(f"'{name}' has not the {count} rows of q")
-            if name != "payload" and not np.isfinite(array).all():
+            if not np.isfinite(array).all():
                 raise InputError(f"'{name}' must be finite numbers")
         return result
 

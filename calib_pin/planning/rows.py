@@ -209,7 +209,7 @@ class IdentificationRows:
 
     @property
     def differentiable(self) -> bool:
-        """Whether all instruments and error models have second derivatives."""
+        """Whether all error models have second derivatives."""
         return all(look.differentiable for look in self._looks)
 
     def rows(self, q: Floats, aim: Indices) -> Floats:

@@ -395,7 +395,9 @@ def split(
     if validation is not None and holdout is not None:
         raise OptionError("give validation measurements or a holdout, not both")
     training, left = fitted_and_held_out(measurements)
-    method, why = "set", "no {} is left to fit: all are for validation"
+    why, method = "no {} is left to fit: all are for validation", "set"
+    # Whatever else is held out: what only the column 'set' holds back is never fitted.
+    _require_fitted(training, left, why, column=method)
     if validation is not None:
         if len(validation) == 0:
             raise InputError("there are no measurements to validate with")
@@ -405,7 +407,26 @@ def split(
         mask = _held_out(training, setup, holdout, seed)
         training, left, method = training.rows(~mask), training.rows(mask), "holdout"
         why = "no {} is left to fit: the holdout took all"
-    # Only the station of the instrument may be another one.
+    _require_fitted(training, left, why)
+    return training, left if len(left) else None, method
+
+
+def _require_fitted(
+    training: Observations, left: Observations, why: str, column: str | None = None
+) -> None:
+    """Refuse measurements to validate with of a kind of which there is none to fit.
+
+    Only the station of the instrument may be another one.
+
+    Args:
+        training: The measurements to fit.
+        left: Those to validate with.
+        why: The reason, with braces where the kind belongs.
+        column: The column that says so.
+
+    Raises:
+        InputError: If there are such.
+    """
     fitted = {key._replace(station="") for key in training.keys}
     for block in left.blocks:
         model, chain, _, tool = block.key
@@ -413,9 +434,7 @@ def split(
             kind = f"'{model}' measurement"
             kind += f" of the chain '{chain}'" if chain else ""
             kind += f" with the tool '{tool}'" if tool else ""
-            column = "set" if method == "set" else None
             raise block.error(0, why.format(kind), column=column)
-    return training, left if len(left) else None, method
 
 
 def _held_out(

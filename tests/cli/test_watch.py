@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from calib_pin.cli.init import reading
+from calib_pin.cli.typed import _rewrite
 from calib_pin.cli.watch import display
 from calib_pin.errors import InputError
 from calib_pin.guidance import Event
@@ -110,6 +111,17 @@ def test_typed_readings_survive_a_kill(here: Path, run):
     assert "10 left" in said and "11 left" in said
     assert Path("watched.csv").read_text().splitlines()[2] != second
     assert len(Path("watched.csv").read_text().splitlines()) == 3
+
+
+def test_rows_of_others_stay_byte_by_byte(tmp_path: Path):
+    file = tmp_path / "watched.csv"
+    file.write_bytes(b"a,x\r\n1,2\r\n# 20 \xb0C\x85\r\n3,4")
+    (link := tmp_path / "link.csv").symlink_to(file)
+    _rewrite(link, ("5", "6"))
+    assert file.read_bytes() == b"a,x\r\n1,2\r\n# 20 \xb0C\x85\r\n3,4\n5,6\n"
+    for left in (b"3,4\n", b"# 20 \xb0C\x85\r\n", b"1,2\r\n", b"a,x\r\n", b"a,x\r\n"):
+        _rewrite(file)
+        assert file.read_bytes().endswith(left)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
@@ -100,6 +101,13 @@ def test_scripts_are_short_and_have_their_pictures():
         assert picture.stat().st_size < LARGEST
         assert f"pictures/{picture.name}" in (EXAMPLES / "index.md").read_text()
         assert f'savefig("{picture.name}"' in path.read_text()
+
+
+def test_what_scripts_import_is_there():
+    for path in SCRIPTS:
+        body = ast.parse(path.read_text()).body
+        imports = [one for one in body if isinstance(one, ast.Import | ast.ImportFrom)]
+        exec(compile(ast.Module(imports, []), str(path), "exec"), {})
 
 
 @pytest.fixture(scope="module")

@@ -171,6 +171,10 @@ def test_validation_of_what_is_not_fitted_is_refused() -> None:
     ]
     with pytest.raises(InputError, match="with the tool 'q' is left to fit: all are"):
         split(Observations(tuple(blocks[:4])), SETUP, None, None, 0)
+    # Neither a file nor a holdout makes up for it.
+    for file, holdout in ((rows.rows(~of_q), None), (None, 0.2)):
+        with pytest.raises(InputError, match="with the tool 'q' is left to fit"):
+            split(Observations(tuple(blocks[:4])), SETUP, file, holdout, 0)
     _, held, method = split(Observations(tuple(blocks[4:])), SETUP, None, None, 0)
     assert held is not None and (len(held), method) == (18, "set")
     with pytest.raises(InputError, match="cannot be checked: no 'position' measure"):

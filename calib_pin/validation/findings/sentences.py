@@ -44,7 +44,9 @@ def told(
     """
     if lines and not remedy:
         remedy = f"state in the setup file: {written(lines)}"
-    evidence = {k: v if isinstance(v, str) else float(v) for k, v in numbers.items()}
+    # Counts and lines of files stay whole numbers.
+    known = numbers.items()
+    evidence = {k: v if isinstance(v, str | int) else float(v) for k, v in known}
     severity: Severity = "error" if error else "info" if info else "warning"
     figure = f"residuals-{residuals}" if residuals else ""
     return Finding(code, severity, message, evidence, remedy, lines or {}, figure)

@@ -141,7 +141,7 @@ def test_a_search_without_a_minimum_is_not_trusted(
     options: dict[str, float], status: Status, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Other readings of the measurements would explain what is left no better.
-    monkeypatch.setattr("calib_pin.validation.findings.EXPLANATIONS", ())
+    monkeypatch.setattr("calib_pin.validation.findings.readings.FAMILIES", ())
     problem, _ = ranger_problem(0, 3e-3)
     setup = replace(RANGER, solver=SolverSetup("de", options))
     result = calib_pin.calibrate(problem.chains, problem.data, setup, validate=False)

@@ -378,8 +378,9 @@ class _Search:
             beam = sorted(found.values(), key=_rank)[:WIDTH]
             every = sorted(every + beam, key=_rank)
             left, faults = every[0]
-            chance = self._ratio(faults, last, left) < unlikely(self.tried)
-            if left < enough or chance:
+            # Each of as many again may join those that are ahead.
+            tried = self.tried * len(self.known)
+            if left < enough or self._ratio(faults, last, left) < unlikely(tried):
                 break
             last = left
         return self._best(every)

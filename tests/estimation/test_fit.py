@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -38,6 +38,7 @@ from calib_pin.validation.held_out import left_out
 from calib_pin.validation.model_errors import fitted_errors, model_errors
 from calib_pin.validation.result import Provenance
 from calib_pin.validation.splits import Grouping, folds
+from tests.residual_models.corrections import Everywhere
 
 Simulated = Callable[..., tuple[Problem, np.ndarray]]
 
@@ -440,21 +441,11 @@ def check_training_rows(problem: Problem, space: str) -> None:
     np.testing.assert_allclose(plain, expected, rtol=0, atol=1e-9)
 
 
-@dataclass(frozen=True)
-class Steps:
-    """A correction of all joints by one number, whoever is left out."""
+@dataclass(frozen=True, kw_only=True)
+class Steps(Everywhere):
+    """A correction of all joints by one number."""
 
-    size: float
-    shift: Floats
     memory: Memory
-    space: Literal["joint", "tip"] = "joint"
-
-    @property
-    def region(self) -> Self:
-        return self
-
-    def weight(self, q: Floats) -> Floats:
-        return np.ones(len(q))
 
     def __call__(self, q: Floats) -> Floats:
         return np.full_like(q, self.size)
@@ -464,7 +455,7 @@ class Steps:
     ) -> list[Self]:
         self.memory.rows.append(rows)
         self.memory.masks.append(masks)
-        return [self for _ in masks]
+        return super().left_out(rows, masks, rng)
 
 
 class Memory:
@@ -478,7 +469,7 @@ class Memory:
         self, rows: TrainingRows, rng: np.random.Generator, *, progress: Any = None
     ) -> Steps:
         self.rows.append(rows)
-        return Steps(0.001, np.zeros(rows.shifts), self)
+        return Steps(0.001, np.zeros(rows.shifts), memory=self)
 
 
 @pytest.fixture

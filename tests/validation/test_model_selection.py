@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Self
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -28,6 +28,7 @@ from calib_pin.validation.model_selection import (
 )
 from calib_pin.validation.result import Candidate
 from calib_pin.validation.splits import FOLDS
+from tests.residual_models.corrections import Everywhere
 
 NOISE = 2e-5
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -254,25 +255,11 @@ def test_a_pattern_of_no_rung(chain: Chain, refused: Callable[..., Any]) -> None
 
 
 @dataclass(frozen=True)
-class Wave:
+class Wave(Everywhere):
     """Every joint moves with the one before, which no parameter knows."""
-
-    size: float
-    shift: Floats
-    space: Literal["joint", "tip"] = "joint"
-
-    @property
-    def region(self) -> Self:
-        return self
-
-    def weight(self, q: Floats) -> Floats:
-        return np.ones(len(q))
 
     def __call__(self, q: Floats) -> Floats:
         return np.asarray(self.size * np.sin(5.0 * np.roll(q, 1, axis=1)))
-
-    def left_out(self, rows: TrainingRows, masks: list[Any], rng: Any) -> list[Self]:
-        return [self for _ in masks]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -239,8 +238,9 @@ def encoded(
         times = moving_times(q, speed_limits(chain, part))
     elif targets.T is None:
         times = None  # The motion keeps its own.
-    encode = partial(encode_commands, degrees=asked.degrees, times=times)
-    return encode(targets, q, row, comments=comments)
+    return encode_commands(
+        targets, q, row, degrees=asked.degrees, times=times, comments=comments
+    )
 
 
 def compensation_document(

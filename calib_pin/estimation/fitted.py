@@ -173,6 +173,8 @@ def by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
     By orthonormal columns U of the rows, (M, r), and their variances, (K,).
     """
     layout, rank = problem.layout, U.shape[1]
+    if not shared.any():
+        return np.zeros((rank, rank))
     each = U[: len(layout.row)] * np.sqrt(problem.data.weight)[layout.row, None]
     place = repetitions(problem)[layout.row] * layout.width + layout.column
     result = np.zeros((rank, rank))

@@ -158,12 +158,10 @@ class Proposals:
             self._known = workspace, workspace.candidates(SAMPLES, rng)
         workspace, spread = self._known
         _, rows, information = identification(problem, aims, spread, fitted.rows)
-        chain_of = np.array([aim.key.chain for aim in aims.each])[spread.aim]
-        tests = {name: spread.q[chain_of == name][:SAMPLES] for name in {*chain_of}}
         search = Search(
             rows,
             workspace,
-            Prediction(TipTests.of(rows, tests).position),
+            Prediction(TipTests.among(rows, spread).position),
             information,
             spread,
             max(1, min(TOGETHER, len(spread.q))),

@@ -213,14 +213,7 @@ def plan(
     first = slice(max(candidates, count))
     found = replace(spread, q=spread.q[first], aim=spread.aim[first])
     structure, rows, known = identification(problem, workspace.aims, spread, data)
-    chain_of = np.array([aim.key.chain for aim in workspace.aims.each])[spread.aim]
-    at = TipTests.of(
-        rows,
-        {
-            name: spread.q[chain_of == name][:SAMPLES] if tests is None else tests
-            for name in dict.fromkeys(chain_of.tolist())
-        },
-    )
+    at = TipTests.among(rows, spread, tests)
     search = Search(
         rows,
         workspace,

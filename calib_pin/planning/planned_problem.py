@@ -203,6 +203,18 @@ class TipTests:
             found.append(np.einsum("npdi,npdj->pij", J, J, optimize=True) / len(q))
         return TipTests(*np.mean(found, axis=0))
 
+    @staticmethod
+    def among(
+        rows: IdentificationRows, spread: Candidates, tests: Floats | None = None
+    ) -> TipTests:
+        """Tests of the chains of candidates, by default at the first of each chain."""
+        chain_of = np.array([aim.key.chain for aim in rows.aims.each])[spread.aim]
+        own = {
+            name: spread.q[chain_of == name][:SAMPLES] if tests is None else tests
+            for name in dict.fromkeys(chain_of.tolist())
+        }
+        return TipTests.of(rows, own)
+
 
 @dataclass(frozen=True)
 class Predicted:

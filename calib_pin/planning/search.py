@@ -190,7 +190,6 @@ class Search:
         workers: Who descends.
 
     Attributes:
-        table: Rows of the candidates, shape (C, d, m).
         stopped: Whether the search was asked to stop.
 
     Raises:
@@ -211,17 +210,21 @@ class Search:
         measured: int = 0,
         workers: Workers = SERIAL,
     ) -> None:
-        """Compute the rows of the candidates."""
+        """Check that there are enough candidates."""
         candidates.require(count)
         self.rows, self.workspace, self.criterion = rows, workspace, criterion
         self.candidates, self.count, self.measured = candidates, count, measured
         self._descended_part = 0.0
         asked = Asked(lambda: self.told("gradient", self._descended_part))
         self.objective = Objective(rows, workspace, criterion, known, asked)
-        self.table = rows.rows(candidates.q, candidates.aim)
         self.stopped = False
         self._progress, self._workers = progress, workers
         self._rng, self._starts = rng, starts
+
+    @cached_property
+    def table(self) -> Floats:
+        """Rows of the candidates, shape (C, d, m)."""
+        return self.rows.rows(self.candidates.q, self.candidates.aim)
 
     def run(self, method: str) -> Found:
         """Search with a method of `METHODS`.

@@ -123,7 +123,7 @@ def grouped(q: Floats) -> Indices:
     before = label - 1
     while not np.array_equal(label, before):
         before = label.copy()
-        for position in q.T:
+        for position in q.T if len(shared) else ():
             order = shared[np.lexsort((position[shared], label[shared]))]
             old, place = label[order], np.arange(len(order))
             begins = np.diff(old, prepend=-1) != 0

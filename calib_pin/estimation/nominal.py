@@ -21,7 +21,12 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.identifiability import Structure, nuisance_basis, structure
+from calib_pin.estimation.identifiability import (
+    Structure,
+    column_space,
+    nuisance_basis,
+    structure,
+)
 from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,
@@ -55,6 +60,7 @@ from calib_pin.observations import (
     trusted,
 )
 from calib_pin.parameterizations import frame_pose, frame_screws
+from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.parameterizations.linearization import PoseLinearization
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import WORLD, FrameSetup
@@ -158,7 +164,8 @@ def structure_at(
             "check the base and tip links"
         )
     found = structure(J[: len(J) - len(problem.further.priors)], shown, count)
-    scaled = scale_deviation(problem, theta, at, J) < UNKNOWN
+    known = scale_deviation(problem, theta, at, J) < UNKNOWN
+    scaled = known or not _has_lengths(problem, theta, at)
     return replace(found, scaled=scaled, alike=alike), J
 
 
@@ -199,28 +206,8 @@ def scale_deviation(
     free = problem.parameters.free.copy()
     free[list(_omitted(problem, [some.key for some in at]))] = False
     scales = problem.parameters.scales
-    twists, grown = [], []
-    named = [problem.terms[some.key].frames for some in at]
-    ends = dict.fromkeys([*(s.station for s in named), *(s.tool for s in named)])
-    first_of = {name: 6 * k for k, name in enumerate(ends)}
-    frames = 6 * len(ends)
-    for some in at:
-        term = problem.terms[some.key]
-        of_robot = term.values(theta)[0]
-        poses = ToolPoses(term.error, term.of_chain(some)).linearize(of_robot).poses
-        count = len(poses.T)
-        by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
-        by_own = np.zeros((6 * count, len(term.index)))
-        by_own[:, : len(of_robot)] = by_error.reshape(6 * count, -1)
-        displaced = np.zeros((6 * count, frames))
-        first, last = first_of[term.frames.station], first_of[term.frames.tool]
-        displaced[:, first : first + 6] = adjoint(invert(poses.to_base)).reshape(-1, 6)
-        on_tool = term.frames.offset.toActionMatrixInverse()
-        displaced[:, last : last + 6] = np.tile(on_tool, (count, 1))
-        by_all = problem.spread(term, by_own) * scales
-        twists.append(np.column_stack([by_all[:, free], displaced]))
-        grown.append(_grown(poses, poses.to_base).reshape(-1))
-    moved, b = np.concatenate(twists), np.concatenate(grown)
+    by_all, displaced, b = _growing(problem, theta, at)
+    moved, frames = np.column_stack([by_all[:, free], displaced]), displaced.shape[1]
     rows = np.column_stack([(J * scales)[:, free], np.zeros((len(J), frames))])
     _, s, Vt = np.linalg.svd(np.linalg.qr(moved, mode="r"))
     rank = int((s > 1e-11 * s[0]).sum())
@@ -235,6 +222,56 @@ def scale_deviation(
     # What rounding leaves of large terms is nothing noticed.
     least = EXACT * float(np.linalg.norm(rows * z))
     return 1.0 / size if size > least else np.inf
+
+
+def _growing(
+    problem: Problem, theta: Floats, at: Sequence[Measurements]
+) -> tuple[Floats, Floats, Floats]:
+    """Twists of every tool as parameters change, frames are moved, and lengths grow.
+
+    Returns:
+        By scaled parameters, shape (6 N, P), by displacements of the F bases and tools,
+        (6 N, 6 F), and by the logarithm of the robot's size, (6 N,).
+    """
+    named = [problem.terms[some.key].frames for some in at]
+    ends = dict.fromkeys([*(s.station for s in named), *(s.tool for s in named)])
+    first_of = {name: 6 * k for k, name in enumerate(ends)}
+    changed, moved, grown = [], [], []
+    for some in at:
+        term = problem.terms[some.key]
+        of_robot = term.values(theta)[0]
+        poses = ToolPoses(term.error, term.of_chain(some)).linearize(of_robot).poses
+        count = len(poses.T)
+        by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
+        by_own = np.zeros((6 * count, len(term.index)))
+        by_own[:, : len(of_robot)] = by_error.reshape(6 * count, -1)
+        changed.append(problem.spread(term, by_own) * problem.parameters.scales)
+        displaced = np.zeros((6 * count, 6 * len(ends)))
+        first, last = first_of[term.frames.station], first_of[term.frames.tool]
+        displaced[:, first : first + 6] = adjoint(invert(poses.to_base)).reshape(-1, 6)
+        on_tool = term.frames.offset.toActionMatrixInverse()
+        displaced[:, last : last + 6] = np.tile(on_tool, (count, 1))
+        moved.append(displaced)
+        grown.append(_grown(poses, poses.to_base).reshape(-1))
+    return np.concatenate(changed), np.concatenate(moved), np.concatenate(grown)
+
+
+def _has_lengths(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> bool:
+    """Whether a robot has lengths that are larger than errors of lengths are.
+
+    Two axes that meet have none: as they grow, base and tool stand elsewhere.
+    """
+    # A tool in a socket stays there: joints that move apart take it away.
+    apart = [
+        replace(
+            some, q=np.column_stack([np.roll(x, k) for k, x in enumerate(some.q.T)])
+        )
+        for some in at
+    ]
+    _, displaced, b = _growing(problem, theta, apart)
+    Q = column_space(displaced)
+    own = float(np.linalg.norm(b - Q @ (Q.T @ b))) / np.sqrt(len(b) / 6)
+    return own > LENGTH_SCALE
 
 
 def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> dict[int, int]:

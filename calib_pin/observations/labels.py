@@ -114,6 +114,10 @@ def grouped(q: Floats) -> Indices:
     Args:
         q: Joint positions, shape (N, n) [rad, m].
     """
+    # What an image shows are equal rows, one behind the other.
+    begins = np.ones(len(q), bool)
+    begins[1:] = (q[1:] != q[:-1]).any(axis=1)
+    run, q = np.cumsum(begins) - 1, q[begins]
     # A label is the number of rows in the groups before: to split a group leaves
     # all others as they are, and a row that stands alone is done with.
     label = np.zeros(len(q), np.int64)
@@ -123,7 +127,7 @@ def grouped(q: Floats) -> Indices:
     before = label - 1
     while not np.array_equal(label, before):
         before = label.copy()
-        for position in q.T:
+        for position in q.T if len(shared) else ():
             order = shared[np.lexsort((position[shared], label[shared]))]
             old, place = label[order], np.arange(len(order))
             begins = np.diff(old, prepend=-1) != 0
@@ -136,6 +140,6 @@ def grouped(q: Floats) -> Indices:
             shared = order[np.repeat(sizes > 1, sizes)]
     used = np.zeros(len(q) + 1, np.int64)
     used[label] = 1
-    result: Indices = (np.cumsum(used) - 1)[label]
+    result: Indices = (np.cumsum(used) - 1)[label][run]
     result.setflags(write=False)
     return result

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import calib_pin
@@ -70,6 +71,19 @@ def scaled(model: str, **stated: Any) -> bool:
 
 SEEN: dict[str, Any] = {"camera": CAMERA, "base_frame": FAR}
 UNKNOWN = {k: replace(p, estimate=True) for k, p in POINTS.items()}
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-4])
+def test_axes_that_meet_have_no_lengths(
+    apart: float, urdf_of: Callable[..., str], chain_of: Callable[..., Chain]
+) -> None:
+    """A positioner of tilt and turn: what grows is how far away its base stands."""
+    across = pin.SE3(pin.rpy.rpyToMatrix(0.0, 1.57, 0.0), np.array([apart, 0.0, 0.0]))
+    tilt = {"name": "tilt", "parent": "base", "child": "frame"}
+    turn = {"name": "turn", "parent": "frame", "child": "table", "placement": across}
+    found = calib_pin.identify(chain_of(urdf_of(tilt, turn)), "pose")
+    assert found.identifiability.robot_rank == 2
+    assert found.identifiability.scale_observable
 
 
 @pytest.mark.parametrize(

@@ -597,7 +597,9 @@ class Case:
         one, it may have been fitted to measurements as small as the errors of a robot.
         """
         if not self.errors_left <= (DOUBTFUL if self.informed else FOREIGN):
-            return True
+            # What the model lacks may be all that is left.
+            if not self.errors_left * np.sqrt(self.lacking[1]) <= DOUBTFUL:
+                return True
         known = self.fitted is not None and self.fit.largest_correction <= REBUILT
         return self.errors_nominal > (ABSURD if known else FOREIGN)
 

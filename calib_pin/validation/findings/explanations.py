@@ -387,6 +387,8 @@ class _Search:
 
     def of_one_joint(self) -> Explanation | None:
         """All faults of a joint, each of which alone leaves as much as none."""
+        if self.first <= FOREIGN * self.one:
+            return None  # Two of them at once would make larger errors.
         of_joint: dict[str, dict[str, list[Hypothesis | None]]] = {}
         for fault in self.known:
             if fault.joint:

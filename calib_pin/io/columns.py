@@ -68,6 +68,12 @@ PURE = Kind("", {}, np.inf)
 KINDS: Mapping[str, Kind] = {kind.si: kind for kind in (LENGTH, ANGLE, PIXEL)}
 """How numbers of a unit may be written."""
 
+
+def kind_of_unit(unit: str | None) -> Kind:
+    """The kind of numbers in a unit; a pure one where the unit is none of ours."""
+    return next((kind for kind in KINDS.values() if unit in kind.units), PURE)
+
+
 COUNTERS = {1023: "steps/1228.8@512", 4095: STEPS}
 """Units of servos by the largest position that they count: those of 10 bits turn by 300
 degrees (Dynamixel AX), those of 12 bits by a whole turn."""

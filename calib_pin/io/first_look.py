@@ -23,7 +23,8 @@ import numpy as np
 import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
-from calib_pin.estimation.problem import distinct_values, error_table
+from calib_pin.estimation.evidence import rms
+from calib_pin.estimation.problem import distinct_values
 from calib_pin.io.columns import ANGLE, LENGTH, TURNED, counted
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
@@ -40,7 +41,7 @@ from calib_pin.observations import Observations
 from calib_pin.parameterizations.placement import HAND_SET
 from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
 from calib_pin.units import DISPLAY, steps_of
-from calib_pin.validation.evaluation import prepared
+from calib_pin.validation.evaluation import error_sizes, prepared
 from calib_pin.validation.findings.case import some_of
 from calib_pin.validation.findings.facts import COMPUTED, require_motion, spread
 
@@ -493,9 +494,7 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
             raise InputError(f"{reason}{unknown} already", file=files[0])
     except CalibPinError as error:
         return replace(look, fault=error)
-    residual = error_table(ready.problem, ready.theta)
-    sizes = {q.name: q.errors(residual) for q in ready.problem.layout.quantities}
-    errors = {n: float(np.sqrt(np.mean(of**2))) for n, of in sizes.items() if len(of)}
+    errors = {n: rms(of) for n, _, of in error_sizes(ready.problem, ready.theta)}
     # How far measured points moved about their means, or else the tips: where both
     # tell no length, as on a positioner whose tool may sit anywhere, errors in another
     # unit are the same part of what was measured in it.

@@ -29,26 +29,6 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.setup import JointMap, ReadingSetup
 
-URDF = """<robot name="r">
-  <link name="base"/><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
-  <joint name="lift" type="prismatic">
-    <parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
-    <limit lower="0" upper="0.5" effort="1" velocity="1"/>
-  </joint>
-  <joint name="elbow" type="revolute">
-    <parent link="a"/><child link="b"/><axis xyz="0 1 0"/><origin xyz="0.4 0 0"/>
-    <limit lower="-2.9" upper="2.9" effort="1" velocity="1"/>
-  </joint>
-  <joint name="wrist" type="continuous">
-    <parent link="b"/><child link="c"/><axis xyz="1 0 0"/><origin xyz="0.3 0 0"/>
-  </joint>
-  <joint name="gripper" type="prismatic">
-    <parent link="c"/><child link="d"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="0.05" effort="1" velocity="1"/>
-  </joint>
-</robot>"""
-
-
 J = "lift,elbow,wrist"
 STEPS = "lift,elbow [steps/4096],wrist,distance\n"
 CHAINS = ("", "left_hand", "touch", "world")
@@ -66,8 +46,8 @@ def read(*about, **options) -> Measurements:
 
 
 @pytest.fixture(scope="module")
-def chain(chain_of) -> Chain:
-    return chain_of(URDF, tip="c")
+def chain(arm) -> Chain:
+    return arm()
 
 
 @pytest.fixture
@@ -573,10 +553,9 @@ def test_plausible_values_pass(write, chain, text, joints):
     read(write(text), chain, joints=joints)
 
 
-def test_limits_of_many_turns_are_believed(write, chain_of):
-    xml = URDF.replace('lower="-2.9" upper="2.9"', 'lower="-60" upper="60"')
+def test_limits_of_many_turns_are_believed(write, arm):
     file = write("lift,elbow,wrist,distance\n0,59,0,1\n")
-    assert read(file, chain_of(xml, tip="c")).q[0, 1] == 59.0
+    assert read(file, arm(limits=(-60.0, 60.0))).q[0, 1] == 59.0
 
 
 @pytest.mark.parametrize("model", ["position+camra", "position+", "camera+camera"])
@@ -885,8 +864,8 @@ def test_touches_beside_readings_are_exact(write, chain, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["x", "u", "model", "payload", "sigma_contact"])
-def test_joints_with_reserved_names(write, name, refused, chain_of):
-    chain = chain_of(URDF.replace('"lift"', f'"{name}"'), tip="c")
+def test_joints_with_reserved_names(write, name, refused, arm):
+    chain = arm(name)
     file = write(f"{name},elbow,wrist,distance\n0,0,0,1\n")
     with refused(InputError, reason=f"'{name}'"):
         read(file, chain)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from calib_pin.io.table import Table, read_table
 from calib_pin.io.urdf import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -68,3 +69,13 @@ def write(tmp_path: Path) -> Callable[..., Path]:
         return file
 
     return write
+
+
+@pytest.fixture
+def table(write: Callable[..., Path]) -> Callable[..., Table]:
+    """The table of a text, as `read_table` reads it from a file."""
+
+    def table(text: str, columns: Mapping[str, str] = {}) -> Table:
+        return read_table(write(text, "a.csv"), columns=columns)
+
+    return table

@@ -364,9 +364,8 @@ def _missing(
         for name in read & table.columns.keys():
             missing = table.columns[name].missing()[rows]
             if missing.any() and not (missing.all() and name in optional):
-                result.setdefault(name, np.zeros(len(table.lines), bool))[rows] = (
-                    missing
-                )
+                lost = result.setdefault(name, np.zeros(len(table.lines), bool))
+                lost[rows] = missing
     return result
 
 
@@ -604,10 +603,10 @@ def _with_starts(data: Observations) -> Observations:
     """
     blocks, rank = list[Measurements](), np.argsort(data.in_order)
     for block, rows in zip(data.blocks, data.slices, strict=True):
-        relative = declared(block.model).relative
-        # The first that is measured from a start is the first in the file.
-        ordered = block.rows(np.argsort(rank[rows])) if relative else block
-        blocks.append(_started(ordered) if relative else block)
+        if declared(block.model).relative:
+            # The first that is measured from a start is the first in the file.
+            block = _started(block.rows(np.argsort(rank[rows])))
+        blocks.append(block)
     return Observations(tuple(blocks))
 
 

@@ -308,17 +308,16 @@ def mixtures(draw, tree):
     return Observations(tuple(sorted(blocks, key=lambda block: block.lines[0])))
 
 
+def bits(array):
+    return None if array is None else (array.shape, array.tobytes())
+
+
 def same(data, again):
     """Whether measurements are the same, bit by bit."""
     blocks = (Observations.of(part).blocks for part in (data, again))
     for one, other in zip(*blocks, strict=True):
         for name in ("q", "values", "sigma", "start", "validate"):
-            here, there = getattr(one, name), getattr(other, name)
-            assert (here is None) == (there is None), name
-            assert here is None or (here.shape, here.tobytes()) == (
-                there.shape,
-                there.tobytes(),
-            ), name
+            assert bits(getattr(one, name)) == bits(getattr(other, name)), name
         assert (other.key, other.joints) == (one.key, one.joints)
         assert (other.target, other.payload) == (one.target, one.payload)
     return True

@@ -80,10 +80,11 @@ def kept(
     Raises:
         OutputError: If the file cannot be written.
     """
-    trials = [*chain.from_iterable(known)]
-    write_atomically(path, encode_trials(study, trials), force=True)
+    head = encode_trials(study)
+    data = encode_trials(study, [*chain.from_iterable(known)])
+    write_atomically(path, data, force=True)
     yield from known
     for own in further:
-        trials += own
-        write_atomically(path, encode_trials(study, trials), force=True)
+        data += encode_trials(study, own).removeprefix(head)
+        write_atomically(path, data, force=True)
         yield own

@@ -136,9 +136,8 @@ def test_headings_however_they_were_saved(written, layout, how):
     again = read_table(file)
     assert [*first.columns] == [name for name in again.columns if "column" not in name]
     for name in "xyz":
-        np.testing.assert_array_equal(
-            *(k.columns[name].numbers for k in (again, first))
-        )
+        both = (k.columns[name].numbers for k in (again, first))
+        np.testing.assert_array_equal(*both)
 
 
 JOINTS = ("rostopic", "rtde", "franka", "lerobot", "lerobot_normalized")

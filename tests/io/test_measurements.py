@@ -155,14 +155,9 @@ def test_columns_without_a_meaning_are_reported_once(
 
 # --- orientations ------------------------------------------------------------------
 
-HARD = [
-    *(
-        pin.exp3(angle * axis)
-        for angle in (np.pi, np.pi - 1e-9, 1e-9, 0.0, 1.0)
-        for axis in np.eye(3)
-    ),
-    *(pin.rpy.rpyToMatrix(0.3, pitch, -2.0) for pitch in (np.pi / 2, -np.pi / 2)),
-]
+ANGLES = (np.pi, np.pi - 1e-9, 1e-9, 0.0, 1.0)
+HARD = [pin.exp3(angle * axis) for angle in ANGLES for axis in np.eye(3)]
+HARD += [pin.rpy.rpyToMatrix(0.3, pitch, -2.0) for pitch in (np.pi / 2, -np.pi / 2)]
 """Rotations that are hard to write down."""
 
 
@@ -234,10 +229,8 @@ def test_joint_map_errors(bad, joints, header, row, line, column, name):
 # --- writing -----------------------------------------------------------------------
 
 SIGMA = st.floats(1e-12, 1.0, exclude_min=True)
-TEXT = st.text(
-    st.characters(blacklist_categories=("Cs",), blacklist_characters="\r\n\0"),
-    max_size=8,
-).map(str.strip)
+LETTERS = st.characters(blacklist_categories=("Cs",), blacklist_characters="\r\n\0")
+TEXT = st.text(LETTERS, max_size=8).map(str.strip)
 
 
 # What a target has to be so that a row of the model can be read.
@@ -662,19 +655,15 @@ def test_a_date_is_no_time(write, chain):
 
 
 def test_relative_distances_start_at_the_first_row_of_a_target(write, chain):
-    data = read(
-        write(
-            "lift [mm],elbow,wrist,distance [mm],target,sigma [mm],set,payload\n"
-            "100,0,0,0,a,,,p\n"
-            "200,0,0,100,a,1,train,p\n"
-            "0,1,0,0,ball@2,far,neither,\n"
-            "300,0,0,200,a,2,validate,p\n"
-            "0,1,1,20,ball@2,3,train,\n"
-        ),
-        chain,
-        model="relative-distance",
-        notice=pytest.fail,
+    file = write(
+        "lift [mm],elbow,wrist,distance [mm],target,sigma [mm],set,payload\n"
+        "100,0,0,0,a,,,p\n"
+        "200,0,0,100,a,1,train,p\n"
+        "0,1,0,0,ball@2,far,neither,\n"
+        "300,0,0,200,a,2,validate,p\n"
+        "0,1,1,20,ball@2,3,train,\n"
     )
+    data = read(file, chain, model="relative-distance", notice=pytest.fail)
     assert data.values.tolist() == [[0.1], [0.2], [0.02]]
     assert data.q[:, 0].tolist() == [0.2, 0.3, 0.0]
     assert data.start.tolist() == [[0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 1.0, 0.0]]

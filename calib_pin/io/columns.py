@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -67,6 +66,12 @@ PURE = Kind("", {}, np.inf)
 
 KINDS: Mapping[str, Kind] = {kind.si: kind for kind in (LENGTH, ANGLE, PIXEL)}
 """How numbers of a unit may be written."""
+
+
+def kind_of_unit(unit: str | None) -> Kind:
+    """The kind of numbers in a unit; a pure one where the unit is none of ours."""
+    return next((kind for kind in KINDS.values() if unit in kind.units), PURE)
+
 
 COUNTERS = {1023: "steps/1228.8@512", 4095: STEPS}
 """Units of servos by the largest position that they count: those of 10 bits turn by 300
@@ -133,7 +138,7 @@ class Column:
         if self.words and self.codes[row] >= 0:
             return self.words[int(self.codes[row])].strip()
         number = float(self.numbers[row])
-        return "" if math.isnan(number) else repr(number).removesuffix(".0")
+        return "" if np.isnan(number) else repr(number).removesuffix(".0")
 
     def texts(self) -> Labels:
         """Texts of the cells, untrimmed where they are known, N strings."""
@@ -155,7 +160,7 @@ class Column:
         cell, reason = self.text(row), "not a number"
         if cell.lower() in MISSING:
             return NO_READING if cell else "the cell is empty"
-        if not math.isnan(self.numbers[row]):
+        if not np.isnan(self.numbers[row]):
             return "not a finite number"
         if THOUSANDS.fullmatch(cell):
             return f"{reason} (thousands are not to be separated)"

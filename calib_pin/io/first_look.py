@@ -23,7 +23,8 @@ import numpy as np
 import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
-from calib_pin.estimation.problem import distinct_values, error_table
+from calib_pin.estimation.evidence import rms
+from calib_pin.estimation.problem import distinct_values
 from calib_pin.io.columns import ANGLE, LENGTH, TURNED, counted
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
@@ -39,10 +40,11 @@ from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.placement import HAND_SET
 from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
-from calib_pin.units import DISPLAY, steps_of
-from calib_pin.validation.evaluation import prepared
+from calib_pin.units import steps_of
+from calib_pin.validation.evaluation import error_sizes, prepared
 from calib_pin.validation.findings.case import some_of
 from calib_pin.validation.findings.facts import COMPUTED, require_motion, spread
+from calib_pin.validation.findings.sentences import shown
 
 TOUCHES = ("fixed-point", "plane-contact", "sphere-contact")
 DISTANCES = ("plane-distance", "point-distance", "relative-distance")
@@ -493,9 +495,7 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
             raise InputError(f"{reason}{unknown} already", file=files[0])
     except CalibPinError as error:
         return replace(look, fault=error)
-    residual = error_table(ready.problem, ready.theta)
-    sizes = {q.name: q.errors(residual) for q in ready.problem.layout.quantities}
-    errors = {n: float(np.sqrt(np.mean(of**2))) for n, of in sizes.items() if len(of)}
+    errors = {n: rms(of) for n, _, of in error_sizes(ready.problem, ready.theta)}
     # How far measured points moved about their means, or else the tips: where both
     # tell no length, as on a positioner whose tool may sit anywhere, errors in another
     # unit are the same part of what was measured in it.
@@ -524,7 +524,7 @@ def best(looks: Sequence[Look]) -> Look:
     computed = {look.position for look in whole if look.share <= COMPUTED} - {""}
     seen = [look for look in whole if look.position not in computed]
     if computed and not seen:
-        size = f"{1e3 * next(iter(whole[0].errors.values())):.2g} mm"
+        size = shown(next(iter(whole[0].errors.values())), "m")
         reason = f"the positions fit to the nominal robot to {size}, as those of no "
         reason += "instrument: they are computed from the joints by the controller"
         raise InputError(reason)
@@ -571,11 +571,8 @@ def draft(robot: Robot, look: Look, command: str) -> str:
 def _head(robot: Robot, look: Look, command: str) -> Iterator[str]:
     """Comments on the whole, and on how well the nominal robot fits."""
     yield f"Setup file of calib-pin, drafted by: {command}"
-    told = []
-    for quantity, size in look.errors.items():
-        unit = {"orientation": "rad", "pixel": "px"}.get(quantity, "m")
-        shown, factor = DISPLAY[unit]
-        told.append(f"{factor * size:.3g} {shown} ({quantity})")
+    units = {"orientation": "rad", "pixel": "px"}
+    told = (f"{shown(k, units.get(n, 'm'), 3)} ({n})" for n, k in look.errors.items())
     text = f"{len(look.data or ())} measurements of {robot.name}. The nominal robot "
     text += f"fits to {', '.join(told)} rms with this setup"
     text += f": {100 * look.share:.2g} % of its motion" * (look.share < inf)

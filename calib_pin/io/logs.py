@@ -16,7 +16,7 @@ import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 import calib_pin.observations.joining as joining
 from calib_pin.errors import InputError, enumerated, stated_in
-from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind
+from calib_pin.io.columns import ANGLE, LENGTH, Floats, kind_of_unit
 from calib_pin.io.dialects.base import header
 from calib_pin.io.measured_columns import NAMES
 from calib_pin.io.measurements import encode_table
@@ -146,7 +146,7 @@ def _encoded(
     for (name, unit), column in zip(joints.items(), q.T, strict=True):
         # Steps of servos are told in radians.
         unit = "" if steps_of(unit) else unit
-        cells[header(name, unit)] = column / _kind(unit).units.get(unit, 1.0)
+        cells[header(name, unit)] = column / kind_of_unit(unit).units.get(unit, 1.0)
     means = joining.means(rows, values.values, oriented)
     cells |= zip(measured, means.T, strict=True)
     sigma = joining.mean_sigmas(rows, values.values, oriented)
@@ -277,7 +277,7 @@ def _read(
             told = f"{column.sentinel:g} in {np.count_nonzero(signs)} rows of '{name}'"
             notice(f"{table.file}: {told} is taken for a reading that is missing")
     table = with_readings(table, missing, "rows", notice)
-    values = [table.numbers(n, _kind(table.columns[n].unit)) for n in names]
+    values = [table.numbers(n, kind_of_unit(table.columns[n].unit)) for n in names]
     values += [*measured_columns.read_quaternions(table, way).T] if way else []
     kind = np.zeros(len(table.lines), np.int64)
     for labels in table.texts(apart).values():
@@ -338,8 +338,3 @@ def _dates(table: Table, name: str) -> Floats:
     table.refuse(np.isnan(time), "not a time", name, allowed)
     # A clock without a date begins anew at midnight.
     return np.asarray(time + DAY * np.cumsum(np.diff(time, prepend=time[0]) < -DAY / 2))
-
-
-def _kind(unit: str | None) -> Kind:
-    """The kind of a column, by its unit."""
-    return next((k for k in (ANGLE, LENGTH, PIXEL) if unit in k.units), PURE)

@@ -7,10 +7,8 @@ nominal and the calibrated robot are off. Numbers come back exactly.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -64,8 +62,8 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
     tables = [p.table(name, directed) for name, p in parts if p is not None]
     columns = dict[str, Any]()
     for name in dict.fromkeys(name for table in tables for name in table):
-        every = [table.get(name, [math.nan] * len(table["set"])) for table in tables]
-        cells = [*chain.from_iterable(every)]
+        every = [table.get(name, [np.nan] * len(table["set"])) for table in tables]
+        cells = [cell for own in every for cell in own]
         columns[name] = cells if name in WORDS else np.array(cells)
     return encode_table(columns, LEGEND.format(run=run).splitlines())
 

@@ -124,6 +124,7 @@ def read_measurements(
         unnamed = chains.names[0] if len(chains.names) == 1 else ""
     told = notice or (lambda remark: None)
     orientation = None if reading is None else reading.orientation
+    reader = _Reader(chains, asked, joints, orientation, unnamed, told)
     parts, tables, stations = list[Measurements](), list[Table](), [""]
     for k, file in enumerate(files):
         tell = portion(progress, k / len(files), 1.0 / len(files))
@@ -142,8 +143,7 @@ def read_measurements(
             if "station" in table:
                 reason = "the file names stations, leave out --station-per-file"
                 raise table.error(reason, "station")
-        given = chains, asked, joints, orientation, unnamed, stations[-1], told
-        parts += _Reader(*given).blocks(table)
+        parts += reader.blocks(table, stations[-1])
     parts.sort(key=lambda part: [*asked, part.model].index(part.model))
     names = () if chains.names == ("",) else chains.names
     chains = chains.named((*names, *(part.chain for part in parts)))
@@ -195,7 +195,7 @@ def _with_joints(part: Measurements, chains: Chains) -> Measurements:
 
 @dataclass(frozen=True)
 class _Reader:
-    """How measurements of one file are read.
+    """How measurements of a file are read.
 
     Attributes:
         chains: The chains that it may name.
@@ -203,7 +203,6 @@ class _Reader:
         joints: How file columns become joints; others are taken by their own name.
         orientation: How columns of an orientation are to be read.
         unnamed: Chain of measurements that name none.
-        station: Station of all, where the file names none.
         notice: Called with sentences about the file.
     """
 
@@ -212,15 +211,18 @@ class _Reader:
     joints: Mapping[str, JointMap]
     orientation: OrientationSetup | None
     unnamed: str
-    station: str
     notice: Notice
 
-    def blocks(self, table: Table) -> list[Measurements]:
+    def blocks(self, table: Table, station: str) -> list[Measurements]:
         """Measurements of the file, in the order in which blocks begin.
 
         A measurement leaves blank what only the models of others read: a number there
         was meant to be read, and would be lost. Columns that none of them reads may
         hold anything.
+
+        Args:
+            table: The file.
+            station: Station of all, where the file names none.
 
         Raises:
             InputError: If a measurement names a model or a chain that there is not, or
@@ -236,11 +238,11 @@ class _Reader:
         chains = self.chains.named(chain_of.distinct)
         table, columns = measured_columns.own_columns(table, chains, self.joints)
         table = self._of_sheet(table)
-        keys = self._keys(table, chain_of)
+        keys = self._keys(table, chain_of, station)
         missing = _missing(table, chains, columns, keys)
         some = with_readings(table, missing, "measurements", self.notice)
         if some is not table:
-            return self.blocks(some)
+            return self.blocks(some, station)
         q = measured_columns.read_positions(table, chains, columns, chain_of)
         spare = measured_columns.spare_columns(table, chains, self.joints)
         further = measured_columns.spare_positions(table, chains, columns, q, spare)
@@ -283,7 +285,7 @@ class _Reader:
         z = Column("z", None, np.zeros(len(table.lines)))
         return replace(table, columns={**table.columns, "z": z})
 
-    def _keys(self, table: Table, chain_of: Labels) -> Keys:
+    def _keys(self, table: Table, chain_of: Labels, station: str) -> Keys:
         """The rows of each block, in the order in which these begin."""
         models = table.labels("model")
         if "model" not in table:
@@ -293,8 +295,8 @@ class _Reader:
             reason = f"unknown measurement model{nearest(name, MEASUREMENT_MODELS)}"
             allowed = ", ".join(MEASUREMENT_MODELS)
             table.refuse(models.where(name), reason, "model", allowed)
-        station = table.labels("station", self.station)
-        columns = (models, chain_of, station, table.labels("tool"))
+        stations, tools = table.labels("station", station), table.labels("tool")
+        columns = models, chain_of, stations, tools
         code = np.zeros(len(table.lines), np.int64)
         for column in columns:
             code = code * len(column.names) + column.codes
@@ -364,9 +366,8 @@ def _missing(
         for name in read & table.columns.keys():
             missing = table.columns[name].missing()[rows]
             if missing.any() and not (missing.all() and name in optional):
-                result.setdefault(name, np.zeros(len(table.lines), bool))[rows] = (
-                    missing
-                )
+                lost = result.setdefault(name, np.zeros(len(table.lines), bool))
+                lost[rows] = missing
     return result
 
 
@@ -604,10 +605,10 @@ def _with_starts(data: Observations) -> Observations:
     """
     blocks, rank = list[Measurements](), np.argsort(data.in_order)
     for block, rows in zip(data.blocks, data.slices, strict=True):
-        relative = declared(block.model).relative
-        # The first that is measured from a start is the first in the file.
-        ordered = block.rows(np.argsort(rank[rows])) if relative else block
-        blocks.append(_started(ordered) if relative else block)
+        if declared(block.model).relative:
+            # The first that is measured from a start is the first in the file.
+            block = _started(block.rows(np.argsort(rank[rows])))
+        blocks.append(block)
     return Observations(tuple(blocks))
 
 

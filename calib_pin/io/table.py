@@ -29,14 +29,15 @@ from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.io.columns import (
     ANGLE,
     COMMA,
-    KINDS,
     NO_READING,
+    PURE,
     THOUSANDS,
     Column,
     Floats,
     Kind,
     closest,
     counted,
+    kind_of_unit,
     split_header,
 )
 from calib_pin.io.dialects import Heading, heading, reading, side_by_side
@@ -218,8 +219,7 @@ class Table:
                 raise self.error(f"'columns' in the setup takes {both} from it", name)
             own = self.columns[name].unit
             # A unit that the file writes in its own way may be stated in ours.
-            known = any(own in kind.units for kind in KINDS.values())
-            if known and unit not in (None, own):
+            if kind_of_unit(own) is not PURE and unit not in (None, own):
                 reason = f"the header says [{own}], 'columns' in the setup [{unit}]"
                 raise self.error(reason, name)
             taken[name] = ours
@@ -351,27 +351,22 @@ def read_table(
     """
     cells = read_cells(path, "", progress)
     found, lines = cells.heading, np.frombuffer(cells.lines, np.int64)
-    remarks = cells.remarks + (f"read as {found.remark}",) * bool(found.remark)
-    table = Table(cells.file, found.line or None, {}, lines, remarks=remarks)
     if not len(lines):
         raise InputError("the file has a header but no rows", file=cells.file)
-    given = cells.columns()
-    if found.remark:
-        ours, row = side_by_side(found, given)
-        table = replace(table, columns=found.read(ours), lines=lines[row])
-        return table.called(columns)
-    for name, often in Counter(column.theirs for column in given).items():
+    given, layout = cells.columns(), found.remark
+    ours, row = side_by_side(found, given)
+    table = Table(cells.file, found.line or None, {}, lines[row])
+    for name, often in Counter(c.theirs for c in given if not layout).items():
         if often > 1:
             both = ", ".join(f"'{c.header}'" for c in given if c.theirs == name)
             raise table.error(f"two columns are '{name}': {both}", name)
-    table = replace(table, columns={column.theirs: column for column in given})
-    table = table.called(columns)
-    if read := reading(table.columns, Path(cells.file)):
-        remarks += (f"read as {read.remark}",)
+    table = replace(table, columns=found.read(ours)).called(columns)
+    if not layout and (read := reading(table.columns, Path(cells.file))):
         # The setup names columns as the file does, or as they are called then.
-        table = replace(table, columns=read.columns, remarks=remarks)
-        table = table.called(table.missing)
-    return table
+        table = replace(table, columns=read.columns).called(table.missing)
+        layout = read.remark
+    remarks = cells.remarks + (f"read as {layout}",) * bool(layout)
+    return replace(table, remarks=remarks)
 
 
 def with_readings(
@@ -641,24 +636,24 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     ]
     if found := heading(lines):
         return found
-    plain = [line for _, line in lines if not _is_comment(line)]
+    plain = [one for one in lines if not _is_comment(one[1])]
     if not plain:
         raise InputError("the file is empty, it needs a header and rows", file=file)
-    mark = _separator(plain)
+    mark = _separator([line for _, line in plain])
     # What stands behind the sign of a comment comes last.
-    cut = [(n, cells_of(line, mark)) for n, line in lines if not _is_comment(line)]
-    signs = ((n, line.lstrip(" \t#%/")) for n, line in lines if _is_comment(line))
-    bare = [(n, cells_of(line, mark)) for n, line in signs]
-    rows = [one for one in cut if _is_row(one[1], mark)]
+    bare = [(n, line.lstrip(" \t#%/")) for n, line in lines if _is_comment(line)]
+    cut = [(n, cells_of(line, mark)) for n, line in plain + bare]
+    rows = [one for one in cut[: len(plain)] if _is_row(one[1], mark)]
     if not rows:
         return Heading(mark, cut[0][1], cut[0][0], "")
     ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
     top = next(number for number, cells in rows if len(cells) == width)
-    above = [one for one in cut if one[0] < top]
-    for number, names in above + bare:
-        if number < top and len(names) == width and not _is_row(names, mark):
-            return Heading(mark, names, number, "")
-    number, names = max(above, key=lambda one: len(one[1]), default=(0, []))
+    own = (
+        k for k in cut if k[0] < top and len(k[1]) == width and not _is_row(k[1], mark)
+    )
+    above = [one for one in cut[: len(plain)] if one[0] < top]
+    longest = max(above, key=lambda one: len(one[1]), default=(0, []))
+    number, names = next(own, longest)
     if 2 * len(names) >= width:
         return Heading(mark, names, number, "")
     reason = "the first row holds numbers, a header with the names of the columns is "

@@ -10,32 +10,28 @@ import csv
 import io
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import astuple, fields
+from dataclasses import fields
+from itertools import chain
 from pathlib import Path
 
 from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes, write_atomically
+from calib_pin.io.measurements import encode_table
 from calib_pin.monte_carlo import Trial
 
 COLUMNS = tuple(field.name for field in fields(Trial))
 """Columns of the file."""
 
 
-def encode_trials(trials: Iterable[Trial]) -> bytes:
-    """Lines of trials."""
-    text = io.StringIO(newline="")
-    # The csv module writes floats by repr, which loses nothing.
-    csv.writer(text, lineterminator="\n").writerows(map(astuple, trials))
-    return text.getvalue().encode()
-
-
-def head(study: str) -> bytes:
-    """The first lines of a file.
+def encode_trials(study: str, trials: Sequence[Trial] = ()) -> bytes:
+    """A file of trials; of none it is the first lines of every file of the study.
 
     Args:
         study: Everything that the numbers depend on, as a hash.
+        trials: The trials.
     """
-    return f"# calib-pin Monte Carlo, study {study}\n{','.join(COLUMNS)}\n".encode()
+    columns = {name: [getattr(trial, name) for trial in trials] for name in COLUMNS}
+    return encode_table(columns, [f"calib-pin Monte Carlo, study {study}"])
 
 
 def read_trials(path: Path, study: str, each: int) -> list[tuple[Trial, ...]]:
@@ -51,10 +47,8 @@ def read_trials(path: Path, study: str, each: int) -> list[tuple[Trial, ...]]:
     """
     from pydantic import TypeAdapter
 
-    data, begin = read_bytes(path), head(study)
-    if begin.startswith(data):
-        return []
-    if not data.startswith(begin):
+    data, begin = read_bytes(path), encode_trials(study)
+    if not (data.startswith(begin) or begin.startswith(data)):
         raise InputError("holds trials of another study; use --force", file=path)
     whole = data[len(begin) : data.rfind(b"\n") + 1].decode("utf-8", "replace")
     found, reader = list[Trial](), TypeAdapter(Trial)
@@ -86,10 +80,11 @@ def kept(
     Raises:
         OutputError: If the file cannot be written.
     """
-    data = head(study) + encode_trials(trial for own in known for trial in own)
+    head = encode_trials(study)
+    data = encode_trials(study, [*chain.from_iterable(known)])
     write_atomically(path, data, force=True)
     yield from known
     for own in further:
-        data += encode_trials(own)
+        data += encode_trials(study, own).removeprefix(head)
         write_atomically(path, data, force=True)
         yield own

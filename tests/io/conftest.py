@@ -2,50 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from calib_pin.io.urdf import load_robot
+from calib_pin.io.table import Table, read_table
+from calib_pin.io.urdf import parse_robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.setup import ChainSetup
 
-TREE = """<robot name="tree">
-  <link name="base"/><link name="body"/><link name="left_hand"/>
-  <link name="upper"/><link name="lower"/><link name="right_hand"/>
-  <joint name="torso" type="prismatic">
-    <parent link="base"/><child link="body"/><axis xyz="0 0 1"/>
-    <limit lower="0" upper="0.5" effort="1" velocity="1"/>
-  </joint>
-  <joint name="left" type="revolute">
-    <parent link="body"/><child link="left_hand"/><axis xyz="0 1 0"/>
-    <origin xyz="0 0.4 0"/>
-    <limit lower="-2.9" upper="2.9" effort="1" velocity="1"/>
-  </joint>
-  <joint name="right" type="continuous">
-    <parent link="body"/><child link="upper"/><axis xyz="1 0 0"/>
-    <origin xyz="0 -0.4 0"/>
-  </joint>
-  <joint name="finger" type="continuous">
-    <parent link="upper"/><child link="lower"/><axis xyz="1 0 0"/>
-    <origin xyz="0.3 0 0"/>
-    <mimic joint="right" multiplier="-0.5" offset="0.1"/>
-  </joint>
-  <joint name="slide" type="prismatic">
-    <parent link="lower"/><child link="right_hand"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="0.5" effort="1" velocity="1"/>
-  </joint>
-</robot>"""
+
+def joint(
+    name: str, parent: str, child: str, kind: str = "revolute", **more: Any
+) -> dict[str, Any]:
+    """A joint, as `urdf_of` takes it; a prismatic one moves by half a meter."""
+    limits = (0.0, 0.5) if kind == "prismatic" else (-2.9, 2.9)
+    about = {"name": name, "parent": parent, "child": child, "type": kind}
+    return {**about, "limits": limits, **more}
 
 
 @pytest.fixture(scope="session")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Chains:
+def tree(urdf_of: Callable[..., str]) -> Chains:
     """Two hands of one body; the finger of the right one follows its arm."""
-    file = tmp_path_factory.mktemp("tree") / "tree.urdf"
-    file.write_text(TREE)
+    follows = '<mimic joint="right" multiplier="-0.5" offset="0.1"/>'
+    text = urdf_of(
+        joint("torso", "base", "body", "prismatic"),
+        joint("left", "body", "left_hand"),
+        joint("right", "body", "upper", "continuous"),
+        joint("finger", "upper", "lower", "continuous", more=follows),
+        joint("slide", "lower", "right_hand", "prismatic"),
+    )
     touch = ChainSetup(base="left_hand", tip="right_hand")
-    return Chains(load_robot(str(file)), tip="right_hand", stated={"touch": touch})
+    robot = parse_robot(text.encode(), "tree.urdf")
+    return Chains(robot, tip="right_hand", stated={"touch": touch})
+
+
+@pytest.fixture(scope="session")
+def arm(
+    urdf_of: Callable[..., str], chain_of: Callable[..., Chain]
+) -> Callable[..., Chain]:
+    """A chain of a lift, an elbow and a wrist, before a gripper."""
+
+    def arm(lift: str = "lift", **elbow: Any) -> Chain:
+        joints = (
+            joint(lift, "base", "a", "prismatic"),
+            joint("elbow", "a", "b", **elbow),
+            joint("wrist", "b", "c", "continuous"),
+            joint("gripper", "c", "d", "prismatic", limits=(0.0, 0.05)),
+        )
+        return chain_of(urdf_of(*joints), tip="c")
+
+    return arm
 
 
 @pytest.fixture
@@ -59,3 +69,13 @@ def write(tmp_path: Path) -> Callable[..., Path]:
         return file
 
     return write
+
+
+@pytest.fixture
+def table(write: Callable[..., Path]) -> Callable[..., Table]:
+    """The table of a text, as `read_table` reads it from a file."""
+
+    def table(text: str, columns: Mapping[str, str] = {}) -> Table:
+        return read_table(write(text, "a.csv"), columns=columns)
+
+    return table

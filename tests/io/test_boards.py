@@ -7,14 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.io.boards import (
-    Found,
-    board_of,
-    restated,
-    tags_of,
-    whole_grid,
-    word_of,
-)
+from calib_pin.io.boards import Found, board_of, restated, tags_of, whole_grid, word_of
 
 pytestmark = pytest.mark.needs("vision")
 

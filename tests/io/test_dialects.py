@@ -22,16 +22,6 @@ from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.spatial import from_quaternion, so3_exp, to_quaternion
 
 
-@pytest.fixture
-def table(tmp_path: Path):
-    def table(text: str, columns: Mapping[str, str] = {}) -> Table:
-        file = tmp_path / "a.csv"
-        file.write_text(text)
-        return read_table(file, columns=columns)
-
-    return table
-
-
 def test_whole_seconds_and_the_rest(table):
     """Beside an index: dialects follow one another."""
     found = table(",header.secs,header.nsecs,x\n0,5,500000000,1\n1,6,0,2\n")
@@ -146,9 +136,8 @@ def test_headings_however_they_were_saved(written, layout, how):
     again = read_table(file)
     assert [*first.columns] == [name for name in again.columns if "column" not in name]
     for name in "xyz":
-        np.testing.assert_array_equal(
-            *(k.columns[name].numbers for k in (again, first))
-        )
+        both = (k.columns[name].numbers for k in (again, first))
+        np.testing.assert_array_equal(*both)
 
 
 JOINTS = ("rostopic", "rtde", "franka", "lerobot", "lerobot_normalized")

@@ -5,24 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import calib_pin.io.foreign_headers as headers
 from calib_pin.io.columns import Column, split_header
-from calib_pin.io.foreign_headers import (
-    Foreign,
-    families,
-    foreign,
-    joints_by_name,
-    measured,
-)
 
 
-def columns(header: str) -> tuple[Foreign, ...]:
+def columns(header: str) -> tuple[headers.Foreign, ...]:
     """Columns of numbers that move, below such a header."""
     rows = np.random.default_rng(0).normal(size=(9, header.count(",") + 1)).T
     named = {
         split_header(cell)[0]: Column(cell, split_header(cell)[1], numbers)
         for cell, numbers in zip(header.split(","), rows, strict=True)
     }
-    return foreign(named)
+    return headers.foreign(named)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +38,7 @@ def columns(header: str) -> tuple[Foreign, ...]:
     ],
 )
 def test_what_is_measured(header, ours):
-    found = measured(columns(header))
+    found = headers.measured(columns(header))
     told = {name: one.stated(one.unit) for name, (one, *_) in found.items()}
     assert told.items() >= ours.items() and (ours or not told)
 
@@ -60,14 +54,14 @@ def test_what_is_measured(header, ours):
     ],
 )
 def test_numbers_of_joints(header, names):
-    found = families(columns(header))
+    found = headers.families(columns(header))
     assert " ".join(one.name for one in (found or [[]])[0]) == names
 
 
 def test_joints_by_name():
     found = columns("Elbow.pos [deg],elbow.goal,left_elbow_angle,elbow_vel,S,x,y,z")
-    joints = joints_by_name(found, ["elbow", "left_elbow", "wrist"])
+    joints = headers.joints_by_name(found, ["elbow", "left_elbow", "wrist"])
     named = {joint: one.stated(one.unit) for joint, one in joints.items()}
     assert named == {"elbow": "Elbow.pos", "left_elbow": "left_elbow_angle"}
-    meant = [one for choices in measured(found).values() for one in choices]
+    meant = [one for choices in headers.measured(found).values() for one in choices]
     assert [one.name for one in found if one not in meant][-1] == "S"

@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 
 import calib_pin
-from calib_pin.io.measurements import (
-    encode_configurations,
-    read_configurations,
-)
+from calib_pin.io.measurements import encode_configurations, read_configurations
 from calib_pin.io.table import read_table
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.setup import JointMap
@@ -42,17 +39,13 @@ def test_files_read_back_bit_by_bit(tmp_path: Path) -> None:
 def test_joint_maps_are_undone(tmp_path: Path) -> None:
     """By the formula of the setup file; couplings, mutual ones too, can be undone."""
     rng, names = np.random.default_rng(0), [f"A{k}" for k in range(6)]
-    signs, gears = rng.choice([-1, 1], 6), rng.choice([-50.0, 0.02, 1.5], 6)
-    joints = {
-        name: JointMap(
-            joint,
-            int(signs[k]),
-            float(gears[k]),
-            float(rng.uniform(-3.0, 3.0)),
-            {other: float(rng.uniform(-2.0, 2.0)) for other in names[:k]},
-        )
-        for k, (name, joint) in enumerate(zip(names, CHAIN.joints, strict=True))
-    }
+    signs = rng.choice([-1, 1], 6).tolist()
+    gears = rng.choice([-50.0, 0.02, 1.5], 6).tolist()
+    joints = dict[str, JointMap]()
+    for k, joint in enumerate(CHAIN.joints):
+        coupled = {other: float(rng.uniform(-2.0, 2.0)) for other in names[:k]}
+        offset = float(rng.uniform(-3.0, 3.0))
+        joints[names[k]] = JointMap(joint, signs[k], gears[k], offset, coupled)
     mutual = {"A5": 0.25, "track": 2.0}
     for given in (joints, joints | {"A0": replace(joints["A0"], coupled=mutual)}):
         columns, before = JointColumns.of(CHAIN, given), Q.copy()

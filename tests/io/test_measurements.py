@@ -29,26 +29,6 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.setup import JointMap, ReadingSetup
 
-URDF = """<robot name="r">
-  <link name="base"/><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
-  <joint name="lift" type="prismatic">
-    <parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
-    <limit lower="0" upper="0.5" effort="1" velocity="1"/>
-  </joint>
-  <joint name="elbow" type="revolute">
-    <parent link="a"/><child link="b"/><axis xyz="0 1 0"/><origin xyz="0.4 0 0"/>
-    <limit lower="-2.9" upper="2.9" effort="1" velocity="1"/>
-  </joint>
-  <joint name="wrist" type="continuous">
-    <parent link="b"/><child link="c"/><axis xyz="1 0 0"/><origin xyz="0.3 0 0"/>
-  </joint>
-  <joint name="gripper" type="prismatic">
-    <parent link="c"/><child link="d"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="0.05" effort="1" velocity="1"/>
-  </joint>
-</robot>"""
-
-
 J = "lift,elbow,wrist"
 STEPS = "lift,elbow [steps/4096],wrist,distance\n"
 CHAINS = ("", "left_hand", "touch", "world")
@@ -66,8 +46,8 @@ def read(*about, **options) -> Measurements:
 
 
 @pytest.fixture(scope="module")
-def chain(chain_of) -> Chain:
-    return chain_of(URDF, tip="c")
+def chain(arm) -> Chain:
+    return arm()
 
 
 @pytest.fixture
@@ -133,16 +113,15 @@ def test_points_of_a_sheet_have_no_height(write, chain):
     assert len(said) == 2 and "z = 0" in said[0] and "1 of 2" in said[1]
 
 
+SIX = "x,y,z,rx,ry,rz,sigma_rz [mrad],sigma_x,sigma_y,sigma_z,sigma_rx [deg],sigma_ry"
+SIGMAS = [0.1, 0.2, 0.3, np.pi / 45, 0.5, 0.006]
+
+
 @pytest.mark.parametrize(
     ("names", "cells", "sigma"),
     [
         ("x,y,z,sigma,sigma_y [um]", "1,2,3,0.001,50", [1e-3, 5e-5, 1e-3]),
-        (
-            "x,y,z,rx,ry,rz,sigma_rz [mrad],sigma_x,sigma_y,sigma_z,sigma_rx [deg],"
-            "sigma_ry",
-            "1,2,3,0,0,0,6,0.1,0.2,0.3,4,0.5",
-            [0.1, 0.2, 0.3, np.pi / 45, 0.5, 0.006],
-        ),
+        (SIX, "1,2,3,0,0,0,6,0.1,0.2,0.3,4,0.5", SIGMAS),
     ],
 )
 def test_sigma_by_component(write, chain, names, cells, sigma):
@@ -150,52 +129,35 @@ def test_sigma_by_component(write, chain, names, cells, sigma):
     np.testing.assert_allclose(data.sigma, [sigma])
 
 
+MAP = {"J2": JointMap("elbow")}
+MORE = "qx,qy,qz,qw,distance,sigma_distance,sigma_rx"
+BLOCKS = "0,0,0,1,2,3,,a,b,c,position\n0,0,0,,,,1,d,e,f,plane-distance\n"
+
+
 @pytest.mark.parametrize(
-    ("text", "names", "options"),
+    ("names", "rows", "ignored", "options"),
     [
-        (
-            f"{J},gripper,tool_position,distance,time [s]\n" + "0,0,0,0,left,1,a\n" * 3,
-            "tool_position, time [s]",
-            {},
-        ),
-        (f",{J},distance\n1,0,0,0,1", "column 1", {}),
-        (
-            f"{J},J2,distance,payload\n0,1,0,2,1, p \n",
-            "elbow",
-            {"joints": {"J2": JointMap("elbow")}},
-        ),
-        (
-            f"{J},x,y,z,qx,qy,qz,qw,distance,sigma_distance,sigma_rx\n"
-            "0,0,0,1,2,3,0,0,0,1,4,0.1,0.1\n",
-            "qx, qy, qz, qw, distance, sigma_distance, sigma_rx",
-            {"model": "position"},
-        ),
-        (
-            f"{J},x,y,z,distance,qx,sigma_u,note,model\n0,0,0,1,2,3,,a,b,c,position\n"
-            "0,0,0,,,,1,d,e,f,plane-distance\n",
-            "qx, sigma_u, note",
-            {},
-        ),
+        ("gripper,a,distance,time [s]", "0,0,0,0,left,1,a\n" * 3, "a,time [s]", {}),
+        ("J2,distance,payload", "0,1,0,2,1, p ", "elbow", {"joints": MAP}),
+        (f"x,y,z,{MORE}", f"{'0,' * 9}1,4,0.1,0.1", MORE, {"model": "position"}),
+        ("x,y,z,distance,qx,sigma_u,note,model", BLOCKS, "qx,sigma_u,note", {}),
+        # A column without a name.
+        (",distance", "0,0,0,,1", "column 4", {}),
     ],
 )
 def test_columns_without_a_meaning_are_reported_once(
-    write, chain, text, names, options
+    write, chain, names, rows, ignored, options
 ):
-    notices, file = list[str](), write(text)
+    notices, file = list[str](), write(f"{J},{names}\n{rows}")
     read_measurements(file, chain, notice=notices.append, **options)
-    assert told(notices) == ([(file, names)] if names else [])
+    assert told(notices) == [(file, ignored.replace(",", ", "))]
 
 
 # --- orientations ------------------------------------------------------------------
 
-HARD = [
-    *(
-        pin.exp3(angle * axis)
-        for angle in (np.pi, np.pi - 1e-9, 1e-9, 0.0, 1.0)
-        for axis in np.eye(3)
-    ),
-    *(pin.rpy.rpyToMatrix(0.3, pitch, -2.0) for pitch in (np.pi / 2, -np.pi / 2)),
-]
+ANGLES = (np.pi, np.pi - 1e-9, 1e-9, 0.0, 1.0)
+HARD = [pin.exp3(angle * axis) for angle in ANGLES for axis in np.eye(3)]
+HARD += [pin.rpy.rpyToMatrix(0.3, pitch, -2.0) for pitch in (np.pi / 2, -np.pi / 2)]
 """Rotations that are hard to write down."""
 
 
@@ -244,20 +206,13 @@ def test_joint_maps(write, chain):
     assert read_configurations(file, chain, joints).tolist() == [[0.1, 0.3, -0.2]]
 
 
-OFF = JointMap("elbow", offset=1.0)
+OFF, COUPLED = JointMap("elbow", offset=1.0), JointMap("elbow", coupled={"J1_": 1})
 MAPS = [
     # A map, the columns, row, line and column of the error, and names that it is about.
     ({"J": JointMap("elbov")}, "J", "0", None, None, "'elbow'"),
     ({"J": JointMap("elbow"), "K": JointMap("elbow")}, "J,K", "0,0", None, None, "'K'"),
     ({"J22": JointMap("elbow")}, "lift,wrist,J2", "0,0,0", 1, "J22", "'J2'"),
-    (
-        {"J2": JointMap("elbow", coupled={"J1_": 1})},
-        "lift,wrist,J2,J1",
-        "0,0,0,0",
-        1,
-        "J1_",
-        "'J1'",
-    ),
+    ({"J2": COUPLED}, "lift,wrist,J2,J1", "0,0,0,0", 1, "J1_", "'J1'"),
     ({"wrist": JointMap("elbow")}, "lift,wrist", "0,0", None, None, "'wrist'"),
     ({"x": JointMap("elbow")}, "lift", "0", None, None, "'x'"),
     ({"J2": JointMap("elbow")}, "lift,wrist,J2 [mm]", "0,0,0", 1, "J2", "'mm'"),
@@ -274,10 +229,8 @@ def test_joint_map_errors(bad, joints, header, row, line, column, name):
 # --- writing -----------------------------------------------------------------------
 
 SIGMA = st.floats(1e-12, 1.0, exclude_min=True)
-TEXT = st.text(
-    st.characters(blacklist_categories=("Cs",), blacklist_characters="\r\n\0"),
-    max_size=8,
-).map(str.strip)
+LETTERS = st.characters(blacklist_categories=("Cs",), blacklist_characters="\r\n\0")
+TEXT = st.text(LETTERS, max_size=8).map(str.strip)
 
 
 # What a target has to be so that a row of the model can be read.
@@ -348,17 +301,16 @@ def mixtures(draw, tree):
     return Observations(tuple(sorted(blocks, key=lambda block: block.lines[0])))
 
 
+def bits(array):
+    return None if array is None else (array.shape, array.tobytes())
+
+
 def same(data, again):
     """Whether measurements are the same, bit by bit."""
     blocks = (Observations.of(part).blocks for part in (data, again))
     for one, other in zip(*blocks, strict=True):
         for name in ("q", "values", "sigma", "start", "validate"):
-            here, there = getattr(one, name), getattr(other, name)
-            assert (here is None) == (there is None), name
-            assert here is None or (here.shape, here.tobytes()) == (
-                there.shape,
-                there.tobytes(),
-            ), name
+            assert bits(getattr(one, name)) == bits(getattr(other, name)), name
         assert (other.key, other.joints) == (one.key, one.joints)
         assert (other.target, other.payload) == (one.target, one.payload)
     return True
@@ -593,10 +545,9 @@ def test_plausible_values_pass(write, chain, text, joints):
     read(write(text), chain, joints=joints)
 
 
-def test_limits_of_many_turns_are_believed(write, chain_of):
-    xml = URDF.replace('lower="-2.9" upper="2.9"', 'lower="-60" upper="60"')
+def test_limits_of_many_turns_are_believed(write, arm):
     file = write("lift,elbow,wrist,distance\n0,59,0,1\n")
-    assert read(file, chain_of(xml, tip="c")).q[0, 1] == 59.0
+    assert read(file, arm(limits=(-60.0, 60.0))).q[0, 1] == 59.0
 
 
 @pytest.mark.parametrize("model", ["position+camra", "position+", "camera+camera"])
@@ -616,41 +567,26 @@ def test_files_that_are_not_there(write, chain, refused, tmp_path):
 # --- models without a tracker ------------------------------------------------------
 
 
+AWAY, PUSHED = "deviation,sigma_deviation", "dial [mm],sigma_contact"
+ALL, SEEN = "target,dial_z,deviation_x,dial_y", "0.02 0.03 -0.01|0 -0.04 0"
+
+
 @pytest.mark.parametrize(
     ("model", "text", "values", "sigma"),
     [
-        (
-            "camera",
-            "v,u [px],target,sigma|2,10,m,0.5|-1,1e5,n,1",
-            [[10, 2], [1e5, -1]],
-            0.5,
-        ),
-        ("plane-contact", "target,sigma [um]|tip@table,5|table,10", [[], []], 5e-6),
+        ("camera", "v,u [px],target,sigma|2,10,m,0.5|-1,1e5,n,1", "10 2|1e5 -1", 0.5),
+        ("plane-contact", "target,sigma [um]|tip@table,5|table,10", "|", 5e-6),
         # Away from the surface, and pushed in.
-        (
-            "plane-contact",
-            "deviation,sigma_deviation|0.01,0.1|-0.02,0.2",
-            [[0.01], [-0.02]],
-            0.1,
-        ),
-        (
-            "sphere-contact",
-            "dial [mm],sigma_contact|10,0.1|-20,0.2",
-            [[-0.01], [0.02]],
-            0.1,
-        ),
+        ("plane-contact", f"{AWAY}|0.01,0.1|-0.02,0.2", "0.01|-0.02", 0.1),
+        ("sphere-contact", f"{PUSHED}|10,0.1|-20,0.2", "-0.01|0.02", 0.1),
         # Nobody has read it.
-        ("sphere-contact", "dial|-|", [[], []], None),
-        (
-            "fixed-point",
-            "target,dial_z,deviation_x,dial_y|a,0.01,0.02,-0.03|a,0,0,0.04",
-            [[0.02, 0.03, -0.01], [0.0, -0.04, 0.0]],
-            None,
-        ),
+        ("sphere-contact", "dial|-|", "|", None),
+        ("fixed-point", f"{ALL}|a,0.01,0.02,-0.03|a,0,0,0.04", SEEN, None),
     ],
 )
 def test_columns_of_models(write, chain, model, text, values, sigma):
     """The second sigma is twice the first."""
+    values = [[float(number) for number in row.split()] for row in values.split("|")]
     header, *rows = text.split("|")
     rows = [f"0,0,0,{rows[0]}", f"0.1,0.2,0.3,{rows[1]}"]
     data = read(write("\n".join([f"{J},{header}", *rows])), chain, model=model)
@@ -719,19 +655,15 @@ def test_a_date_is_no_time(write, chain):
 
 
 def test_relative_distances_start_at_the_first_row_of_a_target(write, chain):
-    data = read(
-        write(
-            "lift [mm],elbow,wrist,distance [mm],target,sigma [mm],set,payload\n"
-            "100,0,0,0,a,,,p\n"
-            "200,0,0,100,a,1,train,p\n"
-            "0,1,0,0,ball@2,far,neither,\n"
-            "300,0,0,200,a,2,validate,p\n"
-            "0,1,1,20,ball@2,3,train,\n"
-        ),
-        chain,
-        model="relative-distance",
-        notice=pytest.fail,
+    file = write(
+        "lift [mm],elbow,wrist,distance [mm],target,sigma [mm],set,payload\n"
+        "100,0,0,0,a,,,p\n"
+        "200,0,0,100,a,1,train,p\n"
+        "0,1,0,0,ball@2,far,neither,\n"
+        "300,0,0,200,a,2,validate,p\n"
+        "0,1,1,20,ball@2,3,train,\n"
     )
+    data = read(file, chain, model="relative-distance", notice=pytest.fail)
     assert data.values.tolist() == [[0.1], [0.2], [0.02]]
     assert data.q[:, 0].tolist() == [0.2, 0.3, 0.0]
     assert data.start.tolist() == [[0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 1.0, 0.0]]
@@ -920,8 +852,8 @@ def test_touches_beside_readings_are_exact(write, chain, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["x", "u", "model", "payload", "sigma_contact"])
-def test_joints_with_reserved_names(write, name, refused, chain_of):
-    chain = chain_of(URDF.replace('"lift"', f'"{name}"'), tip="c")
+def test_joints_with_reserved_names(write, name, refused, arm):
+    chain = arm(name)
     file = write(f"{name},elbow,wrist,distance\n0,0,0,1\n")
     with refused(InputError, reason=f"'{name}'"):
         read(file, chain)
@@ -988,14 +920,7 @@ TOOL = "tool_position"
         ("ur10_robot", "tool0", "ur10_tmac", None, (500, 2000), "temperature_C"),
         ("tiago_no_hand", "wrist_ft_tool_link", "tiago", None, (37, 62), ""),
         ("talos_reduced", "arm_left_7_link", "talos_left_arm", None, (61,), "time_s"),
-        (
-            "panda",
-            "panda_link8",
-            "mukca_panda",
-            "fixed-point",
-            (182, 559),
-            "tool_position",
-        ),
+        ("panda", "panda_link8", "mukca_panda", "fixed-point", (182, 559), TOOL),
     ],
 )
 def test_real_files(tmp_path, data_folder, name, tip, folder, model, counts, ignored):

@@ -13,7 +13,7 @@ import pytest
 from calib_pin.errors import InputError
 from calib_pin.io import table as table_module
 from calib_pin.io.columns import LENGTH, MISSING, PURE
-from calib_pin.io.table import Cells, Table, read_cells, read_table, require_columns
+from calib_pin.io.table import Cells, read_cells, read_table, require_columns
 from calib_pin.units import as_number
 
 ODD = [
@@ -22,16 +22,6 @@ ODD = [
     *('"a""b"', "\u00a01", "\u0663", "9007199254740993", "2.2250738585072011e-308"),
 ]
 COMMENTS = ("# c", "", "  ", ' # "x', "\t")
-
-
-@pytest.fixture
-def table(tmp_path):
-    def table(text: str) -> Table:
-        file = tmp_path / "a.csv"
-        file.write_text(text, newline="")
-        return read_table(file)
-
-    return table
 
 
 def spoiled(rng: random.Random) -> list[str]:
@@ -134,13 +124,11 @@ def test_foreign_files_are_read_as_the_setup_says(tmp_path, encoding, mark):
     assert table.columns["x"].text(0) == "1.25"
 
 
-def test_a_column_that_has_the_name_of_another_meaning_keeps_its_place(tmp_path):
-    file = tmp_path / "log.csv"
-    file.write_text("x,y,X\n1,2,3\n")
-    table = read_table(file, columns={"x": "X", "z": "Z"})
-    assert table.numbers("x", LENGTH).tolist() == [3.0]
-    assert table.ignored([n for n in table.columns if n != "x"]).endswith("x, y")
-    assert table.missing == {"z": "Z"}
+def test_a_column_that_has_the_name_of_another_meaning_keeps_its_place(table):
+    found = table("x,y,X\n1,2,3\n", {"x": "X", "z": "Z"})
+    assert found.numbers("x", LENGTH).tolist() == [3.0]
+    assert found.ignored([n for n in found.columns if n != "x"]).endswith("x, y")
+    assert found.missing == {"z": "Z"}
 
 
 @pytest.mark.parametrize(
@@ -152,18 +140,15 @@ def test_a_column_that_has_the_name_of_another_meaning_keeps_its_place(tmp_path)
         ({"y": "Y [m]"}, ("[mm]", "[m]")),
     ],
 )
-def test_wrong_columns_are_told(tmp_path, columns, names):
-    file = tmp_path / "log.csv"
-    file.write_text(LOG)
+def test_wrong_columns_are_told(table, refused, columns, names):
     with pytest.raises(InputError) as caught:
-        require_columns([read_table(file, columns=columns)])
+        require_columns([table(LOG, columns)])
     assert all(name in str(caught.value) for name in names)
     assert caught.value.line == 1
     # A wrong unit is mended there, too.
-    table = read_table(file, columns={"x": "X (mm)"})
-    with pytest.raises(InputError, match=r"columns: {x: X \(mm\) \[mm\]}") as caught:
-        table.check("x", table.numbers("x", LENGTH), replace(LENGTH, largest=0.5))
-    assert caught.value.column == "X (mm) (x)"
+    found, small = table(LOG, {"x": "X (mm)"}), replace(LENGTH, largest=0.5)
+    with refused(InputError, "columns: {x: X (mm) [mm]}", column="X (mm) (x)"):
+        found.check("x", found.numbers("x", LENGTH), small)
 
 
 @pytest.mark.parametrize(

@@ -29,9 +29,9 @@ class Heading:
     Attributes:
         separator: Separator of two cells; a space stands for any blanks.
         names: The name of each column, with its unit in square brackets; empty for one
-            that is left out.
+            without a name, which a dialect leaves out.
         line: Last line above the rows, counted from 1; 0 if there is none.
-        remark: What was recognized.
+        remark: What was recognized; empty for one line of names.
         objects: The object that each column is of, where several are side by side;
             empty for one that is of all.
         kind: What the objects are, `tool` or `target`.
@@ -199,7 +199,7 @@ def side_by_side(
     count, objects = len(columns[0].numbers), heading.objects or [""] * len(columns)
     found = dict[str, dict[str, Column]]()
     for column, name, of in zip(columns, heading.names, objects, strict=True):
-        if name:
+        if name or not heading.remark:
             found.setdefault(of, {})[column.theirs] = column
     result = found.pop("", {})
     if not found:

@@ -10,33 +10,17 @@ import pytest
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.setup import ChainSetup
+from tests.io.robots import joint, robot
 
-TREE = """<robot name="tree">
-  <link name="base"/><link name="body"/><link name="left_hand"/>
-  <link name="upper"/><link name="lower"/><link name="right_hand"/>
-  <joint name="torso" type="prismatic">
-    <parent link="base"/><child link="body"/><axis xyz="0 0 1"/>
-    <limit lower="0" upper="0.5" effort="1" velocity="1"/>
-  </joint>
-  <joint name="left" type="revolute">
-    <parent link="body"/><child link="left_hand"/><axis xyz="0 1 0"/>
-    <origin xyz="0 0.4 0"/>
-    <limit lower="-2.9" upper="2.9" effort="1" velocity="1"/>
-  </joint>
-  <joint name="right" type="continuous">
-    <parent link="body"/><child link="upper"/><axis xyz="1 0 0"/>
-    <origin xyz="0 -0.4 0"/>
-  </joint>
-  <joint name="finger" type="continuous">
-    <parent link="upper"/><child link="lower"/><axis xyz="1 0 0"/>
-    <origin xyz="0.3 0 0"/>
-    <mimic joint="right" multiplier="-0.5" offset="0.1"/>
-  </joint>
-  <joint name="slide" type="prismatic">
-    <parent link="lower"/><child link="right_hand"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="0.5" effort="1" velocity="1"/>
-  </joint>
-</robot>"""
+FOLLOWS = '<mimic joint="right" multiplier="-0.5" offset="0.1"/>'
+TREE = robot(
+    joint("torso", "base body", kind="prismatic", limits="0 0.5"),
+    joint("left", "body left_hand", "0 0.4 0", "0 1 0", limits="-2.9 2.9"),
+    joint("right", "body upper", "0 -0.4 0", "1 0 0", "continuous"),
+    joint("finger", "upper lower", "0.3 0 0", "1 0 0", "continuous", more=FOLLOWS),
+    joint("slide", "lower right_hand", "0 0 0", "1 0 0", "prismatic", "0 0.5"),
+    name="tree",
+)
 
 
 @pytest.fixture(scope="session")

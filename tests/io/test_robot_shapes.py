@@ -16,17 +16,9 @@ from calib_pin.io.robot_shapes import read_mesh, robot_shapes
 from calib_pin.io.urdf import load_robot, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.stand_ins import JOINT
+from tests.io.robots import joint, robot
 
-ARM = """<robot name="arm">
-  <material name="red"><color rgba="1 0 0 1"/></material>
-  <link name="base">{base}</link><link name="upper">{upper}</link>
-  <link name="tool">{tool}</link>
-  <joint name="shoulder" type="revolute"><origin xyz="0 0 0.2"/>
-    <parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
-    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-  <joint name="flange" type="fixed"><origin xyz="0.3 0 0"/>
-    <parent link="upper"/><child link="tool"/></joint>
-</robot>"""
+RED = '<material name="red"><color rgba="1 0 0 1"/></material>'
 
 TETRAHEDRON = """v 0 0 0\nv 0.2 0 0\nv 0 0.2 0\nv 0 0 0.2
 f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
@@ -37,7 +29,9 @@ def visual(geometry: str, more: str = "", kind: str = "visual") -> str:
 
 
 def arm(base: str = "", upper: str = "", tool: str = "") -> str:
-    return ARM.format(base=base, upper=upper, tool=tool)
+    shoulder = joint("shoulder", "base upper", "0 0 0.2", "0 1 0", inside=upper)
+    flange = joint("flange", "upper tool", "0.3 0 0", kind="fixed", inside=tool)
+    return robot(RED, shoulder, flange, inside=base)
 
 
 def test_visuals_come_before_collisions(write: Callable[..., Path]) -> None:

@@ -618,9 +618,7 @@ def find_robot(source: Source, path: Path) -> Robot:
         InputError: If there is only another one.
         RobotError: If there is none.
     """
-    given = copy = path.parent / NOMINAL
-    with suppress(RobotError):  # The package it came from may not be installed here.
-        given = locate_robot(source.file)
+    given, copy = locate_robot(source.file), path.parent / NOMINAL
     # A xacro file was expanded, and what came of it is in the copy.
     expanded, beside = is_xacro(given), [path.parent / given, path.parent / given.name]
     places = [copy] if expanded else [given, *beside, copy]
@@ -631,7 +629,7 @@ def find_robot(source: Source, path: Path) -> Robot:
             with suppress(RobotError):
                 data = straightened(parse_robot(data, "")).source
         if sha256(data) == source.sha256:
-            there = given != copy and ((expanded and given.is_file()) or place == given)
+            there = place == given or (expanded and given.is_file())
             return parse_robot(data, source.file if there else str(place))
     if not found:
         reason = f"the robot '{source.file}' that was calibrated is neither there nor"

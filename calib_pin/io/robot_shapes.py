@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from calib_pin.errors import InputError, RobotError, words_of
+from calib_pin.errors import InputError, words_of
 from calib_pin.io.files import read_bytes
 from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import locate_robot
@@ -61,9 +61,7 @@ def read_mesh(
     Raises:
         InputError: If there is no such file or a surface in it cannot be used.
     """
-    file = Path(robot.file)
-    with suppress(RobotError):  # The package it came from may not be here.
-        file = locate_robot(robot.file).resolve()
+    file = locate_robot(robot.file).resolve()
     path = locate_mesh(str(written), file, package_dirs)
     if path is None:
         hint = "a path from the folder of the URDF, or --package-dir DIR for a package"

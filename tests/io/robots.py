@@ -1,6 +1,10 @@
-"""URDFs by their joints."""
+"""URDFs by their joints, and a mesh."""
 
 from __future__ import annotations
+
+TETRAHEDRON = """v 0 0 0\nv 0.2 0 0\nv 0 0.2 0\nv 0 0 0.2
+f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
+"""An OBJ file: its edges are of 0.2 m, in the positive octant."""
 
 
 def joint(

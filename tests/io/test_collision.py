@@ -13,11 +13,8 @@ from calib_pin.errors import InputError, RobotError
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.urdf import load_chain
 from calib_pin.setup import Obstacle
-from tests.io.robots import joint, robot
+from tests.io.robots import TETRAHEDRON, joint, robot
 
-# A tetrahedron with edges of 0.2 m, in the positive octant.
-TETRAHEDRON = """v 0 0 0\nv 0.2 0 0\nv 0 0.2 0\nv 0 0 0.2
-f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
 BALL = Obstacle(sphere=0.1, xyz=(0.0, 0.0, 0.5))
 
 

@@ -16,12 +16,9 @@ from calib_pin.io.robot_shapes import read_mesh, robot_shapes
 from calib_pin.io.urdf import load_robot, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.stand_ins import JOINT
-from tests.io.robots import joint, robot
+from tests.io.robots import TETRAHEDRON, joint, robot
 
 RED = '<material name="red"><color rgba="1 0 0 1"/></material>'
-
-TETRAHEDRON = """v 0 0 0\nv 0.2 0 0\nv 0 0.2 0\nv 0 0 0.2
-f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
 
 
 def visual(geometry: str, more: str = "", kind: str = "visual") -> str:

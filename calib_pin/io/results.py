@@ -24,7 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -94,8 +94,7 @@ class Block:
     targets: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Value:
+class Value(NamedTuple):
     """The value of a parameter."""
 
     name: str
@@ -132,8 +131,7 @@ class LearnedRecord:
     model: Mapping[str, Any]
 
 
-@dataclass(frozen=True)
-class Source:
+class Source(NamedTuple):
     """A file and the SHA-256 of its content, empty for what has none, as a pipe."""
 
     file: str
@@ -151,8 +149,7 @@ class Source:
         return Source(file, sha256(read_bytes(file)) if known else "")
 
 
-@dataclass(frozen=True)
-class Ends:
+class Ends(NamedTuple):
     """The links at both ends of a chain."""
 
     base: str

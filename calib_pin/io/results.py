@@ -24,7 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -94,8 +94,7 @@ class Block:
     targets: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Value:
+class Value(NamedTuple):
     """The value of a parameter."""
 
     name: str
@@ -132,8 +131,7 @@ class LearnedRecord:
     model: Mapping[str, Any]
 
 
-@dataclass(frozen=True)
-class Source:
+class Source(NamedTuple):
     """A file and the SHA-256 of its content, empty for what has none, as a pipe."""
 
     file: str
@@ -151,8 +149,7 @@ class Source:
         return Source(file, sha256(read_bytes(file)) if known else "")
 
 
-@dataclass(frozen=True)
-class Ends:
+class Ends(NamedTuple):
     """The links at both ends of a chain."""
 
     base: str
@@ -618,9 +615,7 @@ def find_robot(source: Source, path: Path) -> Robot:
         InputError: If there is only another one.
         RobotError: If there is none.
     """
-    given = copy = path.parent / NOMINAL
-    with suppress(RobotError):  # The package it came from may not be installed here.
-        given = locate_robot(source.file)
+    given, copy = locate_robot(source.file), path.parent / NOMINAL
     # A xacro file was expanded, and what came of it is in the copy.
     expanded, beside = is_xacro(given), [path.parent / given, path.parent / given.name]
     places = [copy] if expanded else [given, *beside, copy]
@@ -631,7 +626,7 @@ def find_robot(source: Source, path: Path) -> Robot:
             with suppress(RobotError):
                 data = straightened(parse_robot(data, "")).source
         if sha256(data) == source.sha256:
-            there = given != copy and ((expanded and given.is_file()) or place == given)
+            there = place == given or (expanded and given.is_file())
             return parse_robot(data, source.file if there else str(place))
     if not found:
         reason = f"the robot '{source.file}' that was calibrated is neither there nor"

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from calib_pin.errors import InputError, RobotError, words_of
+from calib_pin.errors import InputError, words_of
 from calib_pin.io.files import read_bytes
 from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import locate_robot
@@ -61,9 +61,7 @@ def read_mesh(
     Raises:
         InputError: If there is no such file or a surface in it cannot be used.
     """
-    file = Path(robot.file)
-    with suppress(RobotError):  # The package it came from may not be here.
-        file = locate_robot(robot.file).resolve()
+    file = locate_robot(robot.file).resolve()
     path = locate_mesh(str(written), file, package_dirs)
     if path is None:
         hint = "a path from the folder of the URDF, or --package-dir DIR for a package"
@@ -72,20 +70,17 @@ def read_mesh(
     if not 1 <= len(corners) <= TRIANGLES:
         reason = f"has {len(corners)} triangles, not 1 to {TRIANGLES}"
         raise InputError(reason, file=path)
-    # Triangles share corners, in the order in which they first come.
-    every, first, place = np.unique(
-        corners.reshape(-1, 3), axis=0, return_index=True, return_inverse=True
-    )
+    # Triangles share corners.
+    every, place = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     if len(every) < 3:  # Of a single one, the library gives numbers of no meaning.
         raise InputError("has less than 3 different vertices", file=path)
-    order = np.argsort(first)
     with np.errstate(over="ignore", invalid="ignore"):
-        vertices = every[order] * np.array(scale)
+        vertices = every * np.array(scale)
     far = vertices[~(np.abs(vertices) <= FARTHEST).all(axis=1)]
     if len(far):
         reason = f"has the vertex {far[0].tolist()}, not within {FARTHEST:g} m"
         raise InputError(reason, file=path)
-    return Surface(vertices, np.argsort(order)[place.ravel()].reshape(-1, 3))
+    return Surface(vertices, place.reshape(-1, 3))
 
 
 def _corners(path: Path) -> Floats:

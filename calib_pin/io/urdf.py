@@ -183,12 +183,7 @@ def load_robot(
     try:
         urdf = source = read_bytes(path, TEXT)
     except InputError as error:
-        bundled = bundled_robots()
-        hint = nearest(name, bundled) if error.reason == "no such file" else ""
-        names = f" ({', '.join(bundled)})" if bundled else ""
-        allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
-        reason, shown = f"{error.reason}{hint}", name or "."
-        raise RobotError(reason, file=shown, allowed=allowed) from error
+        raise _unread(name, error.reason) from error
     remark, other = "", path.suffix.lower() in _MUJOCO
     if is_xacro(path):
         folders = list(map(str, package_folders(path.absolute(), package_dirs)))
@@ -230,9 +225,6 @@ def locate_robot(name: str) -> Path:
     Args:
         name: As for `load_robot`.
 
-    Raises:
-        RobotError: If example-robot-data has no such robot.
-
     Examples:
         >>> locate_robot("pa10").name, locate_robot("my/arm.urdf").name
         ('robot.urdf', 'arm.urdf')
@@ -241,24 +233,34 @@ def locate_robot(name: str) -> Path:
     path, known = Path(name), bundled_robots()
     if not (name in known or name.startswith(_EXAMPLE)) or path.is_file():
         return path
-    if (stem := name.removesuffix(".urdf")) in (known := known_robots()):
-        return known[stem]
+    return known_robots().get(name.removesuffix(".urdf"), path)
+
+
+def _unread(name: str, reason: str) -> RobotError:
+    """The error of a user's word for which no file can be read, with what there is."""
+    known, stem = known_robots(), name.removesuffix(".urdf")
     examples = [key for key in known if key.startswith(_EXAMPLE)]
+    if stem in known or not name.startswith(_EXAMPLE):
+        bundled = [key for key in known if key not in examples]
+        reason += nearest(name, bundled) if reason == "no such file" else ""
+        names = f" ({', '.join(bundled)})" if bundled else ""
+        allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
+        return RobotError(reason, file=name or ".", allowed=allowed)
     if not examples:
         reason = "example robots need a package: pip install 'example-robot-data>=4.4'"
-        raise RobotError(reason, file=name)
+        return RobotError(reason, file=name)
     word = stem.removeprefix(_EXAMPLE)
     others = ", ".join(key for key in examples if word and word in key)
     hint = "" if others else nearest(stem, examples)
     reason = f"example-robot-data has no robot '{word}'{hint}"
-    raise RobotError(reason, file=name, allowed=others or None)
+    return RobotError(reason, file=name, allowed=others or None)
 
 
 def is_source(path: Path, robot: Robot) -> bool:
     """Whether a file is the one that a robot was read from."""
     try:
         return path.samefile(locate_robot(robot.file))
-    except (OSError, ValueError, RobotError):
+    except (OSError, ValueError):
         return False  # One of them does not exist.
 
 

@@ -65,7 +65,7 @@ class Refused(ValueError):
         """Name the place."""
         self.path, self.allowed, self.shown = path, allowed, what.endswith("value")
         self.reason = what.format(f"'{dotted(path)}'" if path else "the file")
-        super().__init__(allowed or self.reason)
+        super().__init__(self.reason)
 
 
 def unknown(path: Path, known: Iterable[str | int]) -> Refused:

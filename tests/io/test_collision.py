@@ -13,10 +13,8 @@ from calib_pin.errors import InputError, RobotError
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.urdf import load_chain
 from calib_pin.setup import Obstacle
+from tests.io.robots import TETRAHEDRON, joint, robot
 
-# A tetrahedron with edges of 0.2 m, in the positive octant.
-TETRAHEDRON = """v 0 0 0\nv 0.2 0 0\nv 0 0.2 0\nv 0 0 0.2
-f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
 BALL = Obstacle(sphere=0.1, xyz=(0.0, 0.0, 0.5))
 
 
@@ -25,18 +23,13 @@ def urdf(*shapes: str, name: str = "arm") -> str:
 
     Their names are link_0, link_1, ..., and joint_1 carries link_1.
     """
-    lines = []
-    for k, shape in enumerate(shapes):
-        solid = f"<collision><geometry>{shape}</geometry></collision>" if shape else ""
-        lines.append(f'<link name="link_{k}">{solid}</link>')
-        if k:
-            lines.append(
-                f'<joint name="joint_{k}" type="revolute"><origin xyz="0.3 0 0"/>'
-                f'<parent link="link_{k - 1}"/><child link="link_{k}"/>'
-                '<axis xyz="0 0 1"/>'
-                '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
-            )
-    return "\n".join([f'<robot name="{name}">', *lines, "</robot>"])
+    solid = "<collision><geometry>{}</geometry></collision>"
+    first, *others = (solid.format(shape) if shape else "" for shape in shapes)
+    joints = (
+        joint(f"joint_{k}", f"link_{k - 1} link_{k}", "0.3 0 0", inside=other)
+        for k, other in enumerate(others, start=1)
+    )
+    return robot(*joints, root="link_0", name=name, inside=first)
 
 
 def sphere(radius: float) -> str:

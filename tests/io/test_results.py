@@ -37,53 +37,36 @@ from calib_pin.setup import ChainSetup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult, Provenance
+from tests.io.robots import joint, robot
 
 EPS = float(np.finfo(float).eps)
 
 
-def urdf(robot: str, *joints: tuple[str, str, str, str, str]) -> str:
-    """A robot by name, parent and child, origin, axis and limits of its joints."""
-    links = dict.fromkeys(link for joint in joints for link in joint[1].split())
-    text = "".join(f'<link name="{link}"/>' for link in links)
-    for name, ends, origin, axis, limits in joints:
-        parent, child = ends.split()
-        kind = "fixed" if not axis else "revolute" if axis[0] != "-" else "prismatic"
-        text += f"""<joint name="{name}" type="{kind}"><origin {origin}/>
-        <parent link="{parent}"/><child link="{child}"/>"""
-        if axis:
-            lower, upper = limits.split()
-            text += f"""<axis xyz="{axis.lstrip("-")}"/>
-            <limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/>"""
-        text += "</joint>"
-    return f'<robot name="{robot}">{text}</robot>'
-
-
-ARM = urdf(
-    "arm",
-    ("j.1", "base a", 'xyz="0 0 0.4"', "0 0 1", "-2.5 2.5"),
-    ("j.2", "a b", 'xyz="0.1 0 0" rpy="0.1 0 0"', "0 1 0", "-2 2"),
-    ("plane", "b c", 'xyz="0.5 0 0.05"', "0 1 0", "-2.5 2.5"),
-    ("tool", "c d", 'xyz="0.4 0 0" rpy="0.3 0.2 0"', "-0 0 -1", "0 0.4"),
-    ("flange", "d tool", 'xyz="0.1 0.02 0.05" rpy="0 1.4 0"', "", ""),
+ARM = robot(
+    joint("j.1", "base a", "0 0 0.4", limits="-2.5 2.5"),
+    joint("j.2", "a b", "0.1 0 0;0.1 0 0", "0 1 0", limits="-2 2"),
+    joint("plane", "b c", "0.5 0 0.05", "0 1 0", limits="-2.5 2.5"),
+    joint("tool", "c d", "0.4 0 0;0.3 0.2 0", "0 0 -1", "prismatic", "0 0.4"),
+    joint("flange", "d tool", "0.1 0.02 0.05;0 1.4 0", kind="fixed"),
 )
 
 LIMB = (("0 0 1", "torso", "_0"), ("0 1 0", "_0", "_1"), ("1 0 0", "_1", "_hand"))
 """Three joints and a hand on the torso; the hand is the last joint's own link."""
 
-PAIR = urdf(
-    "pair",
-    ("waist", "base torso", 'xyz="0 0 0.8"', "0 0.6 0.8", "-1 1"),
+PAIR = robot(
+    joint("waist", "base torso", "0 0 0.8", "0 0.6 0.8", limits="-1 1"),
     *(
-        (
+        joint(
             f"{side}.{k}",
             f"{side * (k > 0)}{parent} {side}{child}",
-            f'xyz="{0.1 + 0.3 * k} {0.02 if k else y} 0.1" rpy="0.1 0 {0.2 * k}"',
+            f"{0.1 + 0.3 * k} {0.02 if k else y} 0.1;0.1 0 {0.2 * k}",
             axis,
-            "-1.5 1.5",
+            limits="-1.5 1.5",
         )
         for side, y in (("left", 0.3), ("right", -0.3))
         for k, (axis, parent, child) in enumerate(LIMB)
     ),
+    name="pair",
 )
 
 PROVENANCE = Provenance(("calib-pin",), "2026-01-01", 0.5, numpy="2")

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from dataclasses import fields, replace
-from pathlib import Path
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,13 +34,8 @@ Schema = dict[str, Any]
 
 
 @pytest.fixture
-def write(tmp_path):
-    def write(text: str | bytes) -> Path:
-        file = tmp_path / "setup.yaml"
-        file.write_bytes(text.encode() if isinstance(text, str) else text)
-        return file
-
-    return write
+def write(write):
+    return partial(write, name="setup.yaml")
 
 
 @pytest.fixture

@@ -10,11 +10,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import tests.io.robots as robots
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import calibration_document, read_calibration
 from calib_pin.io.straightening import straightened
 from calib_pin.io.urdf import load_chain
-from calib_pin.io.urdf_tree import origin_of, parse_robot, placed
+from calib_pin.io.urdf_tree import origin_of, parse_robot, placed, words
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot
 from tests.io.exchange.test_export import UR10
@@ -40,18 +41,14 @@ def origins(slides: Mapping[str, float]) -> list[pin.SE3]:
 
 def urdf(places: list[pin.SE3], inside: Mapping[int, str] | None = None) -> bytes:
     """An arm whose joints turn about z, with a camera on the forearm."""
-    lines = ['<robot name="arm"><link name="link0"/><link name="camera"/>']
+    joints = [robots.joint("mount", "link3 camera", kind="fixed")]
     for k, place in enumerate(places, start=1):
-        x, y, z, *rpy = map(repr, origin_of(place))
-        lines += [
-            f'<link name="link{k}">{(inside or {}).get(k, "")}</link>',
-            f'<joint name="joint{k}" type="revolute"><axis xyz="0 0 1"/>',
-            f'<origin xyz="{x} {y} {z}" rpy="{" ".join(rpy)}"/>',
-            f'<parent link="link{k - 1}"/><child link="link{k}"/>',
-            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>',
-        ]
-    lines += ['<joint name="mount" type="fixed"><parent link="link3"/>']
-    return "\n".join([*lines, '<child link="camera"/></joint></robot>']).encode()
+        six, held = origin_of(place), (inside or {}).get(k, "")
+        at = f"{words(six[:3])};{words(six[3:])}"
+        joints.append(
+            robots.joint(f"joint{k}", f"link{k - 1} link{k}", at, inside=held)
+        )
+    return robots.robot(*joints, root="link0").encode()
 
 
 def arm(slides: Mapping[str, float], **about: Mapping[int, str]) -> Robot:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib.metadata
+import io
 import re
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -48,20 +49,15 @@ def random_motion(rng: np.random.Generator, size: float = 1e-3) -> pin.SE3:
     return pin.exp6(rng.normal(scale=size, size=6))
 
 
-def joint_elements(source: bytes) -> dict[str, Any]:
-    root = ElementTree.fromstring(source)
-    return {joint.get("name", ""): joint for joint in root.findall("joint")}
+def read(source: bytes) -> yourdfpy.URDF:
+    """A robot as others read it."""
+    return yourdfpy.URDF.load(
+        io.BytesIO(source), build_scene_graph=False, load_meshes=False
+    )
 
 
-def floats(element: Any, attribute: str, default: str) -> Any:
-    text = default if element is None else element.get(attribute, default)
-    return np.array([float(word) for word in text.split()])
-
-
-def origin_of(joint: Any) -> pin.SE3:
-    origin = joint.find("origin")
-    rotation = pin.rpy.rpyToMatrix(floats(origin, "rpy", "0 0 0"))
-    return pin.SE3(rotation, floats(origin, "xyz", "0 0 0"))
+def origin_of(joint: yourdfpy.Joint) -> pin.SE3:
+    return pin.SE3(np.eye(4) if joint.origin is None else joint.origin)
 
 
 def changed_lines(old: bytes, new: bytes) -> tuple[list[bytes], list[bytes]]:
@@ -96,16 +92,15 @@ def bad(
 def test_corpus(example_robot: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path, robot = example_robot, load_robot(example_robot)
     assert capfd.readouterr() == ("", "")
-    joints = joint_elements(robot.source)
-    links = ElementTree.fromstring(robot.source).findall("link")
+    joints = read(robot.source).joint_map
     assert robot.file == str(path)
     assert robot.source == path.read_bytes()
-    assert robot.links == tuple(link.get("name") for link in links)
-    fixed = {name for name, j in joints.items() if j.get("type") == "fixed"}
+    assert robot.links == tuple(read(robot.source).link_map)
+    fixed = {name for name, joint in joints.items() if joint.type == "fixed"}
     mimics = {
-        name: mimic.get("joint")
+        name: joint.mimic.joint
         for name, joint in joints.items()
-        if name not in fixed and (mimic := joint.find("mimic")) is not None
+        if name not in fixed and joint.mimic is not None
     }
     # The leaders in the hands of Alex do not exist.
     assert {*robot.refused, *robot.mimics} == set(mimics)
@@ -117,7 +112,7 @@ def test_corpus(example_robot: Path, capfd: pytest.CaptureFixture[str]) -> None:
 
     rng = np.random.default_rng(len(robot.source))
     corrections = {name: random_motion(rng) for name in joints}
-    edited = joint_elements(edit_origins(robot.source, corrections))
+    edited = read(edit_origins(robot.source, corrections)).joint_map
     assert edited.keys() == joints.keys()
     for name, joint in joints.items():
         expected = origin_of(joint) * corrections[name]
@@ -127,7 +122,7 @@ def test_corpus(example_robot: Path, capfd: pytest.CaptureFixture[str]) -> None:
         new = edit_origins(robot.source, {name: corrections[name]})
         before, after = changed_lines(robot.source, new)
         # Some files give xyz and rpy a line each.
-        assert len(before) in ((0,) if joints[name].find("origin") is None else (1, 2))
+        assert len(before) in ((0,) if joints[name].origin is None else (1, 2))
         assert len(after) == max(len(before), 1)
         assert all(b"xyz=" in line or b"rpy=" in line for line in before + after)
 
@@ -137,7 +132,7 @@ def test_corpus(example_robot: Path, capfd: pytest.CaptureFixture[str]) -> None:
 
 def test_what_does_not_change_keeps_its_text() -> None:
     new = edit_origins(ARM, {"j": SHIFT})
-    translation = origin_of(joint_elements(ARM)["j"]).act(SHIFT.translation)
+    translation = origin_of(read(ARM).joint_map["j"]).act(SHIFT.translation)
     numbers = " ".join(map(repr, translation.tolist()))
     assert new == ARM.replace(b"1 2 3", numbers.encode())
     new = edit_origins(ARM, {"j": TURN})

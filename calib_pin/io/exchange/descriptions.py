@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from xml.sax.saxutils import escape, quoteattr
 
@@ -50,25 +50,18 @@ TURNS = ("rx", "ry", "rz")
 """Components of an orientation."""
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """A frame that stands still in a link.
 
     Attributes:
         parent: The link.
-        child: Name of the frame, of which no link and no other frame has any.
+        child: Name of the frame, which no link and no other frame has.
         pose: Its pose in the link.
-        camera: Whether it is the optical frame of a camera.
-        written: Whether it is of use: all is known, or of a point its position.
-        remark: A sentence about what nobody knows of it; empty if all is known.
     """
 
     parent: str
     child: str
     pose: pin.SE3
-    camera: bool
-    written: bool
-    remark: str
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -89,9 +82,11 @@ def places(
         cameras: Only the frames of cameras.
 
     Returns:
-        The frames, and sentences about what is not known of them.
+        The frames of which all is known, or of a point its position, and sentences
+        about what is not known of them and of others.
     """
-    result, every = exported.result, dict[tuple[str, ...], Place]()
+    result, met = exported.result, set[tuple[str, ...]]()
+    found, remarks, known = list[Place](), list[str](), True
     taken = set(result.model.chains.robot.links)
     for term in result.model.terms.values():
         chain, (station, tool) = term.error.chain, (f for f, _ in frames_of(term))
@@ -102,25 +97,27 @@ def places(
             if isinstance(reference, Camera)
         }
         for frame, link, pose in ((station, chain.base, start), (tool, chain.tip, tip)):
-            if (key := (*frame, link)) in every:
+            key, camera = (*frame, link), seen.get(frame.kind)
+            if key in met or (cameras and camera is None):
                 continue
+            met.add(key)
             names = NAMES.get(frame.name, (f"{frame.name}_{frame.kind}",))
-            if camera := seen.get(frame.kind):
+            if camera is not None:
                 name = term.frames.reference(camera)
                 names = (name, f"{name}_optical_frame")
             child, unknown = _free_name(names, taken), result.unknown_of(*frame)
-            point = frame is tool and camera is None and unknown == TURNS
-            remark = f"{', '.join(unknown)} of {link} -> {child} unknown"
-            if point:
-                where = f"of {link} -> {child} was not measured, only its position"
-                remark = f"the orientation {where}"
-            about = point or not unknown, remark if unknown else ""
-            every[key] = Place(link, child, pose, camera is not None, *about)
-    found = [place for place in every.values() if place.camera or not cameras]
-    remarks = [place.remark for place in found if place.remark]
-    if not all(place.written for place in found):
-        known = [f"only {sums.expression} is known" for sums in result.coupled_frames]
-        remarks.append("; ".join([REMEDY, *known]))
+            where = f"of {link} -> {child}"
+            if frame is tool and camera is None and unknown == TURNS:
+                said = "was not measured, only its position"
+                remarks.append(f"the orientation {where} {said}")
+            elif unknown:
+                remarks.append(f"{', '.join(unknown)} {where} unknown")
+                known = False
+                continue
+            found.append(Place(link, child, pose))
+    if not known:
+        sums = [f"only {sums.expression} is known" for sums in result.coupled_frames]
+        remarks.append("; ".join([REMEDY, *sums]))
     return found, tuple(remarks)
 
 
@@ -142,7 +139,7 @@ def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
     (found, remarks), text = places(exported, cameras=True), ""
     document = _corrected(exported)
     taken = {*document.named("link"), *document.named("joint")}
-    for place in (place for place in found if place.written):
+    for place in found:
         stem = place.child.removesuffix("_optical_frame")
         names = (_free_name([f"{stem}_{end}"], taken) for end in ENDS)
         link, joint, frame, optical = names
@@ -283,7 +280,7 @@ def tf(exported: Exported, _: Path | None) -> Encoded:
         OptionError: If nothing is known of any.
     """
     (found, remarks), documents, commands = places(exported), [], []
-    for place in (place for place in found if place.written):
+    for place in found:
         numbers = place.numbers
         turn = {key[1:]: numbers[key] for key in QUATERNION}
         pose = {"translation": {k: numbers[k] for k in "xyz"}, "rotation": turn}
@@ -335,12 +332,11 @@ def camera_info(exported: Exported, _: Path | None) -> Encoded:
     for key, matrix in matrices.items():
         (rows, cols), data = matrix.shape, matrix.ravel().tolist()
         document[key] = {"rows": rows, "cols": cols, "data": data}
-    (cameras, remarks), lines = places(exported, cameras=True), list[str]()
-    for place in cameras:
+    (placed, remarks), about = places(exported, cameras=True), ""
+    for place in placed:
         numbers = [*place.numbers.values()]
         x, turn = words(numbers[:3]), words(numbers[3:])
         about = f" in {place.parent}: xyz {x}, quaternion x y z w {turn}"
-        about = about if place.written else f": {place.remark}"
-        lines.append(f"# optical frame{about}")
+    lines = [f"# optical frame{about or f': {remarks[0]}'}"]
     lines.append(yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
     return Encoded("\n".join(lines).encode(), remarks)

@@ -6,7 +6,6 @@ import csv
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,13 +20,9 @@ from calib_pin.report.text import format_report
 from calib_pin.setup import FrameSetup, JointMap, Setup
 from calib_pin.validation.joint_errors import configurations
 from calib_pin.validation.result import CalibrationResult
+from tests.io.exchange.test_descriptions import of
 
 EXACT = 1e-9
-
-
-def of(result: CalibrationResult) -> Exported:
-    assert result.verdict == "good", result.reason
-    return Exported(result, Path("out"))
 
 
 @pytest.fixture(scope="module")

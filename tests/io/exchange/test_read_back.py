@@ -13,6 +13,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ import xacro
 import yaml
 import yourdfpy
 
+import tests.io.robots as robots
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Encoded, Exported
@@ -56,33 +58,19 @@ MASS = '<inertial><mass value="2"/><origin xyz="0.1 0 0.1"/><inertia ixx="0.1" '
 MASS += 'ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
 
 
-def joint(
-    name: str, parent: str, child: str, about: str, place: str, **more: str
-) -> str:
-    """A joint about an axis, or a fixed one, with the link behind it."""
-    kind = more.get("kind", "revolute" if about else "fixed")
-    axis = f'<axis xyz="{about}"/>' if about else ""
-    limit = '<limit lower="-1.5" upper="1.4" effort="1" velocity="1"/>' if about else ""
-    xyz, _, rpy = place.partition(";")
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/>'
-        f'<child link="{child}"/><origin xyz="{xyz}" rpy="{rpy or "0 0 0"}"/>'
-        f"{axis}{limit}{more.get('mimic', '')}</joint>"
-        f'<link name="{child}">{MASS}</link>'
-    )
+massive = partial(robots.joint, limits="-1.5 1.4", inside=MASS)
 
 
 def urdf(*joints: str, name: str = "arm") -> bytes:
     """Of a world with a mass, which that of MuJoCo cannot have."""
-    links = f'<link name="world">{MASS}</link>{"".join(joints)}'
-    return f'<robot name="{name}">{links}</robot>'.encode()
+    return robots.robot(*joints, root="world", name=name, inside=MASS).encode()
 
 
 def follow(leader: str, factor: float, offset: float) -> str:
     return f'<mimic joint="{leader}" multiplier="{factor}" offset="{offset}"/>'
 
 
-MOUNT = joint("mount", "world", "base", "", "0.2 -0.1 0.8;0 0.1 1.5")
+MOUNT = massive("mount", "world base", "0.2 -0.1 0.8;0 0.1 1.5", kind="fixed")
 
 
 def arm(
@@ -98,21 +86,19 @@ def arm(
         ("1 0 0", "0.1 0 0.02;0 0 0.1"),
     ]
     links = [base, *(f"{prefix}l{k}" for k in range(1, 7))]
-    text = ""
-    for k, (about, place) in enumerate(places, start=1):
-        name = prefix + names.format(k)
-        text += joint(
-            name, links[k - 1], links[k], about, place, **more.get(f"j{k}", {})
-        )
-    text += joint(f"{prefix}f1", links[6], f"{prefix}flange", "", "0.05 0 0;0 1.5 0")
-    return text + joint(
-        f"{prefix}f2", f"{prefix}flange", f"{prefix}tool", "", "0 0 0.1"
-    )
+    text, flange = "", f"{prefix}flange"
+    for k, (axis, place) in enumerate(places, start=1):
+        name, ends = prefix + names.format(k), f"{links[k - 1]} {links[k]}"
+        text += massive(name, ends, place, axis, **more.get(f"j{k}", {}))
+    ends = f"{links[6]} {flange}"
+    text += massive(f"{prefix}f1", ends, "0.05 0 0;0 1.5 0", kind="fixed")
+    ends = f"{flange} {prefix}tool"
+    return text + massive(f"{prefix}f2", ends, "0 0 0.1", kind="fixed")
 
 
 PLAIN = urdf(MOUNT, arm())
-INSIDE = {"j3": {"mimic": follow("J2", -1.5, 0.1)}}
-KNOB = joint("knob", "base", "dial", "0 0 1", "0 0 0")
+INSIDE = {"j3": {"more": follow("J2", -1.5, 0.1)}}
+KNOB = massive("knob", "base dial")
 SLIDES = {"j1": {"kind": "continuous"}, "j2": {"kind": "prismatic"}}
 JOINTS = {
     "A1": JointMap("J1", sign=-1, gear=2.0, offset=0.3),
@@ -123,7 +109,7 @@ JOINTS = {
 FOLLOWED = {name: of for name, of in JOINTS.items() if of.joint != "J3"}
 TWO = urdf(
     MOUNT,
-    joint("torso", "base", "chest", "0 0 1", "0 0 0.4"),
+    massive("torso", "base chest", "0 0 0.4"),
     *(arm(side, "chest") for side in "LR"),
 )
 SIDES = (BlockKey("pose", chain="left"), BlockKey("pose", chain="right"))
@@ -155,7 +141,7 @@ CASES = {
     "alike": Case(urdf(MOUNT, arm(names="J {}", j4={}).replace("J 4", "J_3"))),
     "inside": Case(urdf(MOUNT, arm(**INSIDE)), (*OFFSETS, "placement")),
     "outside": Case(
-        urdf(MOUNT, KNOB, arm(j3={"mimic": follow("knob", 2.0, -0.2)})), OFFSETS
+        urdf(MOUNT, KNOB, arm(j3={"more": follow("knob", 2.0, -0.2)})), OFFSETS
     ),
     "slides": Case(urdf(MOUNT, arm(**SLIDES)), OFFSETS),
     "reversed": Case(base="tool", tip="world"),

@@ -42,6 +42,9 @@ from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain
 from calib_pin.validation.result import CalibrationResult
 
+MISSED = "out of reach", "in collision"
+"""Faults of single targets."""
+
 SPEED = 0.25
 """Part of the joint speeds at which programs move."""
 
@@ -79,10 +82,21 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     if timed is not None and len(rows):
         times, fast = paced(chain, passage.q, row, timed)
         hasty = lines[fast].tolist()
-    torn = motion and found.complete and bool(found.jumps.any())
-    good = not (doubt or shut or hasty or torn) and found.complete
+    torn = motion and found.complete
+    faults = {
+        MISSED[0]: lines[~found.reached],
+        MISSED[1]: lines[found.collides],
+        "no free way to": shut,
+        "faster than the URDF allows": hasty,
+        "discontinuity in joint space": lines[found.jumps & torn],
+    }
+    faults = {fault: those for fault, those in faults.items() if len(those)}
+    # Of targets some may be missed; of a motion none.
+    some = (
+        not motion and len(rows) and faults.keys() <= {"out of reach", "in collision"}
+    )
     contents = {}
-    if good or not (motion or doubt or shut or hasty or not len(rows)):
+    if not doubt and (some or not faults):
         comments = [f"commands of: {printing.told_command(words)}"]
         data = encoded(asked, chain, targets, passage.q, row, times, comments)
         contents[output] = data
@@ -105,17 +119,10 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     )
     if asked.quiet and not asked.json and doubt:
         printing.notice(f"untrusted: {doubt}")
-    elif asked.quiet and not asked.json and not good:
-        for cause, missed in (
-            ("out of reach", lines[~found.reached]),
-            ("in collision", lines[found.collides]),
-            ("no free way to", shut),
-            ("faster than the URDF allows", hasty),
-            ("discontinuity in joint space", lines[found.jumps & torn]),
-        ):
-            if len(missed):
-                printing.notice(f"{cause}: {asked.targets}, {texts.line_list(missed)}")
-    return 0 if good else 2
+    elif asked.quiet and not asked.json:
+        for fault, those in faults.items():
+            printing.notice(f"{fault}: {asked.targets}, {line_list(those)}")
+    return 2 if doubt or faults else 0
 
 
 def _remarks(
@@ -185,11 +192,6 @@ def read(
         if csv:
             raise OptionError("--speed: the motion has times of its own", file=file)
         times = None
-    # A file that cannot be written must not turn up after the work.
-    still = np.zeros((1, len(model.chain.joints)))
-    q = still if targets.q is None else targets.q[:1]
-    first = None if times is None else times[:1]
-    encoded(asked, model.chain, targets, q, np.array([0]), first)
     return targets, times
 
 

@@ -22,9 +22,7 @@ UNITS = np.array([180.0 / np.pi] * 6 + [1e3] * 3)
 INIT = "init space6 foreign.csv -o setup.yaml"
 
 
-@pytest.fixture(autouse=True)
-def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("alone")
 
 
 @pytest.fixture(scope="module")
@@ -316,7 +314,11 @@ def test_the_draft_of_a_reversed_joint_leads_to_its_name(measured, run):
         ("", "\x00\x01\x02", "foreign.csv"),
         ("", f"{OWN}\n", "foreign.csv"),
         ("", f"{OWN},x,y,z\n{'0,' * 8}0\n", "1 measurement"),
-        ("", f"{OWN.replace('_3', 'c')},x,y,z\n{'0,' * 8}0\n", "for joint_3 of"),
+        (
+            "",
+            f"{OWN.replace('_3', 'c')},x,y,z\n{'0,' * 8}0\n",
+            "(did you mean 'jointc'?)",
+        ),
     ],
 )
 def test_options_and_files_that_do_not_fit(words, text, named, measured, fails):

@@ -7,8 +7,7 @@ from typing import Any
 
 from calib_pin.cli import options, printing, requests, results
 from calib_pin.cli.asked import Calibrate
-from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.io.results import calibration_document
+from calib_pin.io.results import DOCUMENT, REPORT, calibration_document
 from calib_pin.report import blocks, text
 from calib_pin.report.blocks import Block
 
@@ -16,10 +15,10 @@ from calib_pin.report.blocks import Block
 def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
     """Do what `Calibrate` asks for."""
     force, quiet, details = asked.force, asked.quiet, asked.details
-    pictures = results.figure_files(asked.figures, asked.figure_format, "calibration")
+    pictures, folder = results.figure_files(asked, "calibration"), asked.output
     with printing.progress_bar(quiet=quiet) as bar:
         given = requests.opened(
-            asked, asked.output, pictures, force=force, quiet=quiet, bar=bar
+            asked, folder, pictures, force=force, quiet=quiet, bar=bar
         )
     with (
         printing.progress_bar(quiet=quiet) as bar,
@@ -27,27 +26,27 @@ def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
     ):
         words = ("calib-pin", *words)
         found = requests.calibrated(given, words, pictures, bar=bar, workers=several)
-    result, files, contents = found.result, given.files, found.contents
+    result, contents = found.result, found.contents
+    robot = result.model.chains.robot
+    files = [] if folder is None else results.result_files(folder, robot)
 
     def said() -> Iterator[Block]:
         yield from text.report(result, found.suggestions, details=details)
         if not details:
-            more = f"{files.report}, or --details" if files else "--details"
+            more = f"{folder / REPORT}, or --details" if folder else "--details"
             yield blocks.Line(f"Statistics and all parameters: {more}")
 
     def document() -> Mapping[str, Any] | bytes:
-        if files is None:
+        if folder is None:
             return calibration_document(result, suggestions=found.suggestions)
-        return contents[files.json]
+        return contents[folder / DOCUMENT]
 
     def written() -> Iterator[str]:
-        yield from (f"wrote {path}" for path in files or () if path in contents)
-        yield from results.told_figures(found.pictures, pictures)
+        yield from (f"wrote {path}" for path in files if path in contents)
+        yield from results.told_figures(contents, pictures)
 
     writing = None
-    if files is not None:
-        writing = results.write_results(result, files, contents, force=force)
+    if folder is not None:
+        writing = results.write_results(result, folder, contents, force=force)
     asked.give(contents, document, said(), written(), writing)
-    if (quiet or asked.json) and result.verdict not in TRUSTED:
-        printing.notice(f"{result.verdict}: {result.reason}")
-    return 0 if result.verdict in TRUSTED else 2
+    return asked.ended(result.verdict, result.reason)

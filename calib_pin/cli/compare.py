@@ -19,7 +19,7 @@ def compare(asked: Compare) -> int:
     for file in both:
         files.require_file(file)
     files.require_distinct(both)
-    pictures = results.figure_files(asked.figures, asked.figure_format, "comparison")
+    pictures = results.figure_files(asked, "comparison")
     files.check_outputs(pictures, both, asked.force)
     A, B = map(read_result, both)
     found = run(A, B, seed=asked.seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -42,8 +43,45 @@ from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain
 from calib_pin.validation.result import CalibrationResult
 
+FAULTS = UNREACHED, COLLIDING, BLOCKED, HASTY, TORN = (
+    "out of reach",
+    "in collision",
+    "no free way to",
+    "faster than the URDF allows",
+    "discontinuity in joint space",
+)
+"""Faults of targets; a motion is whole, other targets of the first two are left out."""
+
+Accuracy = Mapping[str, Mapping[str, object]]
+"""Errors of the calibration itself by quantity, see `model_errors`."""
+
 SPEED = 0.25
 """Part of the joint speeds at which programs move."""
+
+
+@dataclass(frozen=True)
+class Commanded:
+    """Commands for the targets of a file.
+
+    Attributes:
+        chain: The nominal chain.
+        targets: The targets.
+        ways: Ways on which nothing is touched; None where that is not looked at.
+        found: Their commands.
+        passage: These one after another, with what leads around something.
+        row: The target of each of them; negative for none.
+        times: When each is reached [s]; None where the file has no times.
+        faults: Lines of the file by their fault.
+    """
+
+    chain: Chain
+    targets: Targets
+    ways: Ways | None
+    found: Compensation
+    passage: Passage
+    row: Indices
+    times: Floats | None
+    faults: Mapping[str, list[int]]
 
 
 def compensate(asked: Compensate, words: Sequence[str]) -> int:
@@ -59,63 +97,48 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     own: list[str | Path] = [robot, file.parent / robot, *written_before(file)]
     files.check_outputs([output], own, asked.force)
     targets, timed = read(asked, model, stated)
-    motion, lines = targets.T is None, targets.table.lines
     for remark in _remarks(asked, result, key, targets, chain):
         asked.tell(remark)
-    ways, passed = None, None
+    ways = None
     if asked.avoid_collisions:
         obstacles = stated.obstacles or model.setup.obstacles
         collisions = asked.collisions(chain, obstacles, stated.file or str(file))
         ways = ways_of("--avoid-collisions", chain, collisions)
-    with printing.progress_bar(quiet=asked.quiet) as bar:
-        found = commands(asked, model, targets, ways, printing.stage(bar, "compensate"))
-        (rows,) = np.nonzero(found.good)
-        passage = Passage.straight(found.q[rows])
-        if ways is not None:
-            rng = None if motion else np.random.default_rng(0)
-            passage = ways.through(found.q[rows], rng, printing.stage(bar, "ways"))
-    shut, row = lines[rows[list(passage.blocked)]].tolist(), passage.of(rows)
-    times, hasty = None, list[int]()
-    if timed is not None and len(rows):
-        times, fast = paced(chain, passage.q, row, timed)
-        hasty = lines[fast].tolist()
-    torn = motion and found.complete and bool(found.jumps.any())
-    good = not (doubt or shut or hasty or torn) and found.complete
+    done = commanded(asked, model, targets, timed, ways)
+    missed = {fault: lines for fault, lines in done.faults.items() if lines}
+    apart = targets.T is not None and missed.keys() <= {UNREACHED, COLLIDING}
     contents = {}
-    if good or not (motion or doubt or shut or hasty or not len(rows)):
+    if not doubt and (not missed or (apart and done.found.good.any())):
         comments = [f"commands of: {printing.told_command(words)}"]
-        data = encoded(asked, chain, targets, passage.q, row, times, comments)
-        contents[output] = data
-    accuracy, numbers = model_errors(result), lines.tolist()
-    said: list[Block] = [trust.judged(doubt), blocks.Line("")] if doubt else []
-    about = {"motion": motion, "file": str(asked.targets), "lines": numbers}
-    said += texts.compensation_report(found, chain, **about)
-    if ways is not None:
-        passed = passage.vias, shut
-        said += texts.ways_report(found, passage, numbers, shut)
-    said += [*texts.hasty_lines(hasty), *texts.accuracy_lines(accuracy)]
-    written = output if contents else None
+        contents[output] = encoded(asked, done, comments)
+    accuracy, written = model_errors(result), output if contents else None
     asked.give(
         contents,
-        lambda: compensation_document(
-            found, chain, targets, doubt, written, accuracy, passed, hasty
-        ),
-        said,
+        lambda: compensation_document(done, doubt, written, accuracy),
+        _report(done, asked.targets, doubt, accuracy),
         [f"wrote {written or 'nothing'}"],
     )
-    if asked.quiet and not asked.json and doubt:
-        printing.notice(f"untrusted: {doubt}")
-    elif asked.quiet and not asked.json and not good:
-        for cause, missed in (
-            ("out of reach", lines[~found.reached]),
-            ("in collision", lines[found.collides]),
-            ("no free way to", shut),
-            ("faster than the URDF allows", hasty),
-            ("discontinuity in joint space", lines[found.jumps & torn]),
-        ):
-            if len(missed):
-                printing.notice(f"{cause}: {asked.targets}, {texts.line_list(missed)}")
-    return 0 if good else 2
+    if asked.quiet and not asked.json:
+        where = [(f, f"{asked.targets}, {line_list(n)}") for f, n in missed.items()]
+        for cause, told in [("untrusted", doubt)] if doubt else where:
+            printing.notice(f"{cause}: {told}")
+    return 2 if doubt or missed else 0
+
+
+def _report(
+    done: Commanded, file: Path, doubt: str, accuracy: Accuracy
+) -> Iterator[Block]:
+    """The report that is printed."""
+    lines, motion = done.targets.table.lines.tolist(), done.targets.T is None
+    if doubt:
+        yield from (trust.judged(doubt), blocks.Line(""))
+    about = {"motion": motion, "file": str(file), "lines": lines}
+    yield from texts.compensation_report(done.found, done.chain, **about)
+    if done.ways is not None:
+        shut = done.faults[BLOCKED]
+        yield from texts.ways_report(done.found, done.passage, lines, shut)
+    yield from texts.hasty_lines(done.faults[HASTY])
+    yield from texts.accuracy_lines(accuracy)
 
 
 def _remarks(
@@ -185,12 +208,34 @@ def read(
         if csv:
             raise OptionError("--speed: the motion has times of its own", file=file)
         times = None
-    # A file that cannot be written must not turn up after the work.
-    still = np.zeros((1, len(model.chain.joints)))
-    q = still if targets.q is None else targets.q[:1]
-    first = None if times is None else times[:1]
-    encoded(asked, model.chain, targets, q, np.array([0]), first)
     return targets, times
+
+
+def commanded(
+    asked: Compensate,
+    model: CalibratedChain,
+    targets: Targets,
+    timed: Floats | None,
+    ways: Ways | None,
+) -> Commanded:
+    """Commands for targets that are reached by times (N,) [s], and what is wrong."""
+    motion, lines = targets.T is None, targets.table.lines
+    with printing.progress_bar(quiet=asked.quiet) as bar:
+        found = commands(asked, model, targets, ways, printing.stage(bar, "compensate"))
+        (rows,) = np.nonzero(found.good)
+        passage = Passage.straight(found.q[rows])
+        if ways is not None:
+            rng = None if motion else np.random.default_rng(0)
+            passage = ways.through(found.q[rows], rng, printing.stage(bar, "ways"))
+    row, times, hasty = passage.of(rows), None, rows[:0]
+    if timed is not None and len(rows):
+        times, hasty = paced(model.chain, passage.q, row, timed)
+    torn = motion and found.complete
+    at = (~found.reached, found.collides, rows[list(passage.blocked)], hasty)
+    faults = zip(FAULTS, (*at, found.jumps & torn), strict=True)
+    named = {fault: lines[of].tolist() for fault, of in faults}
+    chain = model.chain
+    return Commanded(chain, targets, ways, found, passage, row, times, named)
 
 
 def commands(
@@ -220,16 +265,9 @@ def commands(
     )
 
 
-def encoded(
-    asked: Compensate,
-    chain: Chain,
-    targets: Targets,
-    q: Floats,
-    row: Indices,
-    times: Floats | None,
-    comments: Sequence[str] = (),
-) -> bytes:
-    """The file of commands (M, n), of rows of the targets (M,), by times (M,)."""
+def encoded(asked: Compensate, done: Commanded, comments: Sequence[str]) -> bytes:
+    """The file of commands."""
+    chain, targets, q, times = done.chain, done.targets, done.passage.q, done.times
     part = SPEED if asked.speed is None else asked.speed
     if asked.format != "csv":
         program = PROGRAMS[asked.format]
@@ -239,34 +277,23 @@ def encoded(
     elif targets.T is None:
         times = None  # The motion keeps its own.
     return encode_commands(
-        targets, q, row, degrees=asked.degrees, times=times, comments=comments
+        targets, q, done.row, degrees=asked.degrees, times=times, comments=comments
     )
 
 
 def compensation_document(
-    found: Compensation,
-    chain: Chain,
-    asked: Targets,
-    doubt: str,
-    output: Path | None,
-    accuracy: Mapping[str, Mapping[str, object]],
-    ways: tuple[int, Sequence[int]] | None = None,
-    hasty: Sequence[int] = (),
+    done: Commanded, doubt: str, output: Path | None, accuracy: Accuracy
 ) -> Json:
     """The summary of a compensation.
 
     Args:
-        found: The commands.
-        chain: The nominal chain.
-        asked: The targets.
+        done: The commands.
         doubt: Why the calibration must not be trusted; empty where it may.
         output: File that the commands were written to; None for none.
         accuracy: Accuracy of the calibration, by quantity.
-        ways: Number of via configurations, and lines to which no way is free; None
-            where collisions are not looked at.
-        hasty: Lines to which a joint would move faster than it can.
     """
-    lines, reached, motion = asked.table.lines, found.reached, asked.T is None
+    found, faults, motion = done.found, done.faults, done.targets.T is None
+    lines, reached = done.targets.table.lines, found.reached
     errors = {"position": ("m", found.position_before, found.position)}
     if found.oriented:
         errors["orientation"] = "rad", found.orientation_before, found.orientation
@@ -283,12 +310,12 @@ def compensation_document(
         "kind": "motion" if motion else "targets",
         "rows": len(found),
         "reached": reached.sum(),
-        "too_fast": hasty,
-        "collisions": ways
+        "too_fast": faults[HASTY],
+        "collisions": done.ways
         and {
-            "vias": ways[0],
-            "colliding": lines[found.collides],
-            "blocked": ways[1],
+            "vias": done.passage.vias,
+            "colliding": faults[COLLIDING],
+            "blocked": faults[BLOCKED],
         },
         "unreachable": [
             dict(zip(("line", *errors), row, strict=True)) for row in missed
@@ -296,7 +323,7 @@ def compensation_document(
         "corrections": {
             name: {"unit": "rad" if turns else "m", **(_spread(column) or {})}
             for name, turns, column in zip(
-                chain.joints, chain.revolute, corrections, strict=True
+                done.chain.joints, done.chain.revolute, corrections, strict=True
             )
         },
         "errors": {

@@ -79,7 +79,6 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     document: dict[str, Any] = {"images": len(images), "shown": shown}
     document |= {"corners": corners, "sigma": median, "camera": setup["camera"]}
     document |= {"assumed": start.assumed, "rms": start.rms}
-    document["written"] = [*map(str, contents)]
     ends = start.camera.focal, start.camera.center
     focal, center = (f"({a:.1f}, {b:.1f})" for a, b in ends)
     checked = start.rms is not None
@@ -90,7 +89,7 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
         f"{median:.3f} px (median)\nstart of the camera: "
         f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
     )
-    asked.give(contents, lambda: document, told, (f"wrote {path}" for path in contents))
+    asked.give(contents, lambda: document, told)
     return 0
 
 
@@ -102,8 +101,7 @@ def _drawn(asked: Detect, file: Path, detector: Detector) -> int:
     picture = encode_png(detector.drawn(SHEET), SHEET / detector.board.square)
     width, height = 1e3 * detector.extent
     told = f"print it at 100 %: {width:g} x {height:g} mm\n"
-    document = {"written": [str(file)]}
-    asked.give({file: picture}, lambda: document, told, [f"wrote {file}"])
+    asked.give({file: picture}, dict, told)
     return 0
 
 

@@ -27,15 +27,15 @@ def export(asked: Export) -> int:
     if template is not None and not wanted.template:
         raise OptionError(f"{form} takes no --template")
     file = results.document_file(asked.calibration)
-    files.check_outputs([output], [file, template], asked.force)
     result = results.read_result(file)
-    files.check_outputs([output], [result.model.chains.robot.file], asked.force)
+    inputs = [file, template, result.model.chains.robot.file]
+    files.check_outputs([output], inputs, asked.force)
     if asked.chain is not None:
         require_known("measured chain", asked.chain, result.model.measured_chains)
     encoded = wanted.encode(exchange.Exported(result, file, asked.chain), template)
     remarks = [*encoded.remarks]
-    document = {"format": form, "remarks": remarks, "written": [str(output)]}
+    document = {"format": form, "remarks": remarks}
     for remark in remarks if not asked.json else ():
         asked.tell(remark)
-    asked.give({output: encoded.data}, lambda: document, written=[f"wrote {output}"])
+    asked.give({output: encoded.data}, lambda: document)
     return 0

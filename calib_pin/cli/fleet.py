@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import calib_pin.cli.files as files
 import calib_pin.cli.jobs as jobs
@@ -26,7 +26,6 @@ from calib_pin.io.trials import kept, read_trials
 from calib_pin.monte_carlo import Outlook, Study, Trial, outlooks, study_of, try_robot
 from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report import fleet_text, html
-from calib_pin.report.blocks import Block
 from calib_pin.report.figures import drawn
 from calib_pin.setup import LimitSetup, Setup
 from calib_pin.validation.fleet import FleetRow, by_urgency, fleet_columns, with_joint
@@ -43,25 +42,8 @@ TRIALS, NUMBERS, CURVES = (f"monte-carlo.{kind}" for kind in ("csv", "json", "ht
 """Files of a study: its trials, and what they tell."""
 
 
-@dataclass(frozen=True)
-class Made:
-    """A fleet that was calibrated or simulated.
-
-    Attributes:
-        contents: The files that are left to be written.
-        document: Makes what is printed as JSON, without the names of files.
-        blocks: The report.
-        told: A line on folders that have been written; empty for none.
-        placed: Files that have been written.
-        status: The exit status.
-    """
-
-    contents: Mapping[Path, bytes]
-    document: Callable[[], Mapping[str, Any]]
-    blocks: Iterable[Block]
-    told: str = ""
-    placed: Sequence[Path] = ()
-    status: int = 0
+Made = tuple[Callable[[], None], int]
+"""Writes the files that are left and prints the rest; and the exit status."""
 
 
 def fleet(asked: Fleet) -> int:
@@ -76,18 +58,11 @@ def fleet(asked: Fleet) -> int:
     ):
         tell = bar or (lambda stage, part: None)
         if asked.table is not None:
-            made = _calibrated(asked, asked.table, several, tell)
+            give, status = _calibrated(asked, asked.table, several, tell)
         elif asked.monte_carlo is not None:
-            made = _simulated(asked, asked.monte_carlo, several, tell)
-    names = [str(path) for path in (*made.placed, *made.contents)]
-    # What is there was looked for before the work.
-    replace(asked, force=True).give(
-        made.contents,
-        lambda: {**made.document(), "written": names},
-        made.blocks,
-        [*filter(None, [made.told]), *(f"wrote {name}" for name in names)],
-    )
-    return made.status
+            give, status = _simulated(asked, asked.monte_carlo, several, tell)
+    give()
+    return status
 
 
 # --- calibrations -------------------------------------------------------------------
@@ -125,17 +100,20 @@ def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
         cells = zip(*(json_text.plain(list(c)) for c in columns.values()), strict=True)
         return {"jobs": [dict(zip(columns, row, strict=True)) for row in cells]}
 
-    return Made(
-        {
-            output / TABLE: measurements.encode_table(columns, []),
-            output / PAGE: html.blocks_page("Calibrations of a fleet", page, [], TABLE),
-            **priors(output, populations),
-        },
-        listed,
-        fleet_text.fleet_report(urgent, populations),
-        f"wrote {sum(row.fitted > 0 for row in urgent)} folders to {output}",
-        status=0 if all(row.trusted for row in urgent) else 2,
-    )
+    title = "Calibrations of a fleet"
+    contents = {
+        output / TABLE: measurements.encode_table(columns, []),
+        output / PAGE: html.blocks_page(title, page, [], TABLE),
+        **priors(output, populations),
+    }
+    folders = sum(row.fitted > 0 for row in urgent)
+    written = [f"wrote {folders} folders to {output}"]
+    written += [f"wrote {file}" for file in contents]
+    report = fleet_text.fleet_report(urgent, populations)
+    # What is there was looked for before the work.
+    answer = replace(asked, force=True).give
+    status = 0 if all(row.trusted for row in urgent) else 2
+    return partial(answer, contents, listed, report, written), status
 
 
 def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
@@ -243,7 +221,10 @@ def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
     figures = [*drawn("outlook", found, limit)]
     data = json_text.encode(document), html.blocks_page(title, blocks, figures, NUMBERS)
     contents = dict(zip(made, data, strict=True))
-    return Made(contents, lambda: document, blocks, placed=[trials])
+    document["written"] = names = [str(file) for file in (trials, *made)]
+    written = [f"wrote {name}" for name in names]
+    answer = replace(asked, force=True).give
+    return partial(answer, contents, lambda: document, blocks, written), 0
 
 
 def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:

@@ -43,7 +43,7 @@ def init(asked: Init, words: Sequence[str]) -> int:
     found["nominal"] = look.errors
     written, contents = list[str](), dict[Path, bytes]()
     if asked.output is not None:
-        contents, found["written"] = {asked.output: text.encode()}, [str(asked.output)]
+        contents = {asked.output: text.encode()}
         words = shlex.join(map(str, [asked.robot, *files, "--setup", asked.output]))
         written = [f"wrote {asked.output}", f"next: calib-pin calibrate {words} -o out"]
     asked.give(contents, lambda: found, text, written)

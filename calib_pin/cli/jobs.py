@@ -320,8 +320,7 @@ def calibrate_job(orders: Orders, job: Job) -> Outcome:
         if result is None:
             given = opened(request, folder, force=True)
             found = calibrated(given, request.words(folder), page=orders.pages)
-            assert given.files is not None
-            with write_results(found.result, given.files, found.contents, force=True):
+            with write_results(found.result, folder, found.contents, force=True):
                 pass
             # As the folder has it, so that who goes on later has the same bytes.
             result = read_result(folder)

@@ -40,10 +40,8 @@ def join(asked: Join) -> int:
         names = tables[0].columns if rosbag.is_bag(joints) else columns
         wait = asked.settle, asked.tolerance
         found, data = logs.join_logs(*tables, names, *wait, asked.tell, asked.keep)
-    document = {**_document(found), "written": [str(asked.output)]}
     text = "".join(f"{line}\n" for line in _lines(found, measurements))
-    written = [f"wrote {asked.output}"]
-    asked.give({asked.output: data}, lambda: document, text, written)
+    asked.give({asked.output: data}, lambda: _document(found), text)
     return 0
 
 

@@ -436,31 +436,35 @@ class Shown:
         contents: Mapping[Path, bytes],
         document: Callable[[], Mapping[str, Any] | bytes],
         blocks: Iterable[Block] | str = (),
-        written: Iterable[str] = (),
+        written: Iterable[str] | None = None,
         writing: AbstractContextManager[None] | None = None,
     ) -> None:
         """Write files, and print what is found; neither if one of both fails.
 
         Args:
             contents: The files.
-            document: Makes what is printed as JSON, or that as it is in a file.
+            document: Makes what is printed as JSON, with the names of the files unless
+                it has them; or that as it is in a file.
             blocks: The report that is printed else, or its text as it is.
-            written: Lines on the files that are in place.
+            written: Lines on the files that are in place; default their names.
             writing: Puts the files in place where it ends well; default `write_files`.
         """
         from calib_pin.io.files import write_files
         from calib_pin.io.json_text import encode
 
-        told = not (self.json or self.quiet)
+        told, names = not (self.json or self.quiet), [*map(str, contents)]
         with writing or write_files(contents, force=self.force):
             if self.json:
                 made = document()
-                say((made if isinstance(made, bytes) else encode(made)).decode())
+                if not isinstance(made, bytes):
+                    own = {"written": names} if names and "written" not in made else {}
+                    made = encode({**made, **own})
+                say(made.decode())
             elif told and isinstance(blocks, str):
                 say(blocks)
             elif told and (shown := [*blocks]):
                 show(shown)
-        lines = [*written]
+        lines = [f"wrote {name}" for name in names] if written is None else [*written]
         if told:
             say_written(lines)
 
@@ -490,6 +494,16 @@ class QuietAnswer(Answer):
         """A remark on standard error, of a command that may speak."""
         if not self.quiet:
             notice(remark)
+
+    def ended(self, verdict: str, reason: str) -> int:
+        """The exit status by a verdict, which is told where no report has told it."""
+        from calib_pin.estimation.evidence import TRUSTED
+
+        if verdict in TRUSTED:
+            return 0
+        if self.quiet or self.json:
+            notice(f"{verdict}: {reason}")
+        return 2
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -287,7 +287,7 @@ class Job:
             return
         if found := [*self._watch.look()]:
             self._events += found
-            given = replace(self._seen or before, files=before.files)
+            given = replace(self._seen or before, output=before.output)
             self.read.opened = given
             self.scene = self._drawn(given.chains, given.setup)
 

@@ -76,7 +76,7 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     """Do what `Plan` asks for."""
     older, stated = files.open_older(asked.start, asked.stated(), planned=True)
     check(asked)
-    pictures = results.figure_files(asked.figures, asked.figure_format, "plan")
+    pictures = results.figure_files(asked, "plan")
     inputs = [asked.robot, asked.setup, asked.srdf, asked.tests, asked.start]
     outputs = [asked.output, asked.motion, *pictures]
     files.check_outputs(outputs, [*inputs, *(asked.to or [])], asked.force)

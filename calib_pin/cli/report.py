@@ -8,7 +8,7 @@ from pathlib import Path
 from calib_pin.cli import files, printing, results
 from calib_pin.cli.asked import Report
 from calib_pin.cli.results import draw_calibration
-from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.io.json_text import encode
 from calib_pin.io.measurement_errors import MEASUREMENTS
 from calib_pin.io.results import REPORT, document_file, read_written
 from calib_pin.io.robot_shapes import robot_shapes
@@ -29,7 +29,7 @@ def report(asked: Report) -> int:
     robot, there = result.model.chains.robot, document.get("files", {})
     page = asked.output or file.parent / REPORT
     own = asked.output is None and REPORT in there
-    pictures = results.figure_files(asked.figures, asked.figure_format, "calibration")
+    pictures = results.figure_files(asked, "calibration")
     inputs: list[str | Path] = [file, file.parent / MEASUREMENTS, robot.file]
     files.check_outputs([page, pdf, *pictures], inputs, asked.force or own)
     files.check_outputs([pdf], inputs, asked.force)
@@ -47,13 +47,11 @@ def report(asked: Report) -> int:
             annex = blocks(result, suggestions, details=True, formulae=False)
             contents[pdf] = pdf_report(cover, [*annex, *provenance_blocks(document)])
         made = [f"wrote {file}" for file in contents]
-        figures = results.figure_contents(drawn, pictures)
+        contents |= results.figure_contents(drawn, pictures)
     replace(asked, force=asked.force or own).give(
-        {**contents, **figures},
-        lambda: document,
+        contents,
+        lambda: encode(document),
         blocks(result, suggestions),
-        [*made, *results.told_figures(figures, pictures)],
+        [*made, *results.told_figures(contents, pictures)],
     )
-    if (asked.quiet or asked.json) and result.verdict not in TRUSTED:
-        printing.notice(f"{result.verdict}: {result.reason}")
-    return 0 if result.verdict in TRUSTED else 2
+    return asked.ended(result.verdict, result.reason)

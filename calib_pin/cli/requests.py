@@ -35,7 +35,7 @@ class Opened:
         chains: The nominal chains that were measured.
         measurements: The measurements.
         validation: Those of the validation file; None without one.
-        files: Where the results go; None where they are only printed.
+        output: Folder for the results; None where they are only printed.
         older: The older calibration to go on from; None without one.
     """
 
@@ -44,7 +44,7 @@ class Opened:
     chains: Chains
     measurements: Observations
     validation: Observations | None
-    files: results.ResultFiles | None
+    output: Path | None
     older: CalibrationResult | None = None
 
     def again(self, *_: object, **options: object) -> tuple[Chains, Observations]:
@@ -60,13 +60,11 @@ class Calibrated:
         result: The result.
         suggestions: Suggested measurements.
         contents: All files and figures by their paths.
-        pictures: The figures among them.
     """
 
     result: CalibrationResult
     suggestions: Sequence[Suggestion]
     contents: Mapping[Path, bytes]
-    pictures: Mapping[Path, bytes]
 
 
 def opened(
@@ -95,14 +93,10 @@ def opened(
             f"{name} ignores the options of differential evolution in 'solver'"
         )
     chains = request.chains(stated)
-    files = None if output is None else results.result_files(output, chains.robot.name)
     # None of them may be written.
     started = [] if request.start is None else [document_file(request.start)]
     inputs = [request.robot, request.setup, *started, *rows_in, *further]
-    if files is None:
-        files_of.check_outputs(pictures, inputs, force)
-    else:
-        results.check_results(files, pictures, chains.robot, inputs, force)
+    results.check_results(output, pictures, chains.robot, inputs, force)
     files_of.require_distinct([*rows_in, *further])
     chains, rows = request.read(rows_in, chains, stated, quiet=quiet, bar=bar)
     unseen = None
@@ -114,7 +108,7 @@ def opened(
         option = "--validation" if further else "--holdout"
         reason = "the measurements that 'set' marks for validation are not used with"
         printing.notice(f"{reason} {option}")
-    return Opened(request, stated, chains, rows, unseen, files, older)
+    return Opened(request, stated, chains, rows, unseen, output, older)
 
 
 def calibrated(
@@ -136,8 +130,8 @@ def calibrated(
         bar: Told the progress.
         workers: Who fits the folds and candidates.
     """
-    request, files, setup = opened.request, opened.files, opened.setup
-    shown = (files is not None and page) or bool(pictures)
+    request, folder, setup = opened.request, opened.output, opened.setup
+    shown = (folder is not None and page) or bool(pictures)
     start = time.perf_counter()
     given = options.same(request, calibration.calibrate) | {
         "setup": setup,
@@ -164,11 +158,11 @@ def calibrated(
 
         shapes = robot_shapes(opened.chains.robot, request.package_dir or ()).parts
         drawn = draw_calibration(result, bar, shapes)
-    contents = drawings = results.figure_contents(drawn, pictures)
-    if files is not None:
+    contents = results.figure_contents(drawn, pictures)
+    if folder is not None:
         created = datetime.now(UTC).isoformat(timespec="seconds")
         made = Provenance.at(created, tuple(words), seconds)
         contents = results.result_contents(
-            result, files, made, drawn if page else None, drawings, better
+            result, folder, made, drawn if page else None, contents, better
         )
-    return Calibrated(result, better, contents, drawings)
+    return Calibrated(result, better, contents)

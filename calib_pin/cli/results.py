@@ -9,9 +9,10 @@ from dataclasses import replace
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from calib_pin.cli.files import check_outputs, exists
+from calib_pin.cli.options import Pictured
 from calib_pin.cli.printing import Bar, notice
 from calib_pin.errors import OptionError
 from calib_pin.io import json_text, measurement_errors, results, urdf
@@ -28,30 +29,20 @@ if TYPE_CHECKING:  # Drawing loads slowly, and is not always asked for.
     from calib_pin.report.figures import Drawn
 
 
-class ResultFiles(NamedTuple):
-    """Paths of the results."""
-
-    urdf: Path
-    nominal: Path
-    json: Path
-    measurements: Path
-    report: Path
-
-
-def result_files(folder: Path, robot: str) -> ResultFiles:
-    """Where the results of a robot of some name go.
+def result_files(folder: Path, robot: Robot) -> list[Path]:
+    """Where the results of a robot go, the corrected one first.
 
     Raises:
         OptionError: If a file stands in the place of the folder.
     """
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
-    names = (urdf_name(robot), NOMINAL, DOCUMENT, MEASUREMENTS, REPORT)
-    return ResultFiles(*(folder / name for name in names))
+    names = (urdf_name(robot.name), NOMINAL, DOCUMENT, MEASUREMENTS, REPORT)
+    return [folder / name for name in names]
 
 
 def check_results(
-    files: ResultFiles,
+    folder: Path | None,
     pictures: Sequence[Path],
     robot: Robot,
     inputs: Sequence[str | Path | None],
@@ -59,20 +50,23 @@ def check_results(
 ) -> None:
     """Complain about results that must not be written, before the work is done.
 
-    Files of an earlier run there are removed, so none of them may be an input.
+    Files of an earlier run in the folder are removed, so none of them may be an input.
 
     Raises:
-        OptionError: See `cli.files.check_outputs`.
+        OptionError: See `result_files` and `cli.files.check_outputs`.
     """
-    # The nominal robot of a folder may be calibrated again: it stays as it is.
-    kept = files.nominal if urdf.is_source(files.nominal, robot) else None
-    all_files = dict.fromkeys((*files, *pictures, *results.written_before(files.json)))
-    check_outputs([path for path in all_files if path != kept], inputs, force)
+    outputs = dict.fromkeys(pictures)
+    if folder is not None:
+        own = [*result_files(folder, robot), *written_before(folder / DOCUMENT)]
+        # The nominal robot of a folder may be calibrated again: it stays as it is.
+        kept = [folder / NOMINAL] * urdf.is_source(folder / NOMINAL, robot)
+        outputs |= dict.fromkeys(path for path in own if path not in kept)
+    check_outputs(outputs, inputs, force)
 
 
 def result_contents(
     result: CalibrationResult,
-    files: ResultFiles,
+    folder: Path,
     made: Provenance,
     figures: Sequence[Drawn] | None,
     pictures: Mapping[Path, bytes],
@@ -91,33 +85,32 @@ def result_contents(
     left = {key: dict.fromkeys(names) for key, names in unlike.items()}
     document["run"] = sha256(json_text.encode(json_text.merged(document, left)))[:16]
     robot = result.model.chains.robot
-    contents = {files.nominal: robot.source}
+    corrected, nominal, main, rows, page = result_files(folder, robot)
+    contents = {nominal: robot.source}
     if result.verdict == "no-gain":
-        contents[files.urdf] = robot.source
+        contents[corrected] = robot.source
     elif result.geometry is not None:
-        contents[files.urdf] = results.encode_urdf(result.geometry, files.urdf)
-    contents[files.measurements] = measurement_errors.encode_errors(
-        result, document["run"]
-    )
+        contents[corrected] = results.encode_urdf(result.geometry, corrected)
+    contents[rows] = measurement_errors.encode_errors(result, document["run"])
     if figures is not None:
-        contents[files.report] = html_report(
+        contents[page] = html_report(
             result, document, figures=figures, suggestions=suggestions
         )
     contents |= pictures
     document["files"] = {
-        name: None if path == files.report else sha256(data)
+        name: None if path == page else sha256(data)
         for path, data in contents.items()
-        if (name := listed(path, files.json.parent))
+        if (name := listed(path, folder))
     }
-    if urdf.is_source(files.nominal, robot):
-        del contents[files.nominal]  # It is an input, and stays as it is.
-    return {**contents, files.json: json_text.encode(document)}
+    if urdf.is_source(nominal, robot):
+        del contents[nominal]  # It is an input, and stays as it is.
+    return {**contents, main: json_text.encode(document)}
 
 
 @contextmanager
 def write_results(
     result: CalibrationResult,
-    files: ResultFiles,
+    folder: Path,
     contents: Mapping[Path, bytes],
     *,
     force: bool,
@@ -127,14 +120,14 @@ def write_results(
     Files of an earlier run that are not rewritten would pass for a result of this
     one, so they are removed.
     """
-    folder = files.json.parent
-    names = {listed(path, folder) for path in (*contents, files.nominal)}
-    old = [p for p in written_before(files.json) if listed(p, folder) not in names]
+    corrected, nominal, main, _, page = result_files(folder, result.model.chains.robot)
+    names = {listed(path, folder) for path in (*contents, nominal)}
+    old = [p for p in written_before(main) if listed(p, folder) not in names]
     with write_files(contents, force=force, folder=folder, removed=old):
         yield
     for path in old:
         notice(f"removed {path} of an earlier run")
-    _tell_others((files.urdf, files.report), contents, "file")
+    _tell_others((corrected, page), contents, "file")
     if (geometry := result.geometry) is None:
         return
     for chain in map(geometry.of, geometry.measured_chains):
@@ -155,13 +148,13 @@ def _tell_others(files: Sequence[Path], written: Collection[Path], kind: str) ->
 # --- figures ------------------------------------------------------------------------
 
 
-def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
-    """The files of the figures of some subject; none without a folder.
+def figure_files(asked: Pictured, of: str) -> list[Path]:
+    """The files of the figures of some subject, as far as they are asked for.
 
     Raises:
         OptionError: If there can be no such folder.
     """
-    if folder is None:
+    if (folder := asked.figures) is None:
         return []
     # Known before the work, not after it.
     place = next(filter(exists, (folder, *folder.absolute().parents)))
@@ -172,7 +165,7 @@ def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
     # It takes half a second to load what draws.
     from calib_pin.report.figures import NAMES
 
-    return [folder / f"{name}.{kind}" for name in NAMES[of]]
+    return [folder / f"{name}.{asked.figure_format}" for name in NAMES[of]]
 
 
 def draw(
@@ -209,11 +202,12 @@ def figure_contents(drawn: Sequence[Drawn], files: Sequence[Path]) -> dict[Path,
     }
 
 
-def told_figures(pictures: Collection[Path], files: Sequence[Path]) -> list[str]:
-    """Figures that were written, in words, and a note on those of an earlier run."""
-    _tell_others(files, pictures, "figure")
-    count = f"{len(pictures)} figure{'s' if len(pictures) != 1 else ''}"
-    return [f"wrote {count} to {files[0].parent}"] if files else []
+def told_figures(contents: Collection[Path], files: Sequence[Path]) -> list[str]:
+    """Figures among what was written, in words, and a note on those before."""
+    _tell_others(files, contents, "figure")
+    count = sum(file in contents for file in files)
+    figures = f"{count} figure{'s' if count != 1 else ''}"
+    return [f"wrote {figures} to {files[0].parent}"] if files else []
 
 
 def dated(entries: ReportSetup) -> ReportSetup:

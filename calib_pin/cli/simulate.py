@@ -79,6 +79,5 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
             notice(f"{truth} holds the geometry only; a URDF cannot hold other errors")
         told.append(f"wrote the true robot to {truth}")
     document = {"measurements": len(rows), "models": list(rows.models)}
-    document["written"] = [*map(str, contents)]
     asked.give(contents, lambda: document, written=told)
     return 0

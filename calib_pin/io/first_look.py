@@ -25,7 +25,7 @@ import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import rms
 from calib_pin.estimation.problem import distinct_values
-from calib_pin.io.columns import ANGLE, LENGTH, TURNED, counted
+from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
 from calib_pin.io.measurements import read_measurements
@@ -383,7 +383,11 @@ def _of_one_chain(
     if len(fullest) - len(missing) >= max(most + 1, FEWEST):
         end = chains[fullest][0]
         told = f"no column for {', '.join(missing)} of the chain to '{end}'"
-        raise InputError(told + advice(Chain(robot, setup.base, end), missing))
+        taken = {one.name for one in named.values()} | measured_columns.reserved()
+        free = {one.name for one in columns} - taken
+        hints = filter(None, (closest(joint, free) for joint in missing))
+        hint = next(hints, advice(Chain(robot, setup.base, end), missing))
+        raise InputError(told + hint)
     if whole:
         # A file may hold those that follow, too.
         follow = {j: mimic.leader for j, mimic in robot.mimics.items()}

@@ -21,36 +21,7 @@ from calib_pin.cli.options import asked_workers
 from calib_pin.errors import InputError, OutputError
 from calib_pin.viewer.scene import Scene
 
-ARM = """<?xml version="1.0"?>
-<robot name="arm">
-  <link name="base_link"/><link name="link1"/><link name="link2"/>
-  <link name="link3"/><link name="link4"/><link name="tool"/>
-  <joint name="joint1" type="revolute">
-    <origin xyz="0 0 0.4"/>
-    <parent link="base_link"/><child link="link1"/><axis xyz="0 0 1"/>
-    <limit lower="-2.5" upper="2.5" effort="1" velocity="1"/>
-  </joint>
-  <joint name="joint2" type="revolute">
-    <origin xyz="0.1 0 0" rpy="0.1 0 0"/>
-    <parent link="link1"/><child link="link2"/><axis xyz="0 1 0"/>
-    <limit lower="-2" upper="2" effort="1" velocity="1"/>
-  </joint>
-  <joint name="joint3" type="revolute">
-    <origin xyz="0.5 0 0.05"/>
-    <parent link="link2"/><child link="link3"/><axis xyz="0 1 0"/>
-    <limit lower="-2.5" upper="2.5" effort="1" velocity="1"/>
-  </joint>
-  <joint name="joint4" type="revolute">
-    <origin xyz="0.4 0 0"/>
-    <parent link="link3"/><child link="link4"/><axis xyz="0 0 1"/>
-    <limit lower="-2.5" upper="2.5" effort="1" velocity="1"/>
-  </joint>
-  <joint name="tool_joint" type="fixed">
-    <origin xyz="0.1 0.02 0.05" rpy="0 1.4 0"/>
-    <parent link="link4"/><child link="tool"/>
-  </joint>
-</robot>
-"""
+ARM = Path(__file__).with_name("arm.urdf").read_text()
 
 ERRORS = "joint2.joint-offset.q: 2.0e-3\njoint3.joint-offset.q: -3.0e-3\n"
 OPPOSITE = "joint2.joint-offset.q: -2.0e-3\njoint3.joint-offset.q: 3.0e-3\n"
@@ -118,6 +89,13 @@ def here(workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     shutil.copytree(workshop, folder)
     monkeypatch.chdir(folder)
     return folder
+
+
+@pytest.fixture
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder, as the working folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture(autouse=True)

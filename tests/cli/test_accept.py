@@ -1,4 +1,4 @@
-"""`accept`: what it prints and writes, and visits that are no test."""
+"""`accept`, and `plan --accept`: what they print and write, and what is no test."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import pytest
 
 import calib_pin
 from calib_pin.io.measurements import encode_table
-from tests.cli.files import document
+from calib_pin.io.results import read_calibration
+from tests.cli.files import document, table, write
 
 LIMITS = "tip: tool\nlimit: {position: 5.0e-4, repeatability: 2.0e-4}\n"
 FRAMES = """frames:
@@ -84,19 +85,6 @@ def test_a_calibration_is_tested_beside_the_nominal_robot(visits, run, fails):
     assert "the misfit of the station is " in " ".join(result.out.split())
     changed(partial(shift, first=0, by=0.05))
     assert "--register fits it" in run(accept.replace("--register ", "")).out
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        ("accept arm.urdf rows.csv --tip tool", "3 times"),
-        ("accept arm.urdf visits.csv --tip tool --model camera", "camera"),
-        ("accept arm.urdf none.csv --tip tool", "none.csv"),
-        ("accept arm.urdf visits.csv visits.csv --tip tool", "twice"),
-    ],
-)
-def test_what_is_no_test_is_told(visits, fails, words, named):
-    fails(words, named)
 
 
 def changed(change) -> None:
@@ -314,3 +302,64 @@ def test_nothing_sticks_out_of_the_page(visits, run, browser, width):
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert page.locator("#figure-poses-tested svg").bounding_box()["width"] > 300
     page.close()
+
+
+# --- from the plan through the measured visits to the test ------------------------
+
+
+PLAN = "plan arm.urdf --tip tool --accept --ignore-collisions -o visits.csv"
+
+
+def filled(model, error: np.ndarray, noise: float) -> dict[str, float]:
+    """Fill in what a robot with other joint offsets does; its error by pose."""
+    header, rows, _ = table("visits.csv")
+    q = np.radians(np.array([row[:4] for row in rows], float))
+    rng = np.random.default_rng(0)
+    wrong, right = (model.poses(at)[:, :3, 3] for at in (q + error, q))
+    points = 1e3 * (wrong + noise * rng.standard_normal(wrong.shape))
+    place = header.index("x [mm]")
+    for row, point in zip(rows, points.tolist(), strict=True):
+        row[place : place + 3] = [str(value) for value in point]
+    write("visits.csv", ",".join(header), rows)
+    names = [row[header.index("pose")] for row in rows]
+    away = np.linalg.norm(wrong - right, axis=1)
+    return dict(zip(names, away.tolist(), strict=True))
+
+
+@pytest.mark.slow
+def test_from_the_plan_to_the_test(here, run):
+    Path("two.yaml").write_text(TWO)
+    words = PLAN.replace("--tip tool", "--setup two.yaml --chain b")
+    result = run(f"{words} --degrees --cycles 4")
+    assert (result.status, result.err) == (0, "")
+    assert "calib-pin accept arm.urdf visits.csv" in result.out
+    assert max(map(len, result.out.splitlines())) <= 80 and result.out.isascii()
+    # The schedule is in the file as well.
+    comments = Path("visits.csv").read_text().replace("# ", "").replace("#", "")
+    assert result.out.rsplit("\nwrote", 1)[0] in comments
+    header, rows, _ = table("visits.csv")
+    assert header[0] == "joint1 [deg]" and len(rows) == 20
+    assert [row[4:6] for row in rows[4:6]] == [["1", "P1"], ["2", "P5"]]
+    model = read_calibration("done/calibration.json").of()
+    errors = filled(model, np.array([0.0, 1e-3, -1e-3, 0.0]), 1e-6)
+    tested = run("accept done/calibration.json visits.csv -o out")
+    assert tested.status in (0, 2)
+    poses = document("out/acceptance.json")["tests"]["calibrated"]["poses"]
+    assert [pose["visits"] for pose in poses] == [4] * 5
+    found = [pose["accuracy"]["value"] for pose in poses]
+    assert list(errors) == ["P5", "P4", "P3", "P2", "P1"]
+    # Four visits of 1 um each.
+    np.testing.assert_allclose(found, list(errors.values()), atol=4e-6)
+    assert min(found) > 1e-4
+
+
+TWO = "chains: {a: {tip: link3}, b: {tip: tool}}\n"
+
+
+@pytest.mark.slow
+def test_a_robot_of_six_joints_keeps_its_orientation(here, run):
+    words = "plan space6 --accept -o visits.csv --ignore-collisions --cycles 3"
+    result = run(words)
+    assert result.status == 0
+    assert "roll " in result.out
+    assert "- 0.0" not in result.out and " -0.0 " not in result.out

@@ -1,17 +1,62 @@
-"""Wrong input: one line, the right status, nothing written, no traceback."""
+"""Wrong input, and what each verdict leaves: status, words, files."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
+import shutil
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import yaml
 
-from tests.cli.files import marked
+import calib_pin
+import calib_pin.calibration
+from calib_pin.validation.result import CalibrationResult
+from tests.cli.files import document, marked
+
+MESSAGES, REFUSALS = (
+    yaml.safe_load(Path(__file__).with_name(name).read_text())
+    for name in ("messages.yaml", "refusals.yaml")
+)
+# `messages.yaml` has it word by word for one mistake of each kind, `refusals.yaml` what
+# the line names for many others: a change of wording breaks the former alone.
+REFUSED = [(of, key, named) for of in REFUSALS for key, named in of["refused"].items()]
+REFUSED_IDS = [f"{of['run']} {key}" for of, key, _ in REFUSED]
+
+
+@pytest.mark.parametrize("case", MESSAGES, ids=lambda case: case["run"])
+def test_messages(case: dict[str, Any], here: Path, run: Callable[..., object]) -> None:
+    for name, text in case.get("files", {}).items():
+        (here / name).write_text(text)
+    result = run(case["run"])
+    assert (result.status, result.out) == (1, "")
+    assert result.err == f"calib-pin: {case['says']}\n"
+
+
+@pytest.mark.parametrize(
+    ("of", "key", "named"),
+    REFUSED,
+    ids=[f"{of['run']} {key}" for of, key, _ in REFUSED],
+)
+def test_refusals(of, key, named, here, inside, opened, fails, refuses) -> None:
+    words, files = f"{of['run']} {key}", of.get("files", {})
+    if "file" in of:
+        words, files = of["run"], {of["file"]: key}
+    for name, text in files.items():
+        (here / name).parent.mkdir(parents=True, exist_ok=True)
+        (here / name).write_text(text)
+    if isinstance(named, dict):
+        refuses(words, **named)
+    else:
+        fails(words, named)
+    assert opened == [], "no window"
+
 
 Edit = Callable[[str], str]
 
@@ -49,92 +94,15 @@ def stored(*path: str | int, to: object) -> Edit:
 # --- the cases ---------------------------------------------------------------------
 
 CALIBRATE = "calibrate arm.urdf rows.csv -o out"
-SETUP = "calibrate arm.urdf rows.csv --setup bad.yaml -o out"
 EVALUATE = "evaluate done/calibration.json new.csv"
 TRUSTED_OR_NOT = {"calibration.json", "measurements.csv", "nominal.urdf", "report.html"}
-SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
-CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"
-
-
-CAMERA = "camera: {mount: hand, focal: [900, 900], center: [640, 480]}\n"
-PIXELS = "joint1,joint2,joint3,joint4,u,v,target\n0,0,0.3,0,1,2,m\n0.1,0,0.3,0,1,2,m\n"
 MIMIC = swap('<child link="link3"/>', '<child link="link3"/><mimic joint="joint2"/>')
 LONGER = swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"')
 
 
-# Command, fields of the error.
-OPTIONS: dict[str, dict[str, Any]] = {
-    "calibrat x y": dict(text=("calibrate", "--help")),
-    f"{CALIBRATE} --setpu x": dict(text=("--setpu", "--setup")),
-    "calibrate": dict(text=("ROBOT", "calibrate --help")),
-    "calibrate arm.urdf -o out": dict(text="MEASUREMENTS"),
-    f"{CALIBRATE} --setup": dict(text="--setup"),
-    f"{CALIBRATE} --loss hubert": dict(reason="'hubert'", allowed="huber"),
-    f"{CALIBRATE} --parameters placements": dict(reason="'placement'"),
-    f"{CALIBRATE} --parameters dh,dh": dict(value="dh,dh"),
-    f"{CALIBRATE} --parameters dh,dh-full": dict(reason="joint1.dh.theta"),
-    f"{CALIBRATE} --model positions": dict(reason="'position'"),
-    f"{CALIBRATE} --model position+camra": dict(reason="'camera'"),
-    f"{CALIBRATE} --model position+position": dict(value="position+position"),
-    f"{CALIBRATE} --model camera": dict(file="rows.csv", line=2, column="u"),
-    f"{CALIBRATE} --holdout 1.5": dict(reason=("--holdout", "'1.5'")),
-    f"{CALIBRATE} --holdout nan": dict(reason=("--holdout", "'nan'")),
-    f"{CALIBRATE} --seed one": dict(reason=("--seed", "'one'")),
-    f"{CALIBRATE} --seed -1": dict(reason=("--seed", "'-1'")),
-    f"{CALIBRATE} --validation rows.csv": dict(file="rows.csv", line=None),
-    f"{CALIBRATE} --validation distances.csv": dict(
-        file="distances.csv", line=2, column="x", reason="'position'"
-    ),
-    # the robot
-    "calibrate . rows.csv": dict(file="."),
-    "calibrate done/calibration.json new.csv": dict(file="done/calibration.json"),
-    f"{CALIBRATE} --base baselink": dict(file="arm.urdf", reason="'base_link'"),
-    f"{CALIBRATE} --tip base_link": dict(file="arm.urdf"),
-    f"{CALIBRATE} --base link4 --tip tool": dict(
-        file="arm.urdf", reason=("'link4'", "'tool'")
-    ),
-    "calibrate arm.urdf done": dict(file="done"),
-    # the setup
-    f"{CALIBRATE} --setup setpu.yaml": dict(file="setpu.yaml", reason="'setup.yaml'"),
-    # outputs
-    "calibrate arm.urdf rows.csv -o setup.yaml": dict(file="setup.yaml"),
-    "calibrate arm.urdf new.csv -o done": dict(file="done/arm.urdf"),
-    "calibrate arm.urdf rows.csv -o . --force": dict(file="arm.urdf"),
-    "simulate arm.urdf --model position --count 5 -o new.csv": dict(file="new.csv"),
-    f"{SIMULATE} -o arm.urdf --force": dict(file="arm.urdf"),
-    f"{SIMULATE} --truth ./arm.urdf --force": dict(file="arm.urdf"),
-    f"{SIMULATE} --truth out.csv": dict(file="out.csv"),
-    "simulate arm.urdf --model position --configurations new.csv -o new.csv "
-    "--force": dict(file="new.csv"),
-    # calibrations
-    "evaluate done/calibration.json distances.csv": dict(
-        file="distances.csv", line=2, column="x", reason="'position'"
-    ),
-    f"{EVALUATE} --tip link3": dict(reason="tip"),
-    # simulation and structure
-    "simulate arm.urdf --model plane-distance --count 5 -o out.csv": dict(
-        reason="planes"
-    ),
-    "simulate arm.urdf --model fixed-point --count 5 -o out.csv": dict(
-        reason="'sockets'"
-    ),
-    "identify arm.urdf": dict(reason="--model", allowed="pose"),
-    "simulate arm.urdf --model pose -o out.csv": dict(reason="--count"),
-    f"{SIMULATE} --count 0": dict(reason=("--count", "'0'")),
-    f"{SIMULATE} --count 5.5": dict(reason=("--count", "'5.5'")),
-    f"{SIMULATE} --repeats 0": dict(reason=("--repeats", "'0'")),
-    f"{SIMULATE} --noise -1e-4": dict(reason=("--noise", "'-1e-4'")),
-    f"{SIMULATE} --noise inf": dict(reason=("--noise", "'inf'")),
-    f"{SIMULATE} --parameters compliance": dict(reason=("'compliance'", "'arm'")),
-    "identify arm.urdf --model pose --parameters compliance": dict(
-        reason=("'compliance'", "'arm'")
-    ),
-}
-
 # Command, files to write first, fields of the error. What reading a file refuses is
 # tested with the reader, in tests/io, and what a setup states of a robot or of rows
-# with what uses it; here stands one case of each kind of file. The cases of
-# `test_messages.py` are not repeated.
+# with what uses it; here stands one case of each kind of file.
 Case = tuple[Any, Mapping[str, str | Edit], dict[str, Any]]
 CASES: dict[str, Case] = {
     "empty tip": (
@@ -147,28 +115,6 @@ CASES: dict[str, Case] = {
         {"arm.urdf": MIMIC},
         dict(file="rows.csv", line=3, column="joint3", reason="'joint2'"),
     ),
-    "camera without points": (
-        CONTACT,
-        {"touch.csv": PIXELS, "bad.yaml": CAMERA},
-        dict(reason=("'camera'", "'m'", "'targets'")),
-    ),
-    # setup files
-    "bound that excludes zero": (
-        SETUP,
-        {"bad.yaml": 'bounds: {"*.placement.x": [0.001, 0.002]}\n'},
-        dict(file="bad.yaml", value=[0.001, 0.002], reason="'*.placement.x'"),
-    ),
-    "error is no number": (
-        f"{SIMULATE} --errors bad.yaml",
-        {"bad.yaml": "joint1.placement.x: 1 mm\n"},
-        dict(file="bad.yaml", line=1, value="1 mm", reason="joint1.placement.x"),
-    ),
-    "no errors in the file": (
-        f"{SIMULATE} --errors bad.yaml",
-        {"bad.yaml": "# none\n"},
-        dict(file="bad.yaml", line=1),
-    ),
-    # calibrations
     "earlier version": (
         EVALUATE,
         {"done/calibration.json": stored("version", to=1)},
@@ -180,11 +126,6 @@ CASES: dict[str, Case] = {
         dict(file="done/calibration.json", reason="arm.urdf"),
     ),
 }
-
-
-def test_wrong_options(here, refuses):
-    for words, fields in OPTIONS.items():
-        refuses(words, **fields)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -303,3 +244,87 @@ def test_evaluation_of_an_untrusted_calibration_says_so(here, run):
     result = run("evaluate out/calibration.json new.csv")
     assert result.status == 2
     assert result.out.startswith("UNTRUSTED: out/calibration.json ")
+
+
+# --- what each verdict leaves behind ----------------------------------------------
+
+
+COMMAND = "calibrate arm.urdf rows.csv --setup setup.yaml --model position"
+REASON = "it is as accurate as it gets"
+
+
+@pytest.fixture
+def judged(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Whatever is calibrated gets a verdict."""
+    calibrate = calib_pin.calibration.calibrate
+
+    def judge(verdict: str) -> None:
+        def judged(*args: Any, **options: Any) -> CalibrationResult:
+            found = calibrate(*args, **options)
+            return replace(found, verdict=verdict, reason=REASON)
+
+        monkeypatch.setattr(calib_pin.calibration, "calibrate", judged)
+
+    return judge
+
+
+@pytest.mark.parametrize(
+    ("verdict", "status", "first", "urdf"),
+    [
+        ("good", 0, "GOOD", True),
+        ("no-gain", 0, "NO GAIN", True),
+        ("unchecked", 2, "UNCHECKED", False),
+        ("untrusted", 2, "UNTRUSTED", False),
+    ],
+)
+def test_what_a_verdict_leaves(here, run, judged, verdict, status, first, urdf):
+    judged(verdict)
+    result = run(f"{COMMAND} -o out")
+    assert (result.status, result.err) == (status, "")
+    assert result.out.startswith(f"{first}: {REASON}.")
+    assert Path("out/arm.urdf").exists() == urdf
+    assert ("wrote out/arm.urdf" in result.out) == urdf
+    nominal = Path("arm.urdf").read_bytes()
+    assert Path("out/nominal.urdf").read_bytes() == nominal
+    if urdf:
+        same = Path("out/arm.urdf").read_bytes() == nominal
+        assert same == (verdict == "no-gain")
+    assert f"{first}: {REASON}." in Path("out/report.html").read_text()
+    assert document("out")["verdict"] == {"status": verdict, "reason": REASON}
+
+    quiet = run(f"{COMMAND} --holdout 0.2 --quiet")
+    assert (quiet.status, quiet.out) == (status, "")
+    assert (REASON in quiet.err) == (status == 2)
+
+    evaluated = run("evaluate out/calibration.json new.csv")
+    assert evaluated.status == status
+    assert evaluated.out.startswith("UNTRUSTED: ") == (status == 2)
+    compared = run("compare out/calibration.json done/calibration.json")
+    assert compared.status == status
+    assert (f"{first}: A (out/calibration.json)" in compared.out) == (status == 2)
+
+
+def test_no_gain_replaces_the_robot_of_an_earlier_run(here, run, judged):
+    shutil.copytree("done", "out")
+    corrected = Path("out/arm.urdf").read_bytes()
+    judged("no-gain")
+    assert run(f"{COMMAND} -o out --force").status == 0
+    nominal = Path("arm.urdf").read_bytes()
+    assert Path("out/arm.urdf").read_bytes() == nominal != corrected
+    # A folder that was calibrated can be calibrated again.
+    again = run("calibrate out/nominal.urdf rows.csv --setup setup.yaml -o out --force")
+    assert again.status == 0
+    assert Path("out/nominal.urdf").read_bytes() == nominal
+
+
+def test_lines_that_undo_a_fault_stand_once(here, run):
+    chain = calib_pin.load_chain("arm.urdf", tip="tool")
+    rows = calib_pin.read_measurements("rows.csv", chain).only
+    signs = np.where(np.array(rows.joints) == "joint2", -1.0, 1.0)
+    calib_pin.write_measurements("reversed.csv", replace(rows, q=rows.q * signs))
+    result = run("calibrate arm.urdf reversed.csv --setup setup.yaml")
+    assert result.status == 2
+    first, _, rest = result.out.partition("Lines for the setup file\n")
+    assert first.startswith("UNTRUSTED: joint 'joint2'")
+    assert rest.startswith("  joints:\n    joint2: {joint: joint2, sign: -1}\n")
+    assert result.out.count("sign: -1") == 1

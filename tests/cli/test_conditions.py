@@ -28,9 +28,8 @@ joint_3.cross-compliance.kx: 3e-6
 
 
 @pytest.fixture
-def measured(run, tmp_path, monkeypatch):  # type: ignore[no-untyped-def]
+def measured(run, alone):  # type: ignore[no-untyped-def]
     """A folder with measurements of a true robot at stated conditions."""
-    monkeypatch.chdir(tmp_path)
     chain, count = calib_pin.load_chain("space6"), 100
     q = chain.random_configurations(count, np.random.default_rng(0))
     rows = [[*row, 20.0 + 0.1 * k, 36.0 * k] for k, row in enumerate(q.tolist())]

@@ -14,12 +14,7 @@ from calib_pin.io.boards import board_of
 from calib_pin.io.setup import read_setup
 from calib_pin.setup import BoardSetup
 
-pytestmark = pytest.mark.needs("vision")
-
-
-@pytest.fixture(autouse=True)
-def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = [pytest.mark.needs("vision"), pytest.mark.usefixtures("alone")]
 
 
 BOARDS = {

@@ -14,6 +14,7 @@ from calib_pin.kinematics.joint_columns import JointColumns
 from tests.cli.files import numbers, table, write
 
 RUN = "compensate done/calibration.json"
+CALIBRATE = "calibrate lift.urdf rows.csv --tip tool --parameters joint-offset -o done"
 COLUMNS = ["lift", "turn", "Elbow [wrist]", "last"]
 
 
@@ -43,9 +44,8 @@ def lift(urdf_of):
 
 
 @pytest.fixture
-def job(lift, chain_of, tmp_path, monkeypatch, run):
+def job(lift, chain_of, alone, run):
     """Files of the robot, with measurements of what its controller shows."""
-    monkeypatch.chdir(tmp_path)
     Path("lift.urdf").write_text(lift)
     kinds = "--model position --parameters joint-offset --noise 1e-5 --count 40"
     words = f"simulate lift.urdf --tip tool {kinds} -o all.csv"
@@ -68,8 +68,7 @@ def test_init_asks_for_no_columns_of_mimic_joints(job, run):
 
 
 def test_commands_are_those_of_the_drives(job, run):
-    words = "--tip tool --parameters joint-offset -o done --quiet"
-    assert run(f"calibrate lift.urdf rows.csv {words}").status == 0
+    assert run(CALIBRATE).status == 0
     model = read_calibration("done/calibration.json").of()
     drives = JointColumns.of(job)
     assert drives.names == tuple(COLUMNS)
@@ -107,8 +106,7 @@ def test_commands_are_those_of_the_drives(job, run):
 
 
 def test_continuous_joints_go_the_short_way(job, run):
-    words = "--tip tool --parameters joint-offset -o done --quiet"
-    assert run(f"calibrate lift.urdf rows.csv {words}").status == 0
+    assert run(CALIBRATE).status == 0
     turn = np.radians(np.arange(350.0, 371.0, 2.0))
     motion = np.tile([0.5, 0.0, 0.4, 0.7], (len(turn), 1))
     motion[:, 1] = turn % (2.0 * np.pi)
@@ -127,13 +125,12 @@ def test_continuous_joints_go_the_short_way(job, run):
 
 
 def test_a_long_way_of_a_joint_with_limits_is_told(job, run):
-    words = "--tip tool --parameters joint-offset -o done --quiet"
     text = Path("lift.urdf").read_text()
     wide = 'name="last" type="revolute"'
     before, after = text.split(wide)
     wider = after.replace('lower="-2.0" upper="2.0"', 'lower="-6.3" upper="6.3"', 1)
     Path("lift.urdf").write_text(before + wide + wider)
-    assert run(f"calibrate lift.urdf rows.csv {words}").status == 0
+    assert run(CALIBRATE).status == 0
     motion = np.tile([0.5, 0.0, 0.4, 3.1], (4, 1))
     motion[2:, 3] = -3.1
     write("motion.csv", ",".join(COLUMNS), motion)

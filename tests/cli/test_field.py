@@ -26,9 +26,7 @@ NOISE = 3e-5
 JOINTS = calib_pin.load_chain(ROBOT, tip="tool0").joints
 
 
-@pytest.fixture(autouse=True)
-def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("alone")
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 import csv
+import json
 import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import calib_pin
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io.json_text import encode
+from calib_pin.io.results import read_result
+from calib_pin.io.setup import prior_document
 from calib_pin.io.trials import read_trials
+from calib_pin.setup import PopulationPrior
+from calib_pin.validation.robot_state import robot_evidence
 from tests.cli.files import document
 
 JOBS = """\
@@ -171,59 +186,6 @@ def test_jobs_in_yaml_share_what_stands_above_them(here, run, inside):
     assert rows["third"]["drift_beyond"] == "False"
 
 
-FIRST = "robot,measurements"
-TABLES = [
-    # The file, its content, and what its refusal names.
-    ("jobs.csv", "robot\narm.urdf\n", "'measurements'"),
-    ("jobs.csv", "robot,measurments\narm.urdf,a.csv\n", "'measurements'?"),
-    ("jobs.csv", f"{FIRST}\narm.urdf,\n", "jobs.csv:2: 'measurements'"),
-    ("jobs.csv", f"{FIRST},holdout\narm.urdf,a.csv,20\n", "jobs.csv:2: 'holdout'"),
-    ("jobs.csv", f"{FIRST},date\narm.urdf,a.csv,3.4.2026\n", "2026-11-23"),
-    ("jobs.csv", f"{FIRST},name\narm.urdf,a.csv,../up\n", "'../up'"),
-    ("jobs.csv", f"{FIRST},name\na.urdf,a.csv,one\na.urdf,b.csv,One\n", "jobs.csv:3"),
-    ("jobs.csv", f"{FIRST},name\narm.urdf,a.csv,fleet.csv\n", "'fleet.csv'"),
-    ("jobs.csv", f"{FIRST},start\narm.urdf,a.csv,previous\n", "jobs.csv:2"),
-    ("jobs.csv", f"{FIRST},figures\narm.urdf,a.csv,here\n", "'figures'"),
-    ("jobs.csv", f"{FIRST},model_ladder\narm.urdf,a.csv,often\n", "'model_ladder'"),
-    ("jobs.csv", f"{FIRST},solver\narm.urdf,a.csv,lm\n", "jobs.csv:2: 'solver'"),
-    ("jobs.csv", f"{FIRST},process_noise\narm.urdf,a.csv,-1\n", "'process_noise'"),
-    ("jobs.yaml", "jobs: []\n", "'jobs'"),
-    ("jobs.yaml", "# none yet\n", "jobs.yaml:1"),
-    ("jobs.yaml", "robto: a\njobs: [{robot: a, measurements: b}]\n", "jobs.yaml:1"),
-    ("jobs.yaml", "robot: a\njobs:\n  - {measurements: b}\n  - {}\n", "jobs.yaml:4"),
-    *(
-        ("jobs.yaml", f"jobs:\n  - robot: a\n    {wrong}\n", "jobs.yaml:3: '")
-        for wrong in ("setup: {tip: a}", "measurements: [[a]]", "measurements: [{}]")
-    ),
-    (
-        "jobs.yaml",
-        "jobs:\n  - robot: a.urdf\n    measurements: b.csv\n    seed: 1.5\n",
-        "jobs.yaml:4: 'seed'",
-    ),
-]
-
-
-@pytest.mark.parametrize(("file", "text", "named"), TABLES)
-def test_tables_that_are_wrong(here, fails, file, text, named):
-    Path(file).write_text(text)
-    fails(f"fleet {file} -o out", named)
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        ("-o out", "--monte-carlo"),
-        ("jobs.csv -o out --monte-carlo setup.yaml", "--monte-carlo"),
-        ("jobs.csv -o out --workers 0", "--workers"),
-        ("jobs.csv -o out --workers 2 --cluster local", "--cluster"),
-        ("none.csv -o out", "none.csv"),
-        ("--monte-carlo setup.yaml -o out", "'monte_carlo.robot'"),
-    ],
-)
-def test_options_that_are_wrong(jobs, fails, words, named):
-    fails(f"fleet {words}", named)
-
-
 STUDY = """\
 tip: tool
 model: position
@@ -270,16 +232,146 @@ def test_a_study_does_not_go_on_with_trials_of_another(here, run, fails, inside)
     fails(f"{SEED} 0 -o out --resume", "monte-carlo.csv:3")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "named"),
-    [
-        ("robots: 3", "robots: 0", "'monte_carlo.robots'"),
-        ("[20, 8]", "[8, 8]", "monte_carlo.configurations"),
-        ("[20, 8]", "[80], plan: poses.csv", "20"),
-        ("[20, 8]", "[8], errors: {elbow*: 1}", "'elbow*'"),
-        ("robot: arm.urdf", "robot: leg.urdf", "leg.urdf"),
-    ],
-)
-def test_studies_that_are_wrong(here, fails, inside, old, new, named):
-    Path("study.yaml").write_text(STUDY.replace(old, new))
-    fails(f"{SEED} 0 -o out", named)
+# --- a fleet's prior in a setup file ----------------------------------------------
+
+
+CALIBRATE = "calibrate space6 rows.csv --setup setup.yaml -o out"
+
+
+@pytest.fixture
+def bench(fleet, alone) -> Path:
+    """Measurements of one more robot, and the prior of its fleet."""
+    data, _ = fleet.measured(600, 12)
+    calib_pin.write_measurements("rows.csv", data)
+    prior = fleet.population.prior()
+    Path("fleet.json").write_bytes(encode(prior_document(prior)))
+    Path("setup.yaml").write_text("prior: fleet.json\n")
+    return alone
+
+
+def test_few_measurements_are_enough(bench, run) -> None:
+    """Verdict and folder: the latter holds the prior and tells fleets no more."""
+    assert run(f"{CALIBRATE} --details").status == 0
+    stated = document("out")
+    assert stated["verdict"]["status"] == "good"
+    assert stated["setup"]["prior"]["format"] == "calib-pin/fleet-prior"
+    # What the measurements tell, whatever the prior holds.
+    found = stated["identifiability"]
+    assert found["rank"] + found["weak"] == found["structural_rank"]
+    Path("fleet.json").unlink()
+    there = read_result("out")
+    assert isinstance(there.model.setup.prior, PopulationPrior)
+    assert len(robot_evidence(there).values) < len(robot_evidence(there).names)
+
+
+def test_priors_of_others(bench, fleet, fails) -> None:
+    """Of another robot, of other parameters, and of the same robot otherwise made."""
+    fails(CALIBRATE.replace("space6", "space7"))
+    fails(f"{CALIBRATE} --parameters dh", "parameters")
+    prior = fleet.population.prior()
+    first = replace(prior.robot.joints[1], axis=(0.0, 0.6, 0.8))
+    joints = (prior.robot.joints[0], first, *prior.robot.joints[2:])
+    other = replace(prior, robot=replace(prior.robot, joints=joints))
+    Path("fleet.json").write_bytes(encode(prior_document(other)))
+    fails(CALIBRATE, "fleet.json", "'space6'", "axis")
+
+
+def test_a_plan_knows_it(bench, run) -> None:
+    words = "plan space6 --model position --count 12 --json -o plan.csv"
+    words += " --method greedy --candidates 200"
+    plain = json.loads(run(words).out)
+    told = json.loads(run(f"{words} --setup setup.yaml --force").out)
+    assert told["predicted"]["position"] < 0.95 * plain["predicted"]["position"]
+
+
+# --- workers, scheduler and command are killed ------------------------------------
+
+
+MANY = 30
+
+
+@pytest.fixture
+def many(here: Path) -> Path:
+    """Tables of robots with errors of their own, two of which cannot be calibrated."""
+    chain = calib_pin.load_chain("arm.urdf", tip="tool")
+    setup = calib_pin.read_setup("setup.yaml")
+    problem = nominal_problem(chain, "position", setup)
+    lines = ["name,robot,measurements,setup"]
+    for k in range(MANY):
+        rng = np.random.default_rng([21, k])
+        theta = calib_pin.draw_errors(problem.parameters, rng)
+        rows = calib_pin.simulate(problem, theta, rng, count=25)
+        calib_pin.write_measurements(f"m{k}.csv", rows)
+        lines.append(f"robot {k:03d},arm.urdf,m{k}.csv,setup.yaml")
+    Path("m7.csv").write_text("joint1,x,y,z\n1,2,3,4\n")
+    Path("m8.csv").unlink()
+    Path("many.csv").write_text("\n".join(lines) + "\n")
+    return here
+
+
+def start(folder: str, words: str = "") -> subprocess.Popen[str]:
+    """Begin a fleet."""
+    options = f"fleet many.csv -o {folder} --no-pages --quiet {words}"
+    return subprocess.Popen(
+        [sys.executable, "-m", "calib_pin.cli", *options.split()],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Status and complaint of a command."""
+    _, complaint = process.communicate(timeout=1200)
+    return process.returncode, complaint
+
+
+def calibrations(folder: str) -> dict[Path, int]:
+    """Calibrations that are there, with the time of their last change."""
+    files = Path(folder).glob("robot*/calibration.json")
+    return {file: file.stat().st_mtime_ns for file in files}
+
+
+def wait_for(folder: str, count: int) -> None:
+    """Wait until some calibrations are there."""
+    deadline = time.monotonic() + 300
+    while len(calibrations(folder)) < count:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def finished(folder: str) -> dict[str, object]:
+    """All files but for times; every job once in the table."""
+    names = [*rows_of(folder)]
+    assert sorted(names) == [f"robot {k:03d}" for k in range(MANY)]
+    assert names[:2] == ["robot 007", "robot 008"]
+    return contents(folder)
+
+
+@pytest.mark.slow
+@pytest.mark.needs("cluster")
+@pytest.mark.filterwarnings("default")
+def test_kills_cost_time_only(many: Path, start_dask: Callable[[], Any]):
+    """Of a worker, of the scheduler, and of the command itself."""
+    assert ended(start("local")) == (2, "")
+    expected = finished("local")
+    assert len([name for name in expected if name.endswith("/arm.urdf")]) > 0.8 * MANY
+    dask = start_dask()
+    running = start("out", f"--cluster {dask.file}")
+    wait_for("out", 6)
+    dask.workers[0].send_signal(signal.SIGKILL)
+    wait_for("out", 12)
+    dask.scheduler.send_signal(signal.SIGKILL)
+    status, complaint = ended(running)
+    assert status == 1 and complaint.count("\n") == 1
+    assert not Path("out", "fleet.csv").exists()
+    before = calibrations("out")
+    dask = start_dask()
+    running = start("out", f"--cluster {dask.file} --resume")
+    wait_for("out", len(before) + 3)
+    running.send_signal(signal.SIGKILL)
+    running.communicate()
+    assert ended(start("out", "--resume"))[0] == 2
+    assert finished("out") == expected
+    # Finished calibrations are not done twice.
+    assert before.items() <= calibrations("out").items()

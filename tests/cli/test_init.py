@@ -22,9 +22,7 @@ UNITS = np.array([180.0 / np.pi] * 6 + [1e3] * 3)
 INIT = "init space6 foreign.csv -o setup.yaml"
 
 
-@pytest.fixture(autouse=True)
-def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("alone")
 
 
 @pytest.fixture(scope="module")
@@ -243,9 +241,6 @@ def test_the_arm_that_fits_is_the_one_that_was_measured(run, fails, monkeypatch)
     assert result.status == 0 and "\ntip: right_3\n" in result.out
 
 
-OWN = ",".join(JOINTS)
-
-
 def test_small_motions_in_degrees(measured):
     """Numbers that might be radians as well are told apart by the robot."""
     q = measured[np.abs(measured[:, :6]).max(axis=1) < 3.0, :6] / 40.0
@@ -299,29 +294,3 @@ def test_the_draft_of_a_reversed_joint_leads_to_its_name(measured, run):
     assert run(INIT).status == 0
     found = run("calibrate space6 foreign.csv --setup setup.yaml")
     assert found.status == 2 and "'joint_3' is reversed" in found.out
-
-
-@pytest.mark.parametrize(
-    ("words", "text", "named"),
-    [
-        ("--board charuco:7x5:0.03:0.022", None, "--board"),
-        ("--distance 5mm", None, "--distance"),
-        ("--tip nolink", None, "'nolink'"),
-        ("--base nolink", None, "'nolink'"),
-        ("--model camera", None, "u, v"),
-        ("-o foreign.csv", None, "foreign.csv: is an input"),
-        ("-o kept.yaml", None, "kept.yaml: exists already"),
-        ("", "", "foreign.csv"),
-        ("", "a,b\n1,2\n", "columns"),
-        ("", "\x00\x01\x02", "foreign.csv"),
-        ("", f"{OWN}\n", "foreign.csv"),
-        ("", f"{OWN},x,y,z\n{'0,' * 8}0\n", "1 measurement"),
-        ("", f"{OWN.replace('_3', 'c')},x,y,z\n{'0,' * 8}0\n", "for joint_3 of"),
-    ],
-)
-def test_options_and_files_that_do_not_fit(words, text, named, measured, fails):
-    foreign([*JOINTS, *"xyz"], measured)
-    Path("kept.yaml").write_text("mine: 1\n")
-    if text is not None:
-        Path("foreign.csv").write_text(text)
-    fails(f"init space6 foreign.csv {words}", named)

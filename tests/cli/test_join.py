@@ -88,9 +88,7 @@ def poses_of(logs: Recording, time: np.ndarray) -> np.ndarray:
 JOIN = "join joints.csv tracker.txt --setup setup.yaml -o m.csv"
 
 
-@pytest.fixture(autouse=True)
-def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("alone")
 
 
 @pytest.fixture

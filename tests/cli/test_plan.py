@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
+from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,11 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.cli.plan import parse_limits
+from calib_pin.errors import OptionError
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.setup import read_setup
+from calib_pin.kinematics.chain import Chain
 from calib_pin.planning.search import Search
 from tests.cli.files import column, marked, numbers, table
 
@@ -22,26 +27,7 @@ QUICK = "--method greedy --candidates 100 --ignore-collisions"
 PLAN = f"plan arm.urdf --model position --setup setup.yaml {QUICK}"
 ADD = f"plan arm.urdf --setup setup.yaml {QUICK}"
 
-BOXES = """<?xml version="1.0"?>
-<robot name="boxes">
-  <link name="base_link"><collision><geometry><box size="0.2 0.2 0.4"/></geometry>
-  </collision></link>
-  <link name="link1"/>
-  <link name="link2"><collision><origin xyz="0.25 0 0"/><geometry>
-    <box size="0.5 0.08 0.08"/></geometry></collision></link>
-  <link name="tool"><collision><origin xyz="0.2 0 0"/><geometry>
-    <box size="0.4 0.06 0.06"/></geometry></collision></link>
-  <joint name="pan" type="revolute"><origin xyz="0 0 0.4"/>
-    <parent link="base_link"/><child link="link1"/><axis xyz="0 0 1"/>
-    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-  <joint name="lift" type="revolute"><origin xyz="0 0 0.1"/>
-    <parent link="link1"/><child link="link2"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-  <joint name="elbow" type="revolute"><origin xyz="0.5 0 0"/>
-    <parent link="link2"/><child link="tool"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-</robot>
-"""
+BOXES = Path(__file__).with_name("boxes.urdf").read_text()
 CELL = """\
 parameters: [joint-offset]
 frames: {tool: {xyz: [0.4, 0.05, 0.02]}}
@@ -353,71 +339,116 @@ def test_what_no_search_could_change_is_said_before_it(
     fails(f"{plan} {words}", named)
 
 
-SRDF = '<robot name="crates"><disable_collisions link1="a" link2="b"/></robot>'
-MESH = '<mesh filename="package://x/base.stl"/>'
-FILES = {
-    "crossed.yaml": "parameters: [joint-offset]\nlimits: {joint1: [1, -1]}\n",
-    "beyond.yaml": "parameters: [joint-offset]\nlimits: {joint2: [3, 4]}\n",
-    "away.yaml": "region: {sphere: {center: [9, 0, 0], radius: 0.5}}\n",
-    "flat.yaml": "region: {box: [[0, 0, 0], [1, 1, 0]]}\n",
-    "swallowed.yaml": "obstacles: [{sphere: 0.35, xyz: [0, 0, 0.5]}]\n",
-    "boxes.urdf": BOXES,
-    "mesh.urdf": BOXES.replace('<box size="0.2 0.2 0.4"/>', MESH),
-    "other.srdf": SRDF,
-    "tests.csv": "axis1,axis2,axis3,axis4\n0,0,0,0\n",
-    "empty.csv": "joint1,joint2,joint3,joint4\n",
-}
-EIGHT = f"{PLAN} --count 8 -o out.csv"
-SETUP = EIGHT.replace("setup.yaml", "{}").format
 BOX = (
     "plan boxes.urdf --model position --parameters joint-offset --candidates 50 "
     "--count 8 -o out.csv"
 )
 
-# (command, what its refusal names)
-NAMED = [
-    (f"{EIGHT} --model positions", "'positions'"),
-    (EIGHT.replace("--model position", ""), "--model"),
-    (EIGHT.replace("-o out.csv", ""), "--output"),
-    ("plan --count 8 -o out.csv", "ROBOT"),
-    (f"{EIGHT} --count 0", "--count cannot be '0'"),
-    (f"{EIGHT} --count 8.5", "--count cannot be '8.5'"),
-    (f"{EIGHT} --count 1001", "--count cannot be '1001'"),
-    (f"{EIGHT} --candidates 0", "--candidates"),
-    (f"{EIGHT} --distance -1", "--distance"),
-    (f"{EIGHT} --count 60 --distance 3", "the 60 "),
-    (f"{EIGHT} --limits joit1=0:1", "'joit1'"),
-    (f"{EIGHT} --limits joint2=2.5:3", "'joint2'"),
-    (SETUP("crossed.yaml"), "crossed.yaml:2"),
-    (SETUP("beyond.yaml"), "'joint2'"),
-    (f"{PLAN} --add 4 -o out.csv", "--to"),
-    (f"{ADD} --count 4 --to rows.csv -o out.csv", "--add"),
-    (f"{ADD} --add --to rows.csv -o out.csv", "--count"),
-    (f"{ADD} --add 4 --count 5 --to rows.csv -o out.csv", "--count 5"),
-    (f"{ADD} --add four --to rows.csv -o out.csv", "'four'"),
-    (f"{ADD} --add 4 --to rows.csv --to ./rows.csv -o out.csv", "twice"),
-    (f"{PLAN} --add 4 --to distances.csv -o out.csv", "distances.csv:2"),
-    (SETUP("away.yaml"), "region"),
-    (SETUP("flat.yaml"), "flat.yaml:1"),
-    (f"{BOX} --setup swallowed.yaml", "collision"),
-    (f"{EIGHT} --srdf none.srdf".replace("--ignore-collisions", ""), "none.srdf"),
-    (f"{BOX} --srdf other.srdf", "other.srdf"),
-    (BOX.replace("boxes", "mesh"), "mesh.urdf:3"),
-    (f"{EIGHT} --clearance 2".replace("--ignore-collisions", ""), "0 to 1 m"),
-    (f"{EIGHT} --clearance 0.1", "--clearance"),
-    (f"{EIGHT} --tests tests.csv", "tests.csv:1"),
-    (f"{EIGHT} --tests empty.csv", "empty.csv"),
-    (f"{EIGHT} --tests none.csv", "none.csv"),
-    (f"{PLAN} --count 8 -o arm.urdf --force", "arm.urdf: is an input"),
-    (f"{ADD} --add 4 --to rows.csv -o rows.csv --force", "rows.csv: is an input"),
-    (f"{EIGHT} --tests new.csv -o ./new.csv --force", "new.csv: is an input"),
-    (f"{PLAN} --count 8 -o setup.yaml --force", "setup.yaml: is an input"),
-    (f"{PLAN} --count 8 -o done --force", "done: is a folder"),
-]
 
-
-@pytest.mark.parametrize(("words", "named"), NAMED)
-def test_wrong_input(words, named, here, fails):
-    for file, text in FILES.items():
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (f"{BOX} --setup swallowed.yaml", "collision"),
+        (f"{BOX} --srdf other.srdf", "other.srdf"),
+        (BOX.replace("boxes", "mesh"), "mesh.urdf:3"),
+    ],
+)
+def test_solids_that_nothing_can_be_planned_with(words, named, here, fails):
+    srdf = '<robot name="crates"><disable_collisions link1="a" link2="b"/></robot>'
+    mesh = BOXES.replace(
+        '<box size="0.2 0.2 0.4"/>', '<mesh filename="package://x/b"/>'
+    )
+    obstacle = "obstacles: [{sphere: 0.35, xyz: [0, 0, 0.5]}]\n"
+    files = {"swallowed.yaml": obstacle, "other.srdf": srdf}
+    for file, text in {**files, "boxes.urdf": BOXES, "mesh.urdf": mesh}.items():
         Path(file).write_text(text)
     fails(words, named)
+
+
+# --- joint limits as words --------------------------------------------------------
+
+
+JOINTS = {
+    "elbow": "revolute",
+    "lift": "prismatic",
+    "wrist_1": "revolute",
+    "wrist_2": "continuous",
+    "joint[12]": "prismatic",
+    "joint1": "revolute",
+    "a=b": "revolute",
+}
+
+
+@pytest.fixture(scope="module")
+def chain(urdf_of, chain_of) -> Chain:
+    return chain_of(
+        urdf_of(
+            *(
+                {"name": name, "parent": f"l{k}", "child": f"l{k + 1}", "type": kind}
+                for k, (name, kind) in enumerate(JOINTS.items())
+            )
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("word", "name", "limits"),
+    [
+        ("elbow=-1:1.5", "elbow", (-1.0, 1.5)),
+        ("elbow=-90:180 [deg]", "elbow", (-math.pi / 2, math.pi)),
+        ("elbow=-90:180[deg]", "elbow", (-math.pi / 2, math.pi)),
+        (" elbow = -1 : 1 ", "elbow", (-1.0, 1.0)),
+        ("lift=0:350 [mm]", "lift", (0.0, 0.35)),
+        ("joint_*=-1e-3:+2", "joint_*", (-1e-3, 2.0)),
+        ("joint[12]=0:1", "joint[12]", (0.0, 1.0)),
+        # The name of a joint comes first: the glob would mean a revolute one.
+        ("joint[12]=0:350 [mm]", "joint[12]", (0.0, 0.35)),
+        ("wrist_*=-90:180 [deg]", "wrist_*", (-math.pi / 2, math.pi)),
+        ("*=-1:1", "*", (-1.0, 1.0)),
+        # What means no joint is told where limits are used.
+        ("neck=0:1 [mm]", "neck", (0.0, 1e-3)),
+        ("a=b=0:1", "a=b", (0.0, 1.0)),
+        ("axis 1=0.25:0.25", "axis 1", (0.25, 0.25)),
+    ],
+)
+def test_words(word: str, name: str, limits: tuple[float, float], chain: Chain) -> None:
+    found = parse_limits([word], chain)
+    assert list(found) == [name]
+    assert found[name] == pytest.approx(limits, rel=1e-12)
+
+
+def test_units_of_another_kind_of_joint(
+    chain: Chain, refused: Callable[..., Any]
+) -> None:
+    for word, joint in (
+        ("wrist_*=0:1 [in]", "'wrist_1'"),
+        ("wrist_2=0:1 [m]", "'wrist_2'"),
+        ("joint[12]=0:1 [rad]", "'joint[12]'"),
+        ("*=-90:90 [deg]", "'lift'"),
+        ("*=-90:90 [mm]", "'elbow'"),
+    ):
+        with refused(OptionError, reason=(repr(word), joint)):
+            parse_limits([word], chain)
+
+
+def test_several_words_and_none(chain: Chain) -> None:
+    assert parse_limits([], chain) == {}
+    assert list(parse_limits(["b=0:1", "a=0:1"], chain)) == ["b", "a"]
+    # The later one of the same joint holds, as for every other option.
+    assert parse_limits(["a=0:1", "a=0:2"], chain) == {"a": (0.0, 2.0)}
+
+
+MALFORMED = "|elbow|elbow=|=0:1|elbow=1|elbow=0:1:2|elbow=a:b|0:1|elbow=0:1 [cm]"
+MALFORMED += "|elbow=0:1 [deg|elbow=:|elbow=0:|elbow:0=1"
+ABSURD = "elbow=1:-1|elbow=nan:1|elbow=0:nan|elbow=-inf:inf|elbow=0:1e9|elbow=-120:120"
+
+
+@pytest.mark.parametrize(
+    ("words", "allowed"), [(MALFORMED, "JOINT=LOWER:UPPER"), (ABSURD, "LOWER up to")]
+)
+def test_words_that_cannot_be_meant(
+    words: str, allowed: str, chain: Chain, refused: Callable[..., Any]
+) -> None:
+    for word in words.split("|"):
+        with refused(OptionError, reason=repr(word), allowed=allowed):
+            parse_limits([word], chain)

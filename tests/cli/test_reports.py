@@ -1,4 +1,4 @@
-"""What people look at, asked for by options: pages, pictures, colors, progress."""
+"""What people look at: pages, pictures, colors, progress, and `view`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from subprocess import PIPE, Popen
 
+import numpy as np
 import pytest
 
 from calib_pin.report.figures import NAMES
@@ -63,17 +64,6 @@ def test_a_page_with_figures_and_the_words_of_the_terminal(
     assert Path("out/report.html").read_text() == page
 
 
-def test_the_same_page_again(here, run):
-    assert run(f"{CALIBRATE} -o out").status == 0
-    pages = []
-    for folder in ("done", "out"):
-        page = Path(folder, "report.html").read_text()
-        page = re.sub(r"\d{4}-\d\d-\d\dT[\d:]+\+00:00", "", page)
-        page = re.sub(r"<dt>time</dt><dd>[\d.]+ s</dd>", "", page)
-        pages.append(re.sub(r" -o \w+( --quiet)?", "", page))
-    assert pages[0] == pages[1]
-
-
 def test_nothing_is_drawn_for_nobody(here, run, monkeypatch):
     def draw(*about: object) -> list[object]:
         raise AssertionError
@@ -111,20 +101,6 @@ def test_pictures_of_an_earlier_run(here, run, refuses):
     assert stale.read_text() == "of an earlier run"
 
 
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (f"{CALIBRATE} --figures figures --figure-format gif", "'gif'"),
-        (f"{PLAN} -o plan.csv --figures rows.csv", "rows.csv"),
-        (f"{PLAN} -o plan.csv --figures rows.csv/x", "rows.csv"),
-        (f"{CALIBRATE} -o out --figures rows.csv/x/y", "rows.csv"),
-        (f"{CALIBRATE} -o out --figures out/calibration.json", "calibration.json"),
-    ],
-)
-def test_wrong_options(words, named, here, fails):
-    fails(words, named)
-
-
 # --- terminals ---------------------------------------------------------------------
 
 
@@ -156,3 +132,61 @@ def on_terminal(words: str) -> bytes:
 def test_progress_on_the_error_stream(here):
     shown = on_terminal("evaluate done/calibration.json new.csv")
     assert b"read" in shown and b"evaluate" in shown
+
+
+# --- the viewer -------------------------------------------------------------------
+
+
+def test_without_the_extra(here, monkeypatch, fails):
+    monkeypatch.setattr("calib_pin.cli.view.find_spec", lambda _: None)
+    fails("view no/robot.urdf", "calib-pin[view]")
+
+
+def test_a_robot_alone(here, run, opened):
+    result = run("view arm.urdf --once")
+    assert result.status == 0 and "http://localhost:8081/?token=abc" in result.out
+    assert result.err.count("\n") == 1 and "8080" in result.err
+    (scene,) = opened
+    assert scene.title == "arm"
+    assert (scene.chains.names, scene.rows, scene.plan) == ((), None, None)
+    (body,) = scene.bodies
+    assert body.skeleton.joints == ("joint1", "joint2", "joint3", "joint4")
+    # Several leaves are no hindrance where nothing is measured.
+    assert run("view example:talos_reduced --once --port 5").status == 0
+
+
+def test_a_robot_with_measurements_and_a_plan(here, run, opened):
+    result = run("view arm.urdf rows.csv --setup setup.yaml --plan new.csv --port 5")
+    assert (result.status, result.err) == (0, "")
+    (scene,) = opened
+    assert scene.rows is not None and scene.plan is not None
+    assert list(scene.rows.stages) == ["before"]
+    assert (len(scene.rows.data), len(scene.plan.q)) == (40, 25)
+
+
+def test_a_calibration(here, run, opened):
+    words = "view done/calibration.json new.csv rows.csv --port 5"
+    assert run(words).status == 0
+    assert run("view done/calibration.json --port 5").status == 0
+    scene, bare = opened
+    assert [body.name for body in scene.bodies] == ["nominal", "corrected"]
+    assert scene.rows is not None and bare.rows is None
+    assert [thing.kind for thing in scene.things] == ["station"]
+    np.testing.assert_allclose(scene.things[0].origin, bare.things[0].origin, atol=0.01)
+    before, after = scene.rows.stages.values()
+    sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]
+    assert sizes[0] > 5.0 * sizes[1]
+
+
+def test_missing_meshes_are_noted_once(here, run, opened):
+    text = Path("arm.urdf").read_text()
+    mesh = '<visual><geometry><mesh filename="{}.stl"/></geometry></visual>'
+    for k in (1, 2):
+        text = text.replace(
+            f'<link name="link{k}"/>', f'<link name="link{k}">{mesh.format(k)}</link>'
+        )
+    Path("meshes.urdf").write_text(text)
+    result = run("view meshes.urdf --port 5")
+    assert result.status == 0
+    assert result.err.count("\n") == 1
+    assert "2 meshes" in result.err and "--package-dir" in result.err

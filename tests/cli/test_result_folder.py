@@ -6,18 +6,22 @@ import hashlib
 import importlib.metadata
 import json
 import os
+import random
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from calib_pin.cli import main
 from calib_pin.io.files import COMMIT
-from tests.cli.files import document
+from tests.cli.files import document, figures
 
 POSITION = "calibrate arm.urdf rows.csv --setup setup.yaml"
 EVALUATE = "evaluate {}/calibration.json new.csv"
@@ -105,8 +109,7 @@ def test_a_folder_on_its_own(here, run, tmp_path, monkeypatch, opened):
     assert run("evaluate calibration.json ../new.csv").status == 0
 
 
-def test_an_example_robot_where_there_are_none(tmp_path, monkeypatch, run):
-    monkeypatch.chdir(tmp_path)
+def test_an_example_robot_where_there_are_none(alone, monkeypatch, run):
     # The robot has no errors but those that are fitted: it does gain.
     words = "example:panda --model position --tip panda_link8"
     words += " --parameters joint-offset"
@@ -121,8 +124,8 @@ def test_an_example_robot_where_there_are_none(tmp_path, monkeypatch, run):
     monkeypatch.setattr(importlib.metadata, "distribution", none)
     # And from another working folder.
     monkeypatch.chdir("/")
-    file = tmp_path / "out/calibration.json"
-    assert run(["evaluate", str(file), str(tmp_path / "rows.csv")]).status == 0
+    file = alone / "out/calibration.json"
+    assert run(["evaluate", str(file), str(alone / "rows.csv")]).status == 0
 
 
 def test_the_folder_of_the_input(here, run, fails):
@@ -201,58 +204,28 @@ def test_an_earlier_run_goes_as_a_whole(few, run):
     assert names() == {*FILES - {"arm.urdf"}, "notes.txt"}
 
 
-def test_a_manifest_lists_only_its_own_folder(few, run):
-    """A hostile one: nothing is removed, not even what it rightly lists."""
-    found = document("done")
+@pytest.mark.parametrize("manifest", ["hostile", "foreign", "absent"])
+def test_of_another_manifest_nothing_is_removed(manifest, few, run):
+    """Not even what one that names other folders rightly lists."""
+    found, text = document("done"), "[" * 100_000
     Path("precious.txt").write_text("mine")
-    found["files"]["../precious.txt"] = "0" * 64
-    Path("done/calibration.json").write_text(json.dumps(found))
-    assert run(BAD).status == 2
-    assert Path("precious.txt").read_text() == "mine"
-    assert names() == FILES
-    assert "files" in document("done")
-
-
-def test_beside_a_foreign_document_nothing_is_removed(few, run):
-    Path("done/calibration.json").write_text("[" * 100_000)
-    result = run(BAD)
-    assert result.status == 2 and "note: done/arm.urdf" in result.err
-    assert names() == FILES
-
-
-def test_without_a_manifest_nothing_is_removed(few, run):
-    found = document("done")
-    del found["files"], found["run"]
-    Path("done/calibration.json").write_text(json.dumps(found))
-    assert run(EVALUATE.format("done")).status == 0
+    if manifest == "hostile":
+        found["files"]["../precious.txt"] = "0" * 64
+    else:
+        del found["files"], found["run"]
+    if manifest != "foreign":
+        text = json.dumps(found)
+    Path("done/calibration.json").write_text(text)
+    if manifest == "absent":
+        assert run(EVALUATE.format("done")).status == 0
     result = run(BAD)
     assert result.status == 2
     assert "removed" not in result.err and "note: done/arm.urdf" in result.err
-    assert names() == FILES
+    assert names() == FILES and Path("precious.txt").read_text() == "mine"
+    assert "files" in document("done")
 
 
 # --- nothing is written by what fails ----------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (
-            "simulate arm.urdf --model position --count 5 -o a.csv --truth rows.csv/x",
-            "rows.csv/x",
-        ),
-        (
-            "plan arm.urdf --setup setup.yaml --model position --count 9 "
-            "--candidates 50 --ignore-collisions --quiet --method greedy "
-            "-o rows.csv/plan.csv",
-            "rows.csv/plan.csv",
-        ),
-        (f"{POSITION} -o rows.csv/out --figures pictures", "rows.csv/out/"),
-        (f"{POSITION} -o out/new --figures done/report.html/x", "done/report.html"),
-    ],
-)
-def test_a_bad_path_among_good_ones(words, named, here, fails):
-    fails(words, named)
 
 
 def test_a_page_that_cannot_be_made(here, run, listing, monkeypatch):
@@ -341,3 +314,126 @@ def test_a_signal_after_the_decision(number, status, here, run, monkeypatch):
     assert names[0] == COMMIT and {*names[1:]} == FILES
     assert_one_run("done")
     assert document("done")["measurements"]["files"][0]["file"] == "new.csv"
+
+
+# --- runs that are killed while they write ----------------------------------------
+
+
+# `CALIB_PIN_KILLS` is the number of kills by each signal; half of them are aimed at the
+# moments of writing. The tests of `tests/io/test_files.py` fail at every single call;
+# here the processes, the signals and the moments are real.
+KILLS = int(os.environ.get("CALIB_PIN_KILLS", "4"))
+KINDS = {
+    "figures": "--figures out/figures",
+    "figures elsewhere": "--figures pictures",
+    "learned": "--learned gaussian-process --figures out/figures",
+}
+INPUTS = ("first.csv", "second.csv")
+TEMPORARY = ".calib-pin-*"
+
+
+@pytest.fixture
+def two_inputs(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two inputs by turns, so that the old set is never the new one."""
+    monkeypatch.setattr("calib_pin.cli.requests.draw_calibration", figures)
+    for seed, name in enumerate(INPUTS):
+        words = (
+            "simulate arm.urdf --model position --count 30 --noise 2e-5 --seed "
+            f"{seed} --parameters joint-offset,transmission -o {name}"
+        )
+        assert main(words.split()) == 0
+
+
+def words_of(kind: str, file: str) -> list[str]:
+    words = f"calibrate arm.urdf {file} --setup setup.yaml -o out --force --quiet"
+    return f"{words} {KINDS[kind]}".split()
+
+
+def started(words: list[str]) -> int:
+    """The process id of a run."""
+    child = os.fork()
+    if child:
+        return child
+    status = 99
+    try:
+        null = os.open(os.devnull, os.O_RDWR)
+        for stream in range(3):
+            os.dup2(null, stream)
+        status = main(words)
+    except KeyboardInterrupt:  # Before the command could take it.
+        status = 130
+    finally:
+        os._exit(status)
+
+
+def ended(child: int) -> int:
+    """Exit status, negative for a signal."""
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def writing(folders: tuple[Path, ...]) -> bool:
+    """Whether a run writes, or has left what it wrote."""
+    return any(any(folder.glob(TEMPORARY)) for folder in folders)
+
+
+def kill(child: int, number: int, wait: Callable[[], bool]) -> int:
+    while wait():
+        found, status = os.waitpid(child, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status)
+    os.kill(child, number)
+    return ended(child)
+
+
+def assert_read_as_one_run() -> None:
+    """What a reader finds is of one run; it reads that before anything is checked."""
+    status = main(["evaluate", "out/calibration.json", "new.csv", "--json"])
+    assert status in (0, 2)
+    stated = json.loads(Path("out/calibration.json").read_text())
+    held: dict[str, str | None] = {
+        name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in Path("out").rglob("*")
+        if path.is_file() and (name := str(path.relative_to("out")))[0] != "."
+    }
+    del held["calibration.json"]
+    held["report.html"] = None
+    assert held == stated["files"]
+    assert f'content="{stated["run"]}"' in Path("out/report.html").read_text()
+
+
+def trials() -> Iterator[tuple[int, str, bool]]:
+    """Number, input, and whether the kill is aimed at the writing."""
+    for number in range(-(-KILLS // len(KINDS))):
+        yield number, INPUTS[number % 2], number % 4 < 2
+
+
+@pytest.mark.slow
+# The children have one thread that matters, and no other one writes files.
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGINT", "SIGTERM"])
+def test_a_killed_run_leaves_one_result(name: str, kind: str, two_inputs: None) -> None:
+    number = signal.Signals[name]
+    chance = random.Random(f"{name} {kind}")
+    folders = Path("out"), Path("out/figures"), Path("pictures")
+    begin = time.monotonic()
+    assert main(words_of(kind, INPUTS[1])) in (0, 2)
+    took = time.monotonic() - begin
+    assert_read_as_one_run()
+    for trial, file, aimed in trials():
+        child = started(words_of(kind, file))
+        if aimed:
+            while not writing(folders):
+                time.sleep(1e-4)
+            moment = time.monotonic() + chance.uniform(0.0, 0.06)
+        else:
+            moment = time.monotonic() + chance.uniform(0.0, 1.2 * took)
+        status = kill(child, number, lambda at=moment: time.monotonic() < at)
+        assert status in (0, 2, -number, 128 + number), status
+        assert number == signal.SIGKILL or not writing(folders), "it cleared up"
+        assert_read_as_one_run()
+        if trial % 5 == 4 or kind != "learned":
+            following = words_of(kind, INPUTS[(trial + 1) % 2])
+            assert main(following) in (0, 2)
+            assert not writing(folders)
+            assert_read_as_one_run()

@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 from calib_pin.cli.init import reading
-from calib_pin.cli.typed import _rewrite
-from calib_pin.cli.watch import display
+from calib_pin.cli.watch import _rewrite, display
 from calib_pin.errors import InputError
 from calib_pin.guidance import Event
 from calib_pin.io.columns import LENGTH
@@ -148,14 +147,6 @@ def test_readings(text: str, kinds, unit: str, numbers: list[float]):
 def test_readings_that_are_none(text: str):
     with pytest.raises(InputError):
         reading(text, LENGTHS, "")
-
-
-@pytest.mark.parametrize(
-    "words", ["--type", "--type --plan plan.csv --json", "--limit 2", "-o done"]
-)
-def test_options_that_do_not_go(here: Path, run, words: str):
-    found = run(f"watch arm.urdf rows.csv {words}")
-    assert found.status == 1 and found.err.count("\n") == 1
 
 
 def test_a_file_that_cannot_be_read_gives_no_other_reason(here: Path, run):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.cli.results import result_contents, result_files
+from calib_pin.cli.results import result_contents
 from calib_pin.io.measurement_errors import decode_errors, encode_errors
 from calib_pin.io.results import read_written
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
@@ -43,11 +43,11 @@ def test_page_and_figures_from_files_are_the_same_bytes(
         return [draw(f, of) for f in (cumulative_errors, errors_per_measurement)]
 
     drawn = figures(result)
-    files = result_files(tmp_path / "out", model.chains.robot.name)
+    folder = tmp_path / "out"
     run = Provenance.at(
         "2026-01-01T00:00:00+00:00", ("calib-pin", "calibrate", "a b.csv"), 1.25
     )
-    for path, data in result_contents(result, files, run, drawn, {}, better).items():
+    for path, data in result_contents(result, folder, run, drawn, {}, better).items():
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(data)
 
@@ -60,7 +60,7 @@ def test_page_and_figures_from_files_are_the_same_bytes(
     assert [f.name for f in again] == [f.name for f in drawn]
     assert stated == better
     page = html_report(found, document, figures=again, suggestions=stated)
-    assert page == files.report.read_bytes()
+    assert page == (folder / "report.html").read_bytes()
     assert plain_text(report(found, stated)) == plain_text(report(result, better))
 
 

@@ -596,10 +596,10 @@ class Case:
         Without a whole fit nobody judges corrections that are as large as a robot. With
         one, it may have been fitted to measurements as small as the errors of a robot.
         """
-        if not self.errors_left <= (DOUBTFUL if self.informed else FOREIGN):
-            # What the model lacks may be all that is left.
-            if not self.errors_left * np.sqrt(self.lacking[1]) <= DOUBTFUL:
-                return True
+        usual = self.errors_left <= (DOUBTFUL if self.informed else FOREIGN)
+        # What the model lacks may be all that is left.
+        if not (usual or self.errors_left * np.sqrt(self.lacking[1]) <= DOUBTFUL):
+            return True
         known = self.fitted is not None and self.fit.largest_correction <= REBUILT
         return self.errors_nominal > (ABSURD if known else FOREIGN)
 

@@ -271,7 +271,7 @@ def _has_lengths(problem: Problem, theta: Floats, at: Sequence[Measurements]) ->
     _, displaced, b = _growing(problem, theta, apart)
     Q = column_space(displaced)
     own = float(np.linalg.norm(b - Q @ (Q.T @ b))) / np.sqrt(len(b) / 6)
-    return own > LENGTH_SCALE
+    return bool(own > LENGTH_SCALE)
 
 
 def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> dict[int, int]:

@@ -75,24 +75,9 @@ class Found:
     status: Status
 
 
-class Asked:
-    """Whether a search is asked to stop; in another process it never is.
-
-    Args:
-        told: Tells the progress, and whether to stop; none if nobody listens.
-    """
-
-    def __init__(self, told: Callable[[], bool] | None = None) -> None:
-        """Begin."""
-        self._told = told
-
-    def __reduce__(self) -> tuple[type[Asked], tuple[()]]:
-        """A deaf one."""
-        return Asked, ()
-
-    def __call__(self) -> bool:
-        """Ask."""
-        return self._told is not None and self._told()
+def _never() -> bool:
+    """Nobody asks a search in another process to stop."""
+    return False
 
 
 @dataclass(frozen=True)
@@ -111,7 +96,7 @@ class Objective:
     workspace: Workspace
     criterion: Criterion
     known: Floats
-    asked: Asked
+    asked: Callable[[], bool]
 
     def information(self, rows: Floats) -> Information | None:
         """Information of rows (..., m) together with what is known."""
@@ -215,7 +200,7 @@ class Search:
         self.rows, self.workspace, self.criterion = rows, workspace, criterion
         self.candidates, self.count, self.measured = candidates, count, measured
         self._descended_part = 0.0
-        asked = Asked(lambda: self.told("gradient", self._descended_part))
+        asked = self._asked if workers is SERIAL else _never
         self.objective = Objective(rows, workspace, criterion, known, asked)
         self.stopped = False
         self._progress, self._workers = progress, workers
@@ -348,6 +333,10 @@ class Search:
                 if self.told("gradient", self._descended_part):
                     break
         return found
+
+    def _asked(self) -> bool:
+        """Whether descents are asked to stop."""
+        return self.told("gradient", self._descended_part)
 
     def _greedy(self, stage: str) -> tuple[int, ...]:
         """The set that grows by the best candidate; where stopped, `_determined`."""

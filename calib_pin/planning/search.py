@@ -8,7 +8,7 @@ measured and end in one.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -158,10 +158,11 @@ def _descend(objective: Objective, task: Task) -> Found:
     return objective.descended(*task)
 
 
+@dataclass(eq=False)
 class Search:
     """A search for the best set of configurations.
 
-    Args:
+    Attributes:
         rows: The rows of a configuration.
         workspace: The constraints of configurations.
         criterion: Criterion to minimize.
@@ -173,38 +174,35 @@ class Search:
         starts: Most random sets from which the gradient method starts.
         measured: Number of measurements that the known information comes from.
         workers: Who descends.
-
-    Attributes:
         stopped: Whether the search was asked to stop.
 
     Raises:
         OptionError: If there are fewer candidates than wanted.
     """
 
-    def __init__(
-        self,
-        rows: IdentificationRows,
-        workspace: Workspace,
-        criterion: Criterion,
-        known: Floats,
-        candidates: Candidates,
-        count: int,
-        rng: np.random.Generator,
-        progress: Progress | None = None,
-        starts: int = STARTS,
-        measured: int = 0,
-        workers: Workers = SERIAL,
-    ) -> None:
+    rows: IdentificationRows
+    workspace: Workspace
+    criterion: Criterion
+    known: Floats
+    candidates: Candidates
+    count: int
+    rng: np.random.Generator
+    progress: Progress | None = None
+    starts: int = STARTS
+    measured: int = 0
+    workers: Workers = SERIAL
+    stopped: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
         """Check that there are enough candidates."""
-        candidates.require(count)
-        self.rows, self.workspace, self.criterion = rows, workspace, criterion
-        self.candidates, self.count, self.measured = candidates, count, measured
+        self.candidates.require(self.count)
         self._descended_part = 0.0
-        asked = self._asked if workers is SERIAL else _never
-        self.objective = Objective(rows, workspace, criterion, known, asked)
-        self.stopped = False
-        self._progress, self._workers = progress, workers
-        self._rng, self._starts = rng, starts
+
+    @cached_property
+    def objective(self) -> Objective:
+        """The criterion of sets, as descents need it."""
+        asked = self._asked if self.workers is SERIAL else _never
+        return Objective(self.rows, self.workspace, self.criterion, self.known, asked)
 
     @cached_property
     def table(self) -> Floats:
@@ -228,7 +226,7 @@ class Search:
     ) -> Selection:
         """A subset of the candidates, or of others, under the criterion."""
         table = self.table if table is None else table
-        known, nuisances = self.objective.known, self.rows.nuisances
+        known, nuisances = self.known, self.rows.nuisances
         return Selection(table, nuisances, self.criterion, known, chosen, self.measured)
 
     def by_greedy(self) -> Found:
@@ -255,7 +253,7 @@ class Search:
             costs,
             len(self.candidates.q),
             self.count,
-            self._rng,
+            self.rng,
             callback=lambda k, x, cost: self.told("ga", k / (k + 100.0)),
         )
         return self._of("ga", result.x, result.status)
@@ -268,7 +266,7 @@ class Search:
         n = len(self.workspace.lower)
         fitting = [np.flatnonzero(self.candidates.aim == one) for one in aim]
         starts = [
-            [int(self._rng.choice(some)) for some in fitting]
+            [int(self.rng.choice(some)) for some in fitting]
             for _ in range(options.particles)
         ]
 
@@ -278,7 +276,7 @@ class Search:
         result = particle_swarm(
             costs,
             np.tile(self.workspace.bounds, (self.count, 1)),
-            self._rng,
+            self.rng,
             options,
             x0=self.candidates.q[np.array(starts)].reshape(len(starts), -1),
             callback=lambda k, x, cost: self.told("pso", k / options.iterations),
@@ -313,8 +311,8 @@ class Search:
         most = VARIABLES // best.q.size
         size, stages = len(self.candidates.q), self.criterion.sharpnesses
         drawn = [
-            self._of("gradient", self._rng.choice(size, self.count, replace=False))
-            for _ in range(min(self._starts, max(1, most)))
+            self._of("gradient", self.rng.choice(size, self.count, replace=False))
+            for _ in range(min(self.starts, max(1, most)))
         ]
         sets = [one for one in (best, *drawn) if np.isfinite(one.cost)]
         explored = self._descents([(stages[:1], EXPLORING, one) for one in sets], 0.0)
@@ -327,7 +325,7 @@ class Search:
         """Ends of descents, of those that are done when the search is stopped."""
         found = list[Found]()
         if not self.stopped:
-            for one in self._workers.map(_descend, self.objective, tasks):
+            for one in self.workers.map(_descend, self.objective, tasks):
                 found.append(one)
                 self._descended_part = begin + 0.5 * len(found) / len(tasks)
                 if self.told("gradient", self._descended_part):
@@ -365,7 +363,7 @@ class Search:
         mean = np.einsum("cdi,cdi->i", self.table, self.table) / len(self.table)
         ridge = np.diag(RIDGE * mean)
         # The nuisances count here: a plane that nobody measures is not determined.
-        subset = Selection(self.table, 0, CRITERIA["O1"], self.objective.known + ridge)
+        subset = Selection(self.table, 0, CRITERIA["O1"], self.known + ridge)
 
         def told(steps: int, cost: float) -> None:
             # A set that is too small is of no use to who stops the search.
@@ -415,7 +413,7 @@ class Search:
 
     def told(self, stage: str, part: float) -> bool:
         """Tell the progress; whether the search is to stop."""
-        if self._progress is not None and self._progress(stage, min(part, 1.0)):
+        if self.progress is not None and self.progress(stage, min(part, 1.0)):
             self.stopped = True
         return self.stopped
 

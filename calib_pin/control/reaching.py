@@ -42,8 +42,6 @@ class ReachingOptions:
             better.
         floor: Least square of a singular value that is inverted: rounding of double
             precision.
-        farthest: Largest part of the way to the start that a step tries, where a slide
-            bends away.
         stalled: Part of the squared error that a step must promise to remove.
         rows: Rows that are solved together; more would need gigabytes.
         samples: Configurations among which those with poses near a target are looked
@@ -62,12 +60,11 @@ class ReachingOptions:
 
     reached: float = 1e-9
     exact: float = 1e-10
-    settled: float = 1e-8
+    settled: float = 2e-9
     near: float = 0.05
     longest: float = 1.0
     damping: tuple[float, float, float] = 0.05, 0.01, 1e10
     floor: float = 1e-12
-    farthest: float = 4.0
     stalled: float = 1e-5
     rows: int = 16384
     samples: int = 2048
@@ -246,8 +243,6 @@ class _Rows(Stacked):
         damping: Damping by squared error, shape (A,).
         pull: Part of the way to the start that a step tries, shape (A,).
         dq: The next step, shape (A, n).
-        slide: Step to the start with all of the pull, shape (A, n).
-        moved: The last step, zero where it was not taken, shape (A, n).
     """
 
     index: Indices
@@ -257,8 +252,6 @@ class _Rows(Stacked):
     damping: Floats
     pull: Floats
     dq: Floats
-    slide: Floats
-    moved: Floats
 
 
 def descend(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
@@ -288,9 +281,8 @@ def _together(task: Task, guess: Floats, most: int, slides: int) -> Solutions:
     q = task.joints.within(guess)
     e, J = task.errors(q)
     count = len(q)
-    first = np.full(count, OPTIONS.damping[0]), np.full(count, 0.5)
-    none = 0.0 * q, 0.0 * q, 0.0 * q
-    rows = _Rows(np.arange(count), q.copy(), e.copy(), J, *first, *none)
+    first = np.full(count, OPTIONS.damping[0]), np.full(count, 1.0)
+    rows = _Rows(np.arange(count), q.copy(), e.copy(), J, *first, 0.0 * q)
     for iteration in range(most + 1):
         exact = _below(rows.e, OPTIONS.exact)
         # At the end joints stop where they are.
@@ -301,7 +293,6 @@ def _together(task: Task, guess: Floats, most: int, slides: int) -> Solutions:
         squared = (rows.e**2).sum(axis=1)
         damping = rows.damping * squared + OPTIONS.floor
         rows.dq = _step(task.joints, rows.q, rows.J, rows.e, way, damping)
-        _adapt(rows)
         left = ((rows.e - times(rows.J, rows.dq)) ** 2).sum(axis=1)
         stalled = ~exact & (squared - left <= OPTIONS.stalled * squared)
         # Before it gives up, a row tries without being pulled to the start.
@@ -322,19 +313,6 @@ def _together(task: Task, guess: Floats, most: int, slides: int) -> Solutions:
     position = np.linalg.norm(e[:, :3], axis=1)
     angle = np.linalg.norm(e[:, 3:], axis=1)
     return Solutions(q, _below(e, OPTIONS.reached), position, angle)
-
-
-def _adapt(rows: _Rows) -> None:
-    """The part of the way with which the next slide ends, by the last one's curvature.
-
-    As in a secant method: it is superlinear along one self-motion.
-    """
-    slide = rows.dq / rows.pull[:, None]
-    curved = (rows.moved * (rows.slide - slide)).sum(axis=1)
-    size = (rows.moved**2).sum(axis=1)
-    ratio = np.full(len(size), OPTIONS.farthest)
-    np.divide(size, curved, out=ratio, where=curved > size / OPTIONS.farthest)
-    rows.pull, rows.slide = np.where(size > 0.0, ratio, rows.pull), slide
 
 
 def _below(e: Floats, error: float) -> Booleans:
@@ -400,11 +378,12 @@ def _move(task: Task, rows: _Rows, sliding: Booleans) -> None:
         np.linalg.norm(at - task.start[rows.index], axis=1) for at in (q, rows.q)
     )
     # Where the error is small, a step along the self-motion must come closer.
-    worse = (away > was) & (before < 0.1 * np.abs(rows.dq).max(axis=1))
-    rows.pull = np.where(sliding & (~taken | worse), 0.5 * rows.pull, rows.pull)
+    # Nobody sees rounding.
+    worse = (away > (1.0 + 1e-12) * was) & (before < 0.1 * np.abs(rows.dq).max(axis=1))
+    shorter = np.where(sliding & (~taken | worse), 0.5, 1.5)
+    rows.pull = np.minimum(shorter * rows.pull, 1.0)
     eased = np.maximum(0.5 * rows.damping, OPTIONS.damping[1])
     rows.damping = np.where(better | sliding, eased, 8.0 * rows.damping)
-    rows.moved = np.where(taken[:, None], q - rows.q, 0.0)
     rows.q = np.where(taken[:, None], q, rows.q)
     rows.e = np.where(taken[:, None], e, rows.e)
     rows.J = np.where(taken[:, None, None], J, rows.J)

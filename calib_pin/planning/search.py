@@ -243,7 +243,7 @@ class Search:
         )
         return self._of("exchange", result.chosen, result.status)
 
-    def by_genes(self) -> Found:
+    def _by_genes(self) -> Found:
         """A genetic algorithm over subsets of the candidates (case B)."""
 
         def costs(subsets: NDArray[np.intp]) -> Floats:
@@ -258,7 +258,7 @@ class Search:
         )
         return self._of("ga", result.x, result.status)
 
-    def by_swarm(self) -> Found:
+    def _by_swarm(self) -> Found:
         """The improved particle swarm on the configurations themselves (case C)."""
         options = ParticleSwarm()
         # All particles measure the same, what a set does that determines all.
@@ -286,7 +286,7 @@ class Search:
         q = self.workspace.settled(result.x.reshape(self.count, n), aim)
         return Found(q, aim, result.fun, "pso", result.status)
 
-    def by_gradient(self) -> Found:
+    def _by_gradient(self) -> Found:
         """Descents along the gradient from random sets of candidates."""
         if not self.rows.differentiable:
             raise OptionError(
@@ -422,8 +422,8 @@ METHODS: Mapping[str, Callable[[Search], Found]] = {
     "auto": Search.automatic,
     "exchange": Search.by_exchange,
     "greedy": Search.by_greedy,
-    "pso": Search.by_swarm,
-    "ga": Search.by_genes,
-    "gradient": Search.by_gradient,
+    "pso": Search._by_swarm,
+    "ga": Search._by_genes,
+    "gradient": Search._by_gradient,
 }
 """The methods, by name."""

@@ -43,7 +43,6 @@ class ReachingOptions:
         floor: Least square of a singular value that is inverted: rounding of double
             precision.
         stalled: Part of the squared error that a step must promise to remove.
-        rows: Rows that are solved together; more would need gigabytes.
         samples: Configurations among which those with poses near a target are looked
             for.
         rounds: Samples from which a target is tried at once, round after round: most
@@ -66,7 +65,6 @@ class ReachingOptions:
     damping: tuple[float, float, float] = 0.05, 0.01, 1e10
     floor: float = 1e-12
     stalled: float = 1e-5
-    rows: int = 16384
     samples: int = 2048
     rounds: tuple[int, ...] = (2, 6, 24)
     spread: int = 4
@@ -219,9 +217,6 @@ def _nearest(task: Task, count: int) -> Floats:
     for first in range(0, len(result), OPTIONS.compared):
         rows = slice(first, first + OPTIONS.compared)
         distances = half - wanted[rows] @ known.T
-        if count == 1:  # Sooner than a partition.
-            result[rows, 0] = samples[distances.argmin(axis=1)]
-            continue
         some = np.argpartition(distances, count, axis=1)[:, :count]
         order = np.take_along_axis(distances, some, axis=1).argsort(axis=1)
         result[rows] = samples[np.take_along_axis(some, order, axis=1)]
@@ -262,35 +257,25 @@ def descend(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
         guess: Joint positions to begin at, shape (N, n) [rad, m].
         steps: `EXACT` or `FULL`.
     """
-    if not len(guess):
-        none = np.zeros(0)
-        return Solutions(guess, none > 0.0, none, none)
     most, slides = steps
     # Not by their number: the three joints of a planar arm are redundant as well.
-    _, J = task.rows(slice(1)).errors(task.joints.samples(8))
+    _, J = task.evaluate(task.joints.samples(8))
+    J = J[:, : 6 if task.orientation else 3]
     if guess.shape[1] <= np.linalg.matrix_rank(J, tol=1e-9).max():
         slides = 0
-    blocks = [slice(k, k + OPTIONS.rows) for k in range(0, len(guess), OPTIONS.rows)]
-    return Solutions.joined(
-        [_together(task.rows(rows), guess[rows], most, slides) for rows in blocks]
-    )
-
-
-def _together(task: Task, guess: Floats, most: int, slides: int) -> Solutions:
-    """Solutions of rows that are solved together."""
     q = task.joints.within(guess)
     e, J = task.errors(q)
     count = len(q)
     first = np.full(count, OPTIONS.damping[0]), np.full(count, 1.0)
     rows = _Rows(np.arange(count), q.copy(), e.copy(), J, *first, 0.0 * q)
     for iteration in range(most + 1):
-        exact = _below(rows.e, OPTIONS.exact)
+        squared = (rows.e**2).sum(axis=1)
+        exact = squared < OPTIONS.exact**2
         # At the end joints stop where they are.
-        sliding = (iteration < slides) & (np.linalg.norm(rows.e, axis=1) < OPTIONS.near)
+        sliding = (iteration < slides) & (squared < OPTIONS.near**2)
         sliding &= rows.pull > 1e-3
         way = np.where(sliding, rows.pull, 0.0)[:, None]
         way = way * (task.start[rows.index] - rows.q)
-        squared = (rows.e**2).sum(axis=1)
         damping = rows.damping * squared + OPTIONS.floor
         rows.dq = _step(task.joints, rows.q, rows.J, rows.e, way, damping)
         left = ((rows.e - times(rows.J, rows.dq)) ** 2).sum(axis=1)
@@ -298,11 +283,8 @@ def _together(task: Task, guess: Floats, most: int, slides: int) -> Solutions:
         # Before it gives up, a row tries without being pulled to the start.
         rows.pull[stalled] *= 0.25
         moves = sliding & (np.abs(rows.dq).max(axis=1, initial=0.0) > OPTIONS.settled)
-        done = (
-            (exact & ~moves)
-            | (stalled & ~sliding)
-            | (rows.damping > OPTIONS.damping[2])
-        )
+        done = (exact & ~moves) | (stalled & ~sliding)
+        done |= rows.damping > OPTIONS.damping[2]
         # Where an error is not a number, nothing is.
         done |= np.isnan(squared) | (iteration == most)
         q[rows.index[done]], e[rows.index[done]] = rows.q[done], rows.e[done]
@@ -312,14 +294,8 @@ def _together(task: Task, guess: Floats, most: int, slides: int) -> Solutions:
         _move(task, rows, sliding)
     position = np.linalg.norm(e[:, :3], axis=1)
     angle = np.linalg.norm(e[:, 3:], axis=1)
-    return Solutions(q, _below(e, OPTIONS.reached), position, angle)
-
-
-def _below(e: Floats, error: float) -> Booleans:
-    """Whether position and orientation are off by less, shape (A,)."""
-    position = np.linalg.norm(e[:, :3], axis=1)
-    angle = np.linalg.norm(e[:, 3:], axis=1)
-    return np.asarray((position < error) & (angle < error))
+    reached = np.maximum(position, angle) < OPTIONS.reached
+    return Solutions(q, reached, position, angle)
 
 
 def _step(

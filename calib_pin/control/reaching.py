@@ -53,8 +53,6 @@ class ReachingOptions:
             turns more easily than an arm reaches.
         away: Weight of a joint's way from the start beside a position by its spread
             [1/rad].
-        compared: Targets that are compared with all samples at a time: what a cache
-            holds.
     """
 
     reached: float = 1e-9
@@ -70,7 +68,6 @@ class ReachingOptions:
     spread: int = 4
     turn: float = 0.25
     away: float = 0.15
-    compared: int = 256
 
 
 OPTIONS = ReachingOptions()
@@ -212,15 +209,10 @@ def _nearest(task: Task, count: int) -> Floats:
 
     known, wanted = features(T, samples), features(task.targets, task.start)
     # Half the squared distance, without the part that all samples share.
-    half = 0.5 * (known**2).sum(axis=1)
-    result = np.empty((len(wanted), count, samples.shape[1]))
-    for first in range(0, len(result), OPTIONS.compared):
-        rows = slice(first, first + OPTIONS.compared)
-        distances = half - wanted[rows] @ known.T
-        some = np.argpartition(distances, count, axis=1)[:, :count]
-        order = np.take_along_axis(distances, some, axis=1).argsort(axis=1)
-        result[rows] = samples[np.take_along_axis(some, order, axis=1)]
-    return result
+    distances = 0.5 * (known**2).sum(axis=1) - wanted @ known.T
+    some = np.argpartition(distances, count, axis=1)[:, :count]
+    order = np.take_along_axis(distances, some, axis=1).argsort(axis=1)
+    return np.asarray(samples[np.take_along_axis(some, order, axis=1)])
 
 
 # Descents.

@@ -74,9 +74,6 @@ class Information:
             M: Symmetric matrix, shape (m, m).
             nuisances: Number of its leading rows that are projected out.
         """
-        # Scipy takes as long to load as Pinocchio; a calibration does without it.
-        from scipy.linalg.lapack import dtrtri
-
         diagonal = np.sqrt(np.maximum(np.diag(M), 0.0))
         if not diagonal.all():
             return None
@@ -85,7 +82,7 @@ class Information:
             R = np.linalg.cholesky(M / np.outer(diagonal, diagonal)).T
         except np.linalg.LinAlgError:
             return None
-        inverse = dtrtri(R)[0]
+        inverse = np.linalg.inv(R)
         if np.linalg.norm(inverse) * ROUNDING > 1.0:
             return None
         return Information(R * diagonal, inverse / diagonal[:, None], nuisances)

@@ -425,15 +425,11 @@ class Workspace:
 
     def unmeasurable(self, candidates: Candidates) -> tuple[str, ...]:
         """The targets that no candidate can measure."""
-        unseen = {name: None for look in self.aims.looks for name in look.names}
-        # Most are seen at once; the others only show in the end.
-        for begin in range(0, len(candidates.q), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            for look in self.aims.looks if unseen else ():
-                _, target = look.measured(candidates.q[rows], candidates.aim[rows])
-                for name in set(target):
-                    unseen.pop(name, None)
-        return tuple(unseen)
+        every, seen = dict[str, None](), set[str]()
+        for look in self.aims.looks:
+            every |= dict.fromkeys(look.names)
+            seen |= {*look.measured(candidates.q, candidates.aim)[1]}
+        return tuple(name for name in every if name not in seen)
 
     def refusals(self, q: Floats, aim: Indices) -> dict[str, Booleans]:
         """Configurations by what first refuses them, each of shape (N,)."""

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.control.compensation import commands
+from calib_pin.control.compensation import compensate as commands
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem

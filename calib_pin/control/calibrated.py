@@ -14,7 +14,7 @@ from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats, adjoint, interpolate, invert
 from calib_pin.observations import UNSTATED, BlockKey, Conditions, Signs
 from calib_pin.parameterizations import NOTHING
-from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.error_model import ErrorModel, varying
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.result import REMEDY, CalibrationResult, frames_of
@@ -212,16 +212,15 @@ def _deviations(
     result: CalibrationResult, key: BlockKey, of_base: bool, of_tip: bool
 ) -> tuple[float, float]:
     """Standard deviations of the point in the frame, root mean square [m, rad]."""
-    term, C = result.reference.terms[key], np.asarray(result.covariance)
-    own, values = term.of_error, np.array([p.value for p in result.parameters])
+    term = result.reference.terms[key]
     q = term.error.chain.random_configurations(SAMPLES, np.random.default_rng(0))
-    _, J = term.error.jacobian(q, values[term.of_error])
+    _, J, C = result.linearized(term, q)
     if of_base:
         J[:, :, :FRAME] = 0.0
     if of_tip:
         J[:, :, -FRAME:] = 0.0
         J = adjoint(term.error.tool.homogeneous) @ J
-    variances = np.einsum("kip,pr,kir->i", J, C[np.ix_(own, own)], J) / len(q)
+    variances = np.einsum("kip,pr,kir->i", J, C, J) / len(q)
     return float(np.sqrt(variances[:3].sum())), float(np.sqrt(variances[3:].sum()))
 
 
@@ -230,7 +229,5 @@ def has_sides(model: CalibratedChain) -> bool:
     n = len(model.chain.joints)
     one, none = np.ones((1, n), np.int8), np.zeros((1, n))
     basis = model.error.basis(none, Conditions(direction=one))
-    moved = (basis - model.error.basis(none)) * model.theta[
-        model.error.joint_corrections
-    ]
+    moved = (basis - model.error.basis(none)) * model.theta[varying(model.error)]
     return bool(moved.any())

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.control.calibrated import Frame, Point, has_sides, kinematics
-from calib_pin.control.joints import Joints, Solutions, Stacked
+from calib_pin.control.joints import Joints, Solutions
 from calib_pin.control.reaching import Free, Task, free_solutions, reach, search
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Signs, approached
@@ -30,17 +30,12 @@ BLOCK = 2000
 
 
 @dataclass(frozen=True, repr=False)
-class Compensation(Brief, Stacked):
-    """Commands for N targets of a robot with n joints.
+class Compensation(Brief, Solutions):
+    """Commands of a calibrated robot with n joints for N targets.
 
     Attributes:
-        q: Joint commands, the best attempt where a target is not reached, shape (N, n)
-            [rad, m].
         nominal: Commands of the nominal robot; not a number where it cannot reach a
             target, shape (N, n).
-        reached: Whether the calibrated robot reaches the target, shape (N,).
-        position: Distance that remains, shape (N,) [m].
-        orientation: Angle that remains, zero where only positions count, (N,) [rad].
         position_before: Distance from the target at the nominal command, (N,) [m].
         orientation_before: Angle at the nominal command, (N,) [rad].
         at_limit: Whether a joint stands at its limit, shape (N,).
@@ -53,11 +48,7 @@ class Compensation(Brief, Stacked):
         oriented: Whether orientations count.
     """
 
-    q: Floats
     nominal: Floats
-    reached: NDArray[np.bool_]
-    position: Floats
-    orientation: Floats
     position_before: Floats
     orientation_before: Floats
     at_limit: NDArray[np.bool_]
@@ -65,10 +56,6 @@ class Compensation(Brief, Stacked):
     collides: NDArray[np.bool_]
     sides: Signs
     oriented: bool
-
-    def __len__(self) -> int:
-        """Number of targets."""
-        return len(self.q)
 
     @property
     def corrections(self) -> Floats:
@@ -100,41 +87,6 @@ class Compensation(Brief, Stacked):
         """
         change = np.abs(np.diff(self.q - self.nominal, axis=0)).max(axis=1, initial=0.0)
         return np.concatenate([[False], change > JUMP])[: len(self)]
-
-
-def commands(
-    model: CalibratedChain,
-    targets: Floats,
-    start: Floats | None = None,
-    *,
-    frame: Frame = "measuring",
-    point: Point = "tool",
-    orientation: bool = True,
-) -> Solutions:
-    """Joint positions at which a calibrated robot is where it shall be.
-
-    Args:
-        model: The calibrated chain.
-        targets: Poses to reach, shape (N, 4, 4).
-        start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
-        frame: Frame of the targets, see `kinematics`.
-        point: The point that shall reach them.
-        orientation: Whether orientations count; else only positions do.
-
-    Examples:
-        >>> import calib_pin
-        >>> chain = calib_pin.load_chain("space6")
-        >>> setup = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
-        >>> rows = calib_pin.read_measurements(
-        ...     calib_pin.robot_file("space6", "measurements.csv"), chain
-        ... )
-        >>> model = calib_pin.calibrate(chain, rows, setup).model.of()
-        >>> found = commands(model, model.poses(rows.q), rows.q)
-        >>> bool(found.reached.all())
-        True
-    """
-    real = kinematics(model, frame=frame, point=point)
-    return search(Task.of(real, targets, Joints.of(model.chain), start, orientation))
 
 
 @serial_blas
@@ -297,11 +249,8 @@ def _compensation(
         for sizes, part in zip(before, np.split(e, [3], axis=1), strict=True):
             sizes[known] = np.linalg.norm(part, axis=1)
     return Compensation(
-        q=found.q,
+        **vars(found),
         nominal=nominal,
-        reached=found.reached,
-        position=found.position,
-        orientation=found.orientation,
         position_before=before[0],
         orientation_before=before[1],
         at_limit=np.asarray(joints.at_limit(joints.driven(found.q)).any(axis=1)),

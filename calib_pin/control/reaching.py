@@ -42,10 +42,7 @@ class ReachingOptions:
             better.
         floor: Least square of a singular value that is inverted: rounding of double
             precision.
-        farthest: Largest part of the way to the start that a step tries, where a slide
-            bends away.
         stalled: Part of the squared error that a step must promise to remove.
-        rows: Rows that are solved together; more would need gigabytes.
         samples: Configurations among which those with poses near a target are looked
             for.
         rounds: Samples from which a target is tried at once, round after round: most
@@ -56,26 +53,21 @@ class ReachingOptions:
             turns more easily than an arm reaches.
         away: Weight of a joint's way from the start beside a position by its spread
             [1/rad].
-        compared: Targets that are compared with all samples at a time: what a cache
-            holds.
     """
 
     reached: float = 1e-9
     exact: float = 1e-10
-    settled: float = 1e-8
+    settled: float = 2e-9
     near: float = 0.05
     longest: float = 1.0
     damping: tuple[float, float, float] = 0.05, 0.01, 1e10
     floor: float = 1e-12
-    farthest: float = 4.0
     stalled: float = 1e-5
-    rows: int = 16384
     samples: int = 2048
     rounds: tuple[int, ...] = (2, 6, 24)
     spread: int = 4
     turn: float = 0.25
     away: float = 0.15
-    compared: int = 256
 
 
 OPTIONS = ReachingOptions()
@@ -217,18 +209,10 @@ def _nearest(task: Task, count: int) -> Floats:
 
     known, wanted = features(T, samples), features(task.targets, task.start)
     # Half the squared distance, without the part that all samples share.
-    half = 0.5 * (known**2).sum(axis=1)
-    result = np.empty((len(wanted), count, samples.shape[1]))
-    for first in range(0, len(result), OPTIONS.compared):
-        rows = slice(first, first + OPTIONS.compared)
-        distances = half - wanted[rows] @ known.T
-        if count == 1:  # Sooner than a partition.
-            result[rows, 0] = samples[distances.argmin(axis=1)]
-            continue
-        some = np.argpartition(distances, count, axis=1)[:, :count]
-        order = np.take_along_axis(distances, some, axis=1).argsort(axis=1)
-        result[rows] = samples[np.take_along_axis(some, order, axis=1)]
-    return result
+    distances = 0.5 * (known**2).sum(axis=1) - wanted @ known.T
+    some = np.argpartition(distances, count, axis=1)[:, :count]
+    order = np.take_along_axis(distances, some, axis=1).argsort(axis=1)
+    return np.asarray(samples[np.take_along_axis(some, order, axis=1)])
 
 
 # Descents.
@@ -246,8 +230,6 @@ class _Rows(Stacked):
         damping: Damping by squared error, shape (A,).
         pull: Part of the way to the start that a step tries, shape (A,).
         dq: The next step, shape (A, n).
-        slide: Step to the start with all of the pull, shape (A, n).
-        moved: The last step, zero where it was not taken, shape (A, n).
     """
 
     index: Indices
@@ -257,8 +239,6 @@ class _Rows(Stacked):
     damping: Floats
     pull: Floats
     dq: Floats
-    slide: Floats
-    moved: Floats
 
 
 def descend(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
@@ -269,49 +249,34 @@ def descend(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
         guess: Joint positions to begin at, shape (N, n) [rad, m].
         steps: `EXACT` or `FULL`.
     """
-    if not len(guess):
-        none = np.zeros(0)
-        return Solutions(guess, none > 0.0, none, none)
     most, slides = steps
     # Not by their number: the three joints of a planar arm are redundant as well.
-    _, J = task.rows(slice(1)).errors(task.joints.samples(8))
+    _, J = task.evaluate(task.joints.samples(8))
+    J = J[:, : 6 if task.orientation else 3]
     if guess.shape[1] <= np.linalg.matrix_rank(J, tol=1e-9).max():
         slides = 0
-    blocks = [slice(k, k + OPTIONS.rows) for k in range(0, len(guess), OPTIONS.rows)]
-    return Solutions.joined(
-        [_together(task.rows(rows), guess[rows], most, slides) for rows in blocks]
-    )
-
-
-def _together(task: Task, guess: Floats, most: int, slides: int) -> Solutions:
-    """Solutions of rows that are solved together."""
     q = task.joints.within(guess)
     e, J = task.errors(q)
     count = len(q)
-    first = np.full(count, OPTIONS.damping[0]), np.full(count, 0.5)
-    none = 0.0 * q, 0.0 * q, 0.0 * q
-    rows = _Rows(np.arange(count), q.copy(), e.copy(), J, *first, *none)
+    first = np.full(count, OPTIONS.damping[0]), np.full(count, 1.0)
+    rows = _Rows(np.arange(count), q.copy(), e.copy(), J, *first, 0.0 * q)
     for iteration in range(most + 1):
-        exact = _below(rows.e, OPTIONS.exact)
+        squared = (rows.e**2).sum(axis=1)
+        exact = squared < OPTIONS.exact**2
         # At the end joints stop where they are.
-        sliding = (iteration < slides) & (np.linalg.norm(rows.e, axis=1) < OPTIONS.near)
+        sliding = (iteration < slides) & (squared < OPTIONS.near**2)
         sliding &= rows.pull > 1e-3
         way = np.where(sliding, rows.pull, 0.0)[:, None]
         way = way * (task.start[rows.index] - rows.q)
-        squared = (rows.e**2).sum(axis=1)
         damping = rows.damping * squared + OPTIONS.floor
         rows.dq = _step(task.joints, rows.q, rows.J, rows.e, way, damping)
-        _adapt(rows)
         left = ((rows.e - times(rows.J, rows.dq)) ** 2).sum(axis=1)
         stalled = ~exact & (squared - left <= OPTIONS.stalled * squared)
         # Before it gives up, a row tries without being pulled to the start.
         rows.pull[stalled] *= 0.25
         moves = sliding & (np.abs(rows.dq).max(axis=1, initial=0.0) > OPTIONS.settled)
-        done = (
-            (exact & ~moves)
-            | (stalled & ~sliding)
-            | (rows.damping > OPTIONS.damping[2])
-        )
+        done = (exact & ~moves) | (stalled & ~sliding)
+        done |= rows.damping > OPTIONS.damping[2]
         # Where an error is not a number, nothing is.
         done |= np.isnan(squared) | (iteration == most)
         q[rows.index[done]], e[rows.index[done]] = rows.q[done], rows.e[done]
@@ -321,27 +286,8 @@ def _together(task: Task, guess: Floats, most: int, slides: int) -> Solutions:
         _move(task, rows, sliding)
     position = np.linalg.norm(e[:, :3], axis=1)
     angle = np.linalg.norm(e[:, 3:], axis=1)
-    return Solutions(q, _below(e, OPTIONS.reached), position, angle)
-
-
-def _adapt(rows: _Rows) -> None:
-    """The part of the way with which the next slide ends, by the last one's curvature.
-
-    As in a secant method: it is superlinear along one self-motion.
-    """
-    slide = rows.dq / rows.pull[:, None]
-    curved = (rows.moved * (rows.slide - slide)).sum(axis=1)
-    size = (rows.moved**2).sum(axis=1)
-    ratio = np.full(len(size), OPTIONS.farthest)
-    np.divide(size, curved, out=ratio, where=curved > size / OPTIONS.farthest)
-    rows.pull, rows.slide = np.where(size > 0.0, ratio, rows.pull), slide
-
-
-def _below(e: Floats, error: float) -> Booleans:
-    """Whether position and orientation are off by less, shape (A,)."""
-    position = np.linalg.norm(e[:, :3], axis=1)
-    angle = np.linalg.norm(e[:, 3:], axis=1)
-    return np.asarray((position < error) & (angle < error))
+    reached = np.maximum(position, angle) < OPTIONS.reached
+    return Solutions(q, reached, position, angle)
 
 
 def _step(
@@ -400,11 +346,12 @@ def _move(task: Task, rows: _Rows, sliding: Booleans) -> None:
         np.linalg.norm(at - task.start[rows.index], axis=1) for at in (q, rows.q)
     )
     # Where the error is small, a step along the self-motion must come closer.
-    worse = (away > was) & (before < 0.1 * np.abs(rows.dq).max(axis=1))
-    rows.pull = np.where(sliding & (~taken | worse), 0.5 * rows.pull, rows.pull)
+    # Nobody sees rounding.
+    worse = (away > (1.0 + 1e-12) * was) & (before < 0.1 * np.abs(rows.dq).max(axis=1))
+    shorter = np.where(sliding & (~taken | worse), 0.5, 1.5)
+    rows.pull = np.minimum(shorter * rows.pull, 1.0)
     eased = np.maximum(0.5 * rows.damping, OPTIONS.damping[1])
     rows.damping = np.where(better | sliding, eased, 8.0 * rows.damping)
-    rows.moved = np.where(taken[:, None], q - rows.q, 0.0)
     rows.q = np.where(taken[:, None], q, rows.q)
     rows.e = np.where(taken[:, None], e, rows.e)
     rows.J = np.where(taken[:, None, None], J, rows.J)

@@ -40,7 +40,7 @@ the costs themselves decide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from functools import cached_property
 from typing import TypeAlias
 
@@ -74,9 +74,6 @@ class Information:
             M: Symmetric matrix, shape (m, m).
             nuisances: Number of its leading rows that are projected out.
         """
-        # Scipy takes as long to load as Pinocchio; a calibration does without it.
-        from scipy.linalg.lapack import dtrtri
-
         diagonal = np.sqrt(np.maximum(np.diag(M), 0.0))
         if not diagonal.all():
             return None
@@ -85,7 +82,7 @@ class Information:
             R = np.linalg.cholesky(M / np.outer(diagonal, diagonal)).T
         except np.linalg.LinAlgError:
             return None
-        inverse = dtrtri(R)[0]
+        inverse = np.linalg.inv(R)
         if np.linalg.norm(inverse) * ROUNDING > 1.0:
             return None
         return Information(R * diagonal, inverse / diagonal[:, None], nuisances)
@@ -243,52 +240,48 @@ ALONE = 1e-9
 without them nothing remains of it but rounding, which conditioning enlarges."""
 
 
+@dataclass(eq=False)
 class Selection:
     """A subset of C candidates with its information, its cost and what would change it.
 
     Satisfies `solvers.Subset`.
 
-    Args:
+    Attributes:
         rows: Rows of the candidates, shape (C, d, m).
         nuisances: Number of leading columns that are projected out.
         criterion: Criterion to minimize.
         known: Information that is there already, shape (m, m).
-        chosen: Candidates to begin with.
+        members: Candidates to begin with.
         measured: Number of rows that the known information comes from.
-
-    Attributes:
         chosen: The members, in the order in which they were added.
     """
 
-    def __init__(
-        self,
-        rows: Floats,
-        nuisances: int,
-        criterion: Criterion,
-        known: Floats,
-        chosen: Sequence[int] | Indices = (),
-        measured: int = 0,
-    ) -> None:
+    rows: Floats
+    nuisances: int
+    criterion: Criterion
+    known: Floats
+    members: InitVar[Sequence[int] | Indices] = ()
+    measured: int = 0
+
+    def __post_init__(self, members: Sequence[int] | Indices) -> None:
         """Sum what the members tell."""
-        self._rows, self._known, self._measured = rows, known, measured
-        self._nuisances, self._criterion = nuisances, criterion
-        self.reset(list(chosen))
+        self.reset(list(members))
 
     @property
     def left(self) -> int:
         """Number of candidates that are not members."""
-        return len(self._rows) - len(self.chosen)
+        return len(self.rows) - len(self.chosen)
 
     @property
     def value(self) -> float:
         """The value of the criterion."""
         if self._found is None:
             return np.inf
-        return self._criterion.value(self._found, self._measured + len(self.chosen))
+        return self.criterion.value(self._found, self.measured + len(self.chosen))
 
     def best_to_add(self) -> tuple[int, float]:
         """The candidate to add and the cost after that."""
-        others = np.ones(len(self._rows), bool)
+        others = np.ones(len(self.rows), bool)
         others[self.chosen] = False
         return self._best(np.flatnonzero(others), 1.0)
 
@@ -308,22 +301,22 @@ class Selection:
         """Become another subset."""
         self.chosen = list(chosen)
         # Summed anew each time: differences of information matrices lose digits.
-        U = self._rows[self.chosen].reshape(-1, self._rows.shape[2])
-        self._M = self._known + U.T @ U
+        U = self.rows[self.chosen].reshape(-1, self.rows.shape[2])
+        self._M = self.known + U.T @ U
         self._found, self.cost = self._judged(self._M)
 
     def _judged(self, M: Floats) -> tuple[Information | None, float]:
         """An information matrix factored, and its cost; infinite where singular."""
-        found = Information.of(M, self._nuisances)
-        return found, np.inf if found is None else self._criterion.cost(found)
+        found = Information.of(M, self.nuisances)
+        return found, np.inf if found is None else self.criterion.cost(found)
 
     def _best(self, some: Indices, sign: float) -> tuple[int, float]:
         if self._found is None:
             return int(some[0]), np.inf
         # The first sharpness counts several small eigenvalues, not the least alone.
-        sharpness = self._criterion.sharpnesses[0]
-        _, B = self._criterion.slope(self._found, sharpness)
-        U = self._rows[some]
+        sharpness = self.criterion.sharpnesses[0]
+        _, B = self.criterion.slope(self._found, sharpness)
+        U = self.rows[some]
         count, d, m = U.shape
         # As one table: products of many small ones take several times as long.
         both = self._found.inverse, B
@@ -336,10 +329,10 @@ class Selection:
         pairs = by_U @ np.swapaxes(U, 1, 2)
         order = sign * np.trace(np.linalg.solve(I_G, pairs), axis1=1, axis2=2)
         order[alone] = np.inf
-        tried = min(self._criterion.tried, len(some))
+        tried = min(self.criterion.tried, len(some))
         first = np.argpartition(order, tried - 1)[:tried]
         costs = [
-            self._judged(self._M + sign * self._rows[k].T @ self._rows[k])[1]
+            self._judged(self._M + sign * self.rows[k].T @ self.rows[k])[1]
             for k in some[first]
         ]
         best = int(np.argmin(costs))

@@ -8,7 +8,7 @@ measured and end in one.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -75,24 +75,9 @@ class Found:
     status: Status
 
 
-class Asked:
-    """Whether a search is asked to stop; in another process it never is.
-
-    Args:
-        told: Tells the progress, and whether to stop; none if nobody listens.
-    """
-
-    def __init__(self, told: Callable[[], bool] | None = None) -> None:
-        """Begin."""
-        self._told = told
-
-    def __reduce__(self) -> tuple[type[Asked], tuple[()]]:
-        """A deaf one."""
-        return Asked, ()
-
-    def __call__(self) -> bool:
-        """Ask."""
-        return self._told is not None and self._told()
+def _never() -> bool:
+    """Nobody asks a search in another process to stop."""
+    return False
 
 
 @dataclass(frozen=True)
@@ -111,7 +96,7 @@ class Objective:
     workspace: Workspace
     criterion: Criterion
     known: Floats
-    asked: Asked
+    asked: Callable[[], bool]
 
     def information(self, rows: Floats) -> Information | None:
         """Information of rows (..., m) together with what is known."""
@@ -173,10 +158,11 @@ def _descend(objective: Objective, task: Task) -> Found:
     return objective.descended(*task)
 
 
+@dataclass(eq=False)
 class Search:
     """A search for the best set of configurations.
 
-    Args:
+    Attributes:
         rows: The rows of a configuration.
         workspace: The constraints of configurations.
         criterion: Criterion to minimize.
@@ -188,38 +174,35 @@ class Search:
         starts: Most random sets from which the gradient method starts.
         measured: Number of measurements that the known information comes from.
         workers: Who descends.
-
-    Attributes:
         stopped: Whether the search was asked to stop.
 
     Raises:
         OptionError: If there are fewer candidates than wanted.
     """
 
-    def __init__(
-        self,
-        rows: IdentificationRows,
-        workspace: Workspace,
-        criterion: Criterion,
-        known: Floats,
-        candidates: Candidates,
-        count: int,
-        rng: np.random.Generator,
-        progress: Progress | None = None,
-        starts: int = STARTS,
-        measured: int = 0,
-        workers: Workers = SERIAL,
-    ) -> None:
+    rows: IdentificationRows
+    workspace: Workspace
+    criterion: Criterion
+    known: Floats
+    candidates: Candidates
+    count: int
+    rng: np.random.Generator
+    progress: Progress | None = None
+    starts: int = STARTS
+    measured: int = 0
+    workers: Workers = SERIAL
+    stopped: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
         """Check that there are enough candidates."""
-        candidates.require(count)
-        self.rows, self.workspace, self.criterion = rows, workspace, criterion
-        self.candidates, self.count, self.measured = candidates, count, measured
+        self.candidates.require(self.count)
         self._descended_part = 0.0
-        asked = Asked(lambda: self.told("gradient", self._descended_part))
-        self.objective = Objective(rows, workspace, criterion, known, asked)
-        self.stopped = False
-        self._progress, self._workers = progress, workers
-        self._rng, self._starts = rng, starts
+
+    @cached_property
+    def objective(self) -> Objective:
+        """The criterion of sets, as descents need it."""
+        asked = self._asked if self.workers is SERIAL else _never
+        return Objective(self.rows, self.workspace, self.criterion, self.known, asked)
 
     @cached_property
     def table(self) -> Floats:
@@ -243,7 +226,7 @@ class Search:
     ) -> Selection:
         """A subset of the candidates, or of others, under the criterion."""
         table = self.table if table is None else table
-        known, nuisances = self.objective.known, self.rows.nuisances
+        known, nuisances = self.known, self.rows.nuisances
         return Selection(table, nuisances, self.criterion, known, chosen, self.measured)
 
     def by_greedy(self) -> Found:
@@ -260,7 +243,7 @@ class Search:
         )
         return self._of("exchange", result.chosen, result.status)
 
-    def by_genes(self) -> Found:
+    def _by_genes(self) -> Found:
         """A genetic algorithm over subsets of the candidates (case B)."""
 
         def costs(subsets: NDArray[np.intp]) -> Floats:
@@ -270,12 +253,12 @@ class Search:
             costs,
             len(self.candidates.q),
             self.count,
-            self._rng,
+            self.rng,
             callback=lambda k, x, cost: self.told("ga", k / (k + 100.0)),
         )
         return self._of("ga", result.x, result.status)
 
-    def by_swarm(self) -> Found:
+    def _by_swarm(self) -> Found:
         """The improved particle swarm on the configurations themselves (case C)."""
         options = ParticleSwarm()
         # All particles measure the same, what a set does that determines all.
@@ -283,7 +266,7 @@ class Search:
         n = len(self.workspace.lower)
         fitting = [np.flatnonzero(self.candidates.aim == one) for one in aim]
         starts = [
-            [int(self._rng.choice(some)) for some in fitting]
+            [int(self.rng.choice(some)) for some in fitting]
             for _ in range(options.particles)
         ]
 
@@ -293,7 +276,7 @@ class Search:
         result = particle_swarm(
             costs,
             np.tile(self.workspace.bounds, (self.count, 1)),
-            self._rng,
+            self.rng,
             options,
             x0=self.candidates.q[np.array(starts)].reshape(len(starts), -1),
             callback=lambda k, x, cost: self.told("pso", k / options.iterations),
@@ -303,7 +286,7 @@ class Search:
         q = self.workspace.settled(result.x.reshape(self.count, n), aim)
         return Found(q, aim, result.fun, "pso", result.status)
 
-    def by_gradient(self) -> Found:
+    def _by_gradient(self) -> Found:
         """Descents along the gradient from random sets of candidates."""
         if not self.rows.differentiable:
             raise OptionError(
@@ -328,8 +311,8 @@ class Search:
         most = VARIABLES // best.q.size
         size, stages = len(self.candidates.q), self.criterion.sharpnesses
         drawn = [
-            self._of("gradient", self._rng.choice(size, self.count, replace=False))
-            for _ in range(min(self._starts, max(1, most)))
+            self._of("gradient", self.rng.choice(size, self.count, replace=False))
+            for _ in range(min(self.starts, max(1, most)))
         ]
         sets = [one for one in (best, *drawn) if np.isfinite(one.cost)]
         explored = self._descents([(stages[:1], EXPLORING, one) for one in sets], 0.0)
@@ -342,12 +325,16 @@ class Search:
         """Ends of descents, of those that are done when the search is stopped."""
         found = list[Found]()
         if not self.stopped:
-            for one in self._workers.map(_descend, self.objective, tasks):
+            for one in self.workers.map(_descend, self.objective, tasks):
                 found.append(one)
                 self._descended_part = begin + 0.5 * len(found) / len(tasks)
                 if self.told("gradient", self._descended_part):
                     break
         return found
+
+    def _asked(self) -> bool:
+        """Whether descents are asked to stop."""
+        return self.told("gradient", self._descended_part)
 
     def _greedy(self, stage: str) -> tuple[int, ...]:
         """The set that grows by the best candidate; where stopped, `_determined`."""
@@ -376,7 +363,7 @@ class Search:
         mean = np.einsum("cdi,cdi->i", self.table, self.table) / len(self.table)
         ridge = np.diag(RIDGE * mean)
         # The nuisances count here: a plane that nobody measures is not determined.
-        subset = Selection(self.table, 0, CRITERIA["O1"], self.objective.known + ridge)
+        subset = Selection(self.table, 0, CRITERIA["O1"], self.known + ridge)
 
         def told(steps: int, cost: float) -> None:
             # A set that is too small is of no use to who stops the search.
@@ -426,7 +413,7 @@ class Search:
 
     def told(self, stage: str, part: float) -> bool:
         """Tell the progress; whether the search is to stop."""
-        if self._progress is not None and self._progress(stage, min(part, 1.0)):
+        if self.progress is not None and self.progress(stage, min(part, 1.0)):
             self.stopped = True
         return self.stopped
 
@@ -435,8 +422,8 @@ METHODS: Mapping[str, Callable[[Search], Found]] = {
     "auto": Search.automatic,
     "exchange": Search.by_exchange,
     "greedy": Search.by_greedy,
-    "pso": Search.by_swarm,
-    "ga": Search.by_genes,
-    "gradient": Search.by_gradient,
+    "pso": Search._by_swarm,
+    "ga": Search._by_genes,
+    "gradient": Search._by_gradient,
 }
 """The methods, by name."""

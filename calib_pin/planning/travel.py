@@ -32,9 +32,6 @@ from calib_pin.progress import Progress
 ROUNDS = 30
 """Times that a path with blocked moves is improved anew."""
 
-BEGINNINGS = 20
-"""Places from which a first path is tried."""
-
 ROUNDING = 1e-12
 """Gain in length below which two paths count as equally long [rad, m]."""
 
@@ -140,7 +137,7 @@ def shortest_order(
     places = q if start is None else np.concatenate([start[None], q])
     way = np.abs(places[:, None] - places[None]).max(axis=2)
     fixed = 0 if start is None else 1
-    path = _improved(_nearest_neighbors(way, fixed), way, fixed)
+    path = _improved(_nearest_neighbors(way), way, fixed)
     closed: list[int] = []
     if blocked is not None:
         known: dict[tuple[int, int], bool] = {}
@@ -163,18 +160,13 @@ def shortest_order(
     return order, tuple(k - fixed for k in closed)
 
 
-def _nearest_neighbors(way: Floats, fixed: int) -> list[int]:
-    """A path that goes on to the nearest place, from the best of some beginnings."""
-    beginnings = [0] if fixed else range(0, len(way), max(1, len(way) // BEGINNINGS))
-    paths = []
-    for first in beginnings:
-        path, left = [first], np.ones(len(way), bool)
-        left[first] = False
-        while left.any():
-            path.append(int(np.where(left, way[path[-1]], np.inf).argmin()))
-            left[path[-1]] = False
-        paths.append(path)
-    return min(paths, key=lambda path: float(way[path[:-1], path[1:]].sum()))
+def _nearest_neighbors(way: Floats) -> list[int]:
+    """A path from the first place that goes on to the nearest one."""
+    path, left = [0], np.arange(len(way)) > 0
+    while left.any():
+        path.append(int(np.where(left, way[path[-1]], np.inf).argmin()))
+        left[path[-1]] = False
+    return path
 
 
 def _improved(path: list[int], way: Floats, fixed: int) -> list[int]:

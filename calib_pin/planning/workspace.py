@@ -425,15 +425,11 @@ class Workspace:
 
     def unmeasurable(self, candidates: Candidates) -> tuple[str, ...]:
         """The targets that no candidate can measure."""
-        unseen = {name: None for look in self.aims.looks for name in look.names}
-        # Most are seen at once; the others only show in the end.
-        for begin in range(0, len(candidates.q), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            for look in self.aims.looks if unseen else ():
-                _, target = look.measured(candidates.q[rows], candidates.aim[rows])
-                for name in set(target):
-                    unseen.pop(name, None)
-        return tuple(unseen)
+        every, seen = dict[str, None](), set[str]()
+        for look in self.aims.looks:
+            every |= dict.fromkeys(look.names)
+            seen |= {*look.measured(candidates.q, candidates.aim)[1]}
+        return tuple(name for name in every if name not in seen)
 
     def refusals(self, q: Floats, aim: Indices) -> dict[str, Booleans]:
         """Configurations by what first refuses them, each of shape (N,)."""
@@ -512,7 +508,7 @@ def _block(
     return q[free], aim[free], refused
 
 
-def _apart(points: Floats, others: Floats, distance: float) -> list[int]:
+def _apart(points: Floats, others: Floats, distance: float) -> Indices:
     """Positions of points that keep a distance from others and from those before them.
 
     Args:
@@ -520,18 +516,12 @@ def _apart(points: Floats, others: Floats, distance: float) -> list[int]:
         others: Those that they keep away from, shape (K, n).
         distance: The distance, the largest difference of a component.
     """
-    # Scipy takes as long to load as Pinocchio; most plans keep no distance.
-    from scipy.spatial import cKDTree
-
-    kept: list[int] = []
-    # Infinite where nothing is near.
-    tree = cKDTree(others)
-    near, _ = tree.query(points, p=np.inf, distance_upper_bound=distance)
-    for k in np.flatnonzero(near >= distance):
-        between = np.abs(points[kept] - points[k]).max(axis=1, initial=0.0)
-        if (between >= distance).all():
-            kept.append(int(k))
-    return kept
+    every, count = np.concatenate([others, points]), len(others)
+    kept = np.arange(len(every)) < count
+    for k in range(count, len(every)):
+        between = np.abs(every[kept] - every[k]).max(axis=1)
+        kept[k] = (between >= distance).all()
+    return np.flatnonzero(kept[count:])
 
 
 def joint_limits(problem: Problem) -> tuple[Floats, Floats]:

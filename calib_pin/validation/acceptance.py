@@ -394,21 +394,17 @@ def _scatter(C: Floats, shape: int | tuple[int, int], rng: np.random.Generator) 
 def _length(m: Floats, noise: Floats) -> Interval:
     """The length of a vector, shape (d,), with simulated errors of it, (DRAWS, d).
 
-    The true length is one with which the simulated length is neither below nor above
-    the one found in all but a small part of the tests; it is bisected.
+    With each error the true length is another one: that which looks like the one found.
     """
     found = float(np.linalg.norm(m))
-    along = m / found if found > 0.0 else np.eye(len(m))[0]
-    longest = found + 10.0 * float(np.linalg.norm(noise, axis=1).max())
-    ends = []
-    for part in (0.5 + 0.5 * LEVEL, 0.5 - 0.5 * LEVEL):
-        low, high = 0.0, longest
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            below = np.linalg.norm(middle * along + noise, axis=1) < found
-            low, high = (middle, high) if below.mean() > part else (low, middle)
-        ends.append(high if low > 0.0 else 0.0)
-    return Interval(found, *ends)
+    along = noise @ (m / found if found > 0.0 else np.eye(len(m))[0])
+    squares = np.sum(noise**2, axis=1)
+    true = np.sqrt(np.maximum(found**2 - squares + along**2, 0.0)) - along
+    # A larger error than what was found leaves open whether there is any length.
+    least = np.where(squares < found**2, true, 0.0)
+    ends = (0.5 - 0.5 * LEVEL, least), (0.5 + 0.5 * LEVEL, np.maximum(true, 0.0))
+    low, high = (np.quantile(of, part, method="inverted_cdf") for part, of in ends)
+    return Interval(found, float(low), float(high))
 
 
 def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:

@@ -21,15 +21,12 @@ from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import TRUSTED, VarianceComponent, rms
 from calib_pin.estimation.fitted import robot_rows
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.identifiability import nuisance_basis
-from calib_pin.estimation.nominal import registered
+from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.population_prior import (
     Cause,
     Explanation,
     RobotEvidence,
-    Sparse,
     explained,
 )
 from calib_pin.estimation.terms import Terms
@@ -424,11 +421,9 @@ def started(
     # About frames and instrument that suit the older robot.
     theta = np.zeros(len(robot))
     theta[robot] = older.values[older.places(problem.given, robot)]
-    problem = registered(problem, theta)
-    # Stations are not eliminated here: what they absorb is projected out later.
-    theta = least_squares(problem, theta, nuisance_basis(problem.parameters)).x
-    step, prior = Innovations(problem, theta, older).explained(len(data))
-    sizes = error_sizes(problem, theta)
+    problem, result = register(problem, theta)
+    step, prior = Innovations(problem, result.x, older).explained(len(data))
+    sizes = error_sizes(problem, result.x)
     errors = tuple((name, unit, Accuracy.of(own)) for name, unit, own in sizes)
     steps = () if start.recalibration is None else start.recalibration.steps
     return replace(setup, prior=prior), Recalibration(errors, (*steps, step))
@@ -579,8 +574,8 @@ class Innovations:
         groups, along = problem.data.groups(), M @ told.along
         labels, of_value = np.unique(groups).tolist(), groups[problem.layout.row]
         wrong = ((f"measurement {k}", along[:, of_value == k]) for k in labels)
-        how = SIZES["wrong"], 1.0 / len(labels)
-        self.wrong = [Sparse(name, E, *how) for name, E in wrong]
+        sizes, chance = SIZES["wrong"], 1.0 / len(labels)
+        self.wrong = [Cause(n, E, sizes=sizes, chance=chance) for n, E in wrong]
         # In scales, of which frames that have been free had others.
         W, most = self.rows / scales, {d.name: 4.0 * d.size for d in EXPECTED}
         V = W @ self.state.covariance @ W.T + np.eye(len(W)) - M @ M.T
@@ -652,17 +647,17 @@ class Innovations:
         step = RecalibrationStep(*made, *values, float(still))
         return step, state.prior(effects, grown)
 
-    def _sparse(self, kinds: Collection[str]) -> tuple[Sparse, ...]:
+    def _sparse(self, kinds: Collection[str]) -> tuple[Cause, ...]:
         """Causes of some kinds that are there or not, and wrong measurements."""
         counts = Counter(change.kind for change in self.sudden.values())
-        found = list[Sparse]()
+        found = list[Cause]()
         for name, change in self.sudden.items():
             if change.kind in kinds:
                 sizes = SIZES["frames" if change.kind in FRAMES else "changes"]
                 chance = CHANCES[change.kind] / counts[change.kind]
                 effects = self.rows @ change.directions
-                found.append(Sparse(name, effects, sizes, chance))
-        noisier = Sparse(NOISE_GREW, self.measured, SIZES["noise"])
+                found.append(Cause(name, effects, sizes=sizes, chance=chance))
+        noisier = Cause(NOISE_GREW, self.measured, sizes=SIZES["noise"])
         return *found, *self.wrong, *[noisier] * (NOISE_GREW in kinds)
 
     def _others(

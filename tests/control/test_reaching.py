@@ -12,7 +12,6 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.control.calibrated import kinematics
-from calib_pin.control.compensation import commands
 from calib_pin.control.joints import Joints, Kinematics, Solutions
 from calib_pin.control.reaching import Task, reach, search
 from calib_pin.estimation.formulation import nominal_problem
@@ -39,6 +38,17 @@ FRAMES = Setup(
     base_frame=FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4)),
     tool_frame=FrameSetup((0.02, 0.03, 0.1), (-0.1, 0.2, 0.3)),
 )
+
+
+def commands(
+    model: CalibratedChain,
+    targets: Floats,
+    start: Floats | None = None,
+    orientation: bool = True,
+    **ends: Any,
+) -> Solutions:
+    joints, real = Joints.of(model.chain), kinematics(model, **ends)
+    return search(Task.of(real, targets, joints, start, orientation))
 
 
 def robot(name: str) -> Chain:

@@ -327,38 +327,22 @@ class Cause:
     Attributes:
         name: Its name.
         effects: E, the innovations by its effects of size one, shape (r, k).
-        size: Their expected size s.
+        size: Their expected size s; that of a sparse cause is found.
         worth: Number of effects that the expected size is worth against those that
             show; infinite where the size is known.
         most: Largest size.
+        sizes: The sizes that a cause may have which is there or, far more likely, not:
+            equally likely, ascending.
+        chance: How likely that is beside others, before any evidence.
     """
 
     name: str
     effects: Floats
-    size: float
-    worth: float
+    size: float = 1.0
+    worth: float = np.inf
     most: float = np.inf
-
-
-@dataclass(frozen=True)
-class Sparse:
-    """A cause that is there or, far more likely, not.
-
-    Attributes:
-        name: Its name.
-        effects: As for `Cause`.
-        sizes: The sizes that it may have, equally likely, ascending.
-        chance: How likely it is beside the others, before any evidence.
-    """
-
-    name: str
-    effects: Floats
-    sizes: Floats
+    sizes: Sequence[float] | Floats = ()
     chance: float = 1.0
-
-    def of(self, size: float) -> Cause:
-        """The cause with a size."""
-        return Cause(self.name, self.effects, size, np.inf)
 
 
 @dataclass(frozen=True)
@@ -431,14 +415,17 @@ class Explanation:
         causes = tuple(cause for cause in self.causes if cause.name not in names)
         return replace(self, causes=causes)
 
-    def evidence(self, cause: Sparse) -> tuple[float, float]:
-        """Logarithm of the mean likelihood with a cause, and its likeliest size."""
+    def evidence(self, cause: Cause) -> tuple[float, Cause]:
+        """Logarithm of the mean likelihood with a sparse cause, and it as is likeliest.
+
+        That counts how likely it is beside others.
+        """
         EE = cause.effects @ cause.effects.T
-        V = self.covariance + cause.sizes[:, None, None] ** 2 * EE
+        V = self.covariance + np.square(cause.sizes)[:, None, None] * EE
         found = _likelihoods(self.values, V)
         best = float(found.max())
-        mean = best + float(np.log(np.mean(np.exp(found - best))))
-        return mean, float(cause.sizes[int(np.argmax(found))])
+        mean = best + float(np.log(cause.chance * np.mean(np.exp(found - best))))
+        return mean, replace(cause, size=float(cause.sizes[int(np.argmax(found))]))
 
     def expected(self, other: Explanation) -> float:
         """Logarithm of how likely the sizes are beforehand by those of another one."""
@@ -450,7 +437,7 @@ class Explanation:
 
 
 def explained(
-    first: Explanation, causes: Sequence[Sparse], sure: float, most: int
+    first: Explanation, causes: Sequence[Cause], sure: float, most: int
 ) -> tuple[Explanation, tuple[Cause, ...], float]:
     """Innovations with the sparse causes that the evidence is sure of, one by one.
 
@@ -477,10 +464,9 @@ def explained(
         found.append(cause)
         evidence += gain
         del left[cause.name]
-    by_name = {cause.name: cause for cause in causes}
     for cause in found[:-1]:
         others = [other for other in found if other is not cause]
-        gain, _ = _best(first, others, [by_name[cause.name]])
+        gain, _ = _best(first, others, [cause])
         if gain < np.log(sure):
             found, evidence = others, evidence - gain
     result, _ = replace(first, causes=(*first.causes, *found)).fitted()
@@ -488,23 +474,20 @@ def explained(
 
 
 def _best(
-    first: Explanation, found: Sequence[Cause], causes: Sequence[Sparse]
+    first: Explanation, found: Sequence[Cause], causes: Sequence[Cause]
 ) -> tuple[float, Cause]:
     """The cause with the most evidence, by that without it, and its size.
 
     What always acts may have grown for want of the cause, and is fitted beside it.
     """
     now, _ = replace(first, causes=(*first.causes, *found)).fitted()
-    promise = [now.evidence(cause)[0] + np.log(cause.chance) for cause in causes]
-    order = np.argsort(promise)[::-1][:PROMISING]
+    promising = sorted(map(now.evidence, causes), key=lambda pair: -pair[0])
     result = []
-    for cause in (causes[k] for k in order):
-        _, size = now.evidence(cause)
-        beside = replace(first, causes=(*first.causes, *found, cause.of(size)))
+    for _, cause in promising[:PROMISING]:
+        beside = replace(first, causes=(*first.causes, *found, cause))
         other, _ = beside.fitted()
-        evidence, size = other.without({cause.name}).evidence(cause)
-        evidence += first.expected(other) + float(np.log(cause.chance))
-        result.append((evidence, cause.of(size)))
+        evidence, cause = other.without({cause.name}).evidence(cause)
+        result.append((evidence + first.expected(other), cause))
     gain, best = max(result, key=lambda pair: pair[0])
     return gain - now.likelihood - first.expected(now), best
 

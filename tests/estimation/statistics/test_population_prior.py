@@ -14,7 +14,6 @@ from calib_pin.estimation.statistics.population_prior import (
     Explanation,
     Population,
     RobotEvidence,
-    Sparse,
     common_errors,
     explained,
     joint_deviations,
@@ -160,9 +159,9 @@ def innovations(seed: int, sizes, jump=0.0) -> Explanation:
     return Explanation(values, half @ half.T, causes)
 
 
-def jump_of(sizes=(0.3, 30.0)) -> Sparse:
+def jump_of(sizes=(0.3, 30.0)) -> Cause:
     direction = np.random.default_rng(7).normal(size=(COUNT, 1))
-    return Sparse("jump", direction, np.geomspace(*sizes, 12))
+    return Cause("jump", direction, sizes=np.geomspace(*sizes, 12))
 
 
 def test_the_likeliest_sizes_are_a_maximum() -> None:
@@ -197,7 +196,7 @@ def test_stated_sizes_stay_and_others_have_a_limit() -> None:
 
 def test_effects_are_those_of_a_linear_normal_model() -> None:
     first = innovations(1, (0.1, 1.0), jump=5.0)
-    cause = jump_of().of(4.0)
+    cause = replace(jump_of(), size=4.0)
     both = replace(first, causes=(*first.causes, cause))
     value, covariance = both.effects(cause)
     inverse = np.linalg.inv(first.covariance)
@@ -218,7 +217,7 @@ def test_a_jump_is_told_and_none_is_invented() -> None:
 def test_the_cause_that_explains_it_wins() -> None:
     """A wide one that holds the narrow one has less evidence, and explains as much."""
     wide = np.column_stack([jump_of().effects, np.eye(COUNT)[:, :5]])
-    others = [Sparse("wide", wide, jump_of().sizes), jump_of()]
+    others = [Cause("wide", wide, sizes=jump_of().sizes), jump_of()]
     first = innovations(2, (0.1, 1.0), jump=6.0)
     found, sparse, evidence = explained(first, others, 50.0, 2)
     assert [cause.name for cause in sparse] == ["jump"] and evidence > np.log(50.0)
@@ -231,7 +230,7 @@ def test_a_cause_that_others_have_made_needless_is_dropped() -> None:
     """The sum of two explains most at first."""
     E = np.random.default_rng(7).normal(size=(COUNT, 3)) * [9.0, 7.0, 4.0]
     causes = [
-        Sparse(name, effects[:, None], np.geomspace(0.01, 3.0, 12))
+        Cause(name, effects[:, None], sizes=np.geomspace(0.01, 3.0, 12))
         for name, effects in (("all", E.sum(1)), ("one", E[:, 0]), ("two", E[:, 1]))
     ]
     first = innovations(2, (0.1, 1.0))

@@ -591,12 +591,15 @@ class Case:
 
     @cached_property
     def doubtful(self) -> bool:
-        """Whether errors are left that ask for an explanation.
+        """Whether errors are left that ask for an explanation, more than stated noise.
 
         Without a whole fit nobody judges corrections that are as large as a robot. With
         one, it may have been fitted to measurements as small as the errors of a robot.
         """
         usual = self.errors_left <= (DOUBTFUL if self.informed else FOREIGN)
+        noise = self.fitted.noise if self.fitted is not None else ()
+        if noise and all(n.stated and not n.contradicted for n in noise):
+            usual = True
         # What the model lacks may be all that is left.
         if not (usual or self.errors_left * np.sqrt(self.lacking[1]) <= DOUBTFUL):
             return True

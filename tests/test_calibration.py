@@ -124,19 +124,6 @@ def test_worse_on_unseen_rows() -> None:
     assert "position" in result.reason
 
 
-@pytest.mark.parametrize("stated", [False, True])
-def test_an_outlier_is_named(stated: bool) -> None:
-    """It makes none of the others."""
-    chain, rows = measured(60)
-    values = rows.values.copy()
-    values[17, 1] += 0.02 if stated else 0.003
-    sigma = np.full((60, 3), 5e-5) if stated else None
-    spoiled = replace(rows, values=values, sigma=sigma)
-    result = calib_pin.calibrate(chain, spoiled, validate=False)
-    (outlier,) = result.statistics.outliers
-    assert (outlier.row, outlier.place) == (17, "row 17")
-
-
 def test_stated_sigmas_stand_until_the_rows_contradict_them() -> None:
     chain, rows = measured(60)
     assumed, right, tenfold = (

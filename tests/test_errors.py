@@ -18,6 +18,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations import Measurements
 from calib_pin.setup import PointSetup, Region, Setup
 from calib_pin.solvers import DifferentialEvolution, Genetic
+from tests.shared import refused
 
 
 @pytest.mark.parametrize(
@@ -85,7 +86,7 @@ def test_within_a_file() -> None:
     assert vars(error.within("")) == vars(error)
 
 
-def test_a_name_that_is_required(refused: Callable[..., Any]) -> None:
+def test_a_name_that_is_required() -> None:
     assert nearest("dhh", ["placement", "dh"]) == " (did you mean 'dh'?)"
     assert nearest("xyz", ["placement", "dh"]) == nearest("dh", []) == ""
     require_known("part", "b", "ab")

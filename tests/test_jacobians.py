@@ -6,7 +6,6 @@ models in one problem, some of them together, on chains that take turns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,15 +20,12 @@ from calib_pin.estimation.nominal import (
     observable_configurations,
 )
 from calib_pin.estimation.problem import Problem, measured_count
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.observations import BlockKey, Conditions, Observations, Targets
+from calib_pin.observations import BlockKey, Conditions, Observations
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.setup import Setup
 from calib_pin.simulation import exact_at
-
-Equipped = Callable[..., Problem]
-Visited = Callable[..., tuple[Floats, Targets]]
+from tests.shared import equipped_problem, visited
 
 STEP = 1e-6
 EVERY = tuple(map(BlockKey, MEASUREMENT_MODELS))
@@ -61,18 +57,15 @@ def test_every_parameterization_is_compared() -> None:
     [pytest.param(n, r, id="+".join((*n, *r[:1]))) for n, r in MEMBERS],
 )
 def test_jacobian_agrees_with_central_differences(
-    names: tuple[str, ...],
-    robot: tuple[str, str | None, str | None],
-    equipped_problem: Equipped,
-    visited: Visited,
+    names: tuple[str, ...], robot: tuple[str, str | None, str | None]
 ) -> None:
     name, base, tip = robot
     chain = calib_pin.load_chain(name, base=base, tip=tip)
     problem = equipped_problem(chain, EVERY, parameters=names, prior={"*": 0.01})
-    check_jacobian(problem, visited)
+    check_jacobian(problem)
 
 
-def check_jacobian(problem: Problem, visited: Visited) -> None:
+def check_jacobian(problem: Problem) -> None:
     rng = np.random.default_rng(3)
     # Twenty times what is expected of a robot: heavy arms must not sag by meters.
     sizes = np.minimum(0.02, 20.0 * problem.parameters.scales)

@@ -27,7 +27,6 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import (
     FrameSetup,
-    PointSetup,
     Setup,
     ToolSetup,
 )
@@ -110,21 +109,3 @@ def test_a_tracker_that_moved_and_two_tools_are_one_fit() -> None:
 
 
 # One hand touches the other, and nothing else is measured.
-
-
-def test_a_hand_that_touches_the_other_has_no_scale() -> None:
-    """14 joints, 15 bodies, three points, without the scale: 140 - 90 + 9 - 1."""
-    chain = load_chain("example:icub", base="l_hand", tip="r_hand")
-    setup = Setup(
-        tool_frame=FrameSetup((0.01, 0.02, 0.08), estimate=True),
-        sockets={
-            "left/0": PointSetup((0.02, 0.03, 0.05)),
-            "left/1": PointSetup((-0.03, 0.01, 0.06)),
-        },
-    )
-    found = calib_pin.identify(chain, "fixed-point", setup)
-    assert found.identifiability.structural_rank == 58
-    assert not found.identifiability.scale_observable
-    # The hands are told apart, and every combination has a name.
-    names = {p.name.split(".")[0] for p in found.parameters}
-    assert {"l_wrist_yaw", "r_wrist_yaw"} <= names

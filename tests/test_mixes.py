@@ -6,7 +6,7 @@ chains agree with central differences, and very many measurements are no other p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -42,6 +42,7 @@ from calib_pin.setup import (
 )
 from calib_pin.simulation import exact_at
 from calib_pin.solvers import Status
+from tests.shared import urdf_of
 
 MODELS = tuple(MEASUREMENT_MODELS)
 SETUP = Setup(
@@ -178,7 +179,7 @@ MIXES = {
 
 
 @pytest.fixture(scope="session")
-def body(urdf_of: Callable[..., str]) -> Robot:
+def body() -> Robot:
     """A torso of three joints, one of which mimics another, a head and two arms."""
     rng = np.random.default_rng(0)
     joints = [

@@ -2,8 +2,7 @@
 
 Errors are those at other configurations. A drift of the instrument is in
 `estimation/test_fit`, and how ripples are found in
-`validation/findings/test_ripple`. That none is invented is in
-`validation/test_discoveries`.
+`validation/findings/test_joint_motions`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,42 +12,34 @@ import calib_pin
 from calib_pin.errors import CalibPinError
 from calib_pin.io.dialects import DIALECTS, Dialect
 from calib_pin.parameterizations import PARAMETERIZATIONS
-from calib_pin.plugins import Members, extensions
+from calib_pin.plugins import Members
 
 GROUP = "calib_pin.tests"
 
 
-@pytest.fixture(autouse=True)
-def fresh() -> Iterator[None]:
-    extensions.cache_clear()
-    yield
-    extensions.cache_clear()
+Install = Callable[..., None]
 
 
-def install(folder: Path, package: str, entries: str, code: str = "") -> None:
-    """A package with entry points, as pip would leave it in a folder."""
-    info = folder / f"{package}-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text(f"Name: {package}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{GROUP}]\n{entries}\n")
-    (folder / f"{package}.py").write_text(code)
+@pytest.fixture
+def install(installed: Callable[..., Path]) -> Install:
+    """Leaves a package with members of the family: `install(name, entries, code)`."""
+
+    def make(package: str, entries: str, code: str = "") -> None:
+        folder = installed(package, GROUP, entries)
+        (folder / f"{package}.py").write_text(code)
+
+    return make
 
 
-def test_bundled_members_come_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    install(tmp_path, "outside_a", "b = outside_a:B\na = outside_a:A", "A, B = 1, 2\n")
-    monkeypatch.syspath_prepend(tmp_path)
+def test_bundled_members_come_first(install: Install) -> None:
+    install("outside_a", "b = outside_a:B\na = outside_a:A", "A, B = 1, 2\n")
     assert dict(Members(GROUP, {"z": 0})) == {"z": 0, "a": 1, "b": 2}
     assert list(Members(GROUP, {"z": 0})) == ["z", "a", "b"]
     assert len(Members(GROUP, {})) == 2 and "c" not in Members(GROUP, {})
 
 
-def test_nothing_is_loaded_before_it_is_looked_at(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    install(tmp_path, "outside_lazy", "x = outside_lazy", "")
-    monkeypatch.syspath_prepend(tmp_path)
+def test_nothing_is_loaded_before_it_is_looked_at(install: Install) -> None:
+    install("outside_lazy", "x = outside_lazy", "")
     family = Members(GROUP, {"z": 0})
     assert family["z"] == 0
     assert "outside_lazy" not in sys.modules
@@ -62,12 +54,9 @@ def test_nothing_is_loaded_before_it_is_looked_at(
         ("", "'X'"),
     ],
 )
-def test_a_broken_plugin_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, reason: str
-) -> None:
+def test_a_broken_plugin_is_one_line(install: Install, code: str, reason: str) -> None:
     name = f"broken_{reason.strip(chr(39))}"
-    install(tmp_path, name, f"x = {name}:X", code)
-    monkeypatch.syspath_prepend(tmp_path)
+    install(name, f"x = {name}:X", code)
     family = Members(GROUP, {"z": 0})
     with pytest.raises(CalibPinError, match=reason) as caught:
         list(family)
@@ -76,14 +65,11 @@ def test_a_broken_plugin_is_one_line(
 
 
 @pytest.mark.parametrize("names", [("z",), ("x", "x")])
-def test_names_are_taken_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...]
-) -> None:
+def test_names_are_taken_once(install: Install, names: tuple[str, ...]) -> None:
     """By a bundled member, or by one of two packages."""
     for k, name in enumerate(names):
         package = f"outside_{name}_{k}"
-        install(tmp_path, package, f"{name} = {package}:X", "X = 1\n")
-    monkeypatch.syspath_prepend(tmp_path)
+        install(package, f"{name} = {package}:X", "X = 1\n")
     with pytest.raises(CalibPinError, match=f"'{names[0]}'"):
         list(Members(GROUP, {"z": 0}))
 

@@ -13,14 +13,30 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.fit import fit
-from calib_pin.estimation.formulation import make_problem
 from calib_pin.observations import Observations
 from calib_pin.setup import DistanceSetup, Setup
 
 DATA = Path(
     os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[2] / "shared" / "data")
 )
+
+ENDS = {
+    "ur10": ("example:ur10_robot", "base_link", "tool0"),
+    "talos": ("example:talos_reduced", None, "gripper_left_base_link"),
+    "tiago": ("example:tiago_no_hand", None, "wrist_ft_tool_link"),
+}
+
+
+def robot(name: str) -> calib_pin.Chain:
+    file, base, tip = ENDS[name]
+    return calib_pin.load_chain(file, base=base, tip=tip)
+
+
+def read(
+    file: str, chain: calib_pin.Chain, model: str | None = "position"
+) -> Observations:
+    return calib_pin.read_measurements(DATA / f"{file}.csv", chain, model=model)
+
 
 pytestmark = pytest.mark.skipif(
     not DATA.is_dir(), reason=f"no real measurements in {DATA} (CALIB_PIN_DATA)"
@@ -29,10 +45,8 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def ur10() -> tuple[calib_pin.Chain, calib_pin.CalibrationResult]:
-    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
-    rows = calib_pin.read_measurements(
-        DATA / "ur10_tmac" / "train.csv", chain, model="position"
-    )
+    chain = robot("ur10")
+    rows = read("ur10_tmac/train", chain)
     return chain, calib_pin.calibrate(chain, rows)
 
 
@@ -45,9 +59,7 @@ def test_ur10_through_the_written_urdf(
     corrected = calib_pin.load_chain(
         tmp_path / "ur10.urdf", base="base_link", tip="tool0"
     )
-    unseen = calib_pin.read_measurements(
-        DATA / "ur10_tmac" / "validate.csv", chain, model="position"
-    )
+    unseen = read("ur10_tmac/validate", chain)
     assert len(unseen) == 2000
     before = calib_pin.evaluate(chain, unseen).errors[0][2]
     after = calib_pin.evaluate(corrected, unseen).errors[0][2]
@@ -59,11 +71,6 @@ def test_ur10_through_the_written_urdf(
     assert frozen.errors[0][2].mean <= 0.41e-3
 
 
-def ur10_rows(name: str, chain: calib_pin.Chain) -> Observations:
-    file = DATA / "ur10_tmac" / f"{name}.csv"
-    return calib_pin.read_measurements(file, chain, model="position")
-
-
 @pytest.mark.slow
 def test_ur10_with_a_network(
     ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
@@ -72,9 +79,9 @@ def test_ur10_with_a_network(
     chain, _ = ur10
     result = calib_pin.calibrate(
         chain,
-        ur10_rows("train", chain),
+        read("ur10_tmac/train", chain),
         calib_pin.Setup(learned="network"),
-        validation=ur10_rows("validate", chain),
+        validation=read("ur10_tmac/validate", chain),
     )
     assert (result.verdict, result.validation.count) == ("good", 2000)
     after = result.errors[0].validation_after
@@ -90,7 +97,7 @@ def test_ur10_with_fifty_rows_leaves_the_network_out(
     ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
 ) -> None:
     chain, _ = ur10
-    rows = ur10_rows("train", chain).rows(np.arange(50))
+    rows = read("ur10_tmac/train", chain).rows(np.arange(50))
     setup = calib_pin.Setup(learned="network")
     ladder = calib_pin.calibrate(chain, rows, setup, ladder=True).model_selection
     assert ladder is not None
@@ -111,8 +118,8 @@ def test_ur10_still_looks_like_a_ur10(
 @pytest.mark.slow
 def test_ur10_poses() -> None:
     """The T-Mac's full poses: registration leaves 0.756 mm and 0.111 degrees."""
-    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
-    rows = calib_pin.read_measurements(DATA / "ur10_tmac" / "train.csv", chain)
+    chain = robot("ur10")
+    rows = read("ur10_tmac/train", chain, None)
     assert rows.models == ("pose",)
     result = calib_pin.calibrate(chain, rows)
     position, orientation = result.errors
@@ -130,10 +137,8 @@ def test_talos_five_fold(talos_shuffles: list[float]) -> None:
 
 @pytest.fixture(scope="module")
 def talos_shuffles() -> list[float]:
-    chain = calib_pin.load_chain("example:talos_reduced", tip="gripper_left_base_link")
-    rows = calib_pin.read_measurements(
-        DATA / "talos_left_arm" / "measurements.csv", chain
-    )
+    chain = robot("talos")
+    rows = read("talos_left_arm/measurements", chain, None)
     found = []
     for seed in range(4):
         (errors,) = calib_pin.calibrate(chain, rows, seed=seed).errors
@@ -144,10 +149,9 @@ def talos_shuffles() -> list[float]:
 
 @pytest.mark.slow
 def test_tiago_first_day_on_the_second() -> None:
-    chain = calib_pin.load_chain("example:tiago_no_hand", tip="wrist_ft_tool_link")
+    chain = robot("tiago")
     train, unseen = (
-        calib_pin.read_measurements(DATA / "tiago" / f"{name}.csv", chain)
-        for name in ("train", "validate")
+        read(f"tiago/{name}", chain, None) for name in ("train", "validate")
     )
     assert (len(train), len(unseen)) == (37, 62)
     result = calib_pin.calibrate(chain, train, validation=unseen)
@@ -161,10 +165,9 @@ def test_tiago_first_day_on_the_second() -> None:
 @pytest.mark.slow
 def test_tiago_chooses_a_model_that_holds_on_the_second_day() -> None:
     """Lost motion and links that give, far larger than those of an industrial robot."""
-    chain = calib_pin.load_chain("example:tiago_no_hand", tip="wrist_ft_tool_link")
+    chain = robot("tiago")
     first, second = (
-        calib_pin.read_measurements(DATA / "tiago" / f"{name}.csv", chain)
-        for name in ("train", "validate")
+        read(f"tiago/{name}", chain, None) for name in ("train", "validate")
     )
     result = calib_pin.calibrate(chain, first, ladder=True, validation=second)
     selection = result.model_selection
@@ -182,12 +185,9 @@ def test_tiago_chooses_a_model_that_holds_on_the_second_day() -> None:
 @pytest.mark.parametrize("effect", ["transmission", "compliance"])
 def test_an_effect_fitted_on_other_motions_does_no_harm(effect: str) -> None:
     """Fitted on series B of the UR10; A are other motions on another day."""
-    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
+    chain = robot("ur10")
     fitted, other = (
-        calib_pin.read_measurements(
-            DATA / folder / "train.csv", chain, model="position"
-        )
-        for folder in ("ur10_tmac_b", "ur10_tmac")
+        read(f"{folder}/train", chain) for folder in ("ur10_tmac_b", "ur10_tmac")
     )
     # The tracker stood elsewhere.
     other = replace(other.only, station="there")
@@ -197,53 +197,6 @@ def test_an_effect_fitted_on_other_motions_does_no_harm(effect: str) -> None:
         result = calib_pin.calibrate(chain, fitted, setup, validate=False)
         errors.append(calib_pin.evaluate(result.model, other).errors[0][2].rms)
     assert errors[1] < 0.9 * errors[0]
-
-
-@pytest.mark.slow
-def test_weak_data_do_not_move_the_robot_far() -> None:
-    """Few rows: what they cannot tell stays at nominal, and is listed."""
-    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
-    rows = calib_pin.read_measurements(
-        DATA / "ur10_tmac" / "train.csv", chain, model="position"
-    )
-    few = rows.rows(np.arange(12))
-    fitted = fit(make_problem(chain, few, calib_pin.Setup()), np.random.default_rng(0))
-    robot = ~fitted.problem.parameters.nuisance
-    assert fitted.directions.weak.shape[1] > 0
-    assert np.abs(fitted.theta[robot]).max() < 0.02
-
-
-@pytest.mark.slow
-def test_repetitions_stay_together(
-    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
-) -> None:
-    chain, _ = ur10
-    rows = calib_pin.read_measurements(
-        DATA / "ur10_tmac" / "train.csv", chain, model="position"
-    ).rows(np.arange(40))
-    twice = Observations.of(rows, rows)
-    assert len(np.unique(twice.groups())) == len(np.unique(rows.groups()))
-    held = calib_pin.calibrate(chain, twice, holdout=0.25)
-    assert len(held.fitted) + held.validation.count == 80
-    assert held.validation.count % 2 == 0
-
-
-@pytest.mark.slow
-def test_nominal_registration_is_the_honest_before() -> None:
-    """A tracker's unknown stand is not robot error: a shifted frame changes nothing."""
-    chain = calib_pin.load_chain("example:talos_reduced", tip="gripper_left_base_link")
-    rows = calib_pin.read_measurements(
-        DATA / "talos_left_arm" / "measurements.csv", chain
-    ).only
-    R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    moved = replace(rows, values=rows.values @ R.T + [3.0, -1.0, 2.0])
-    first, second = (
-        calib_pin.calibrate(chain, data, validate=False).errors[0]
-        for data in (rows, moved)
-    )
-    assert first.before.rms == pytest.approx(5.16e-3, abs=1e-5)
-    assert second.before.rms == pytest.approx(first.before.rms, rel=1e-9)
-    assert second.after.rms == pytest.approx(first.after.rms, rel=1e-6)
 
 
 PLACES = ("front", "right", "back-high")
@@ -256,9 +209,7 @@ FIFTY = tuple(
 def panda() -> tuple[calib_pin.Chain, calib_pin.Measurements]:
     """A ball in two sockets 50 mm apart; only the rows in front are to be fitted."""
     chain = calib_pin.load_chain("example:panda", tip="panda_link8")
-    rows = calib_pin.read_measurements(
-        DATA / "mukca_panda" / "panda_1.csv", chain, model="fixed-point"
-    ).only
+    rows = read("mukca_panda/panda_1", chain, "fixed-point").only
     elsewhere = np.array([not name.startswith("front") for name in rows.target])
     assert (len(rows), int(elsewhere.sum())) == (182, 120)
     return chain, replace(rows, validate=elsewhere)

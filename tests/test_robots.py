@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 
 from calib_pin.calibration import calibrate
-from calib_pin.io.measurements import read_configurations, read_measurements
+from calib_pin.io.measurements import read_measurements
 from calib_pin.io.setup import read_setup
 from calib_pin.io.urdf import bundled_robots, load_robot
 from calib_pin.kinematics.chain import Chain
@@ -104,14 +103,6 @@ def frames_of(name: str, q: Sequence[float]) -> list[Floats]:
     return frames
 
 
-def published(file: str) -> Floats:
-    """Configurations of a file in degrees, read with the standard library alone."""
-    lines = (ROBOTS / "space7" / file).read_text().splitlines()
-    header, *rows = csv.reader(line for line in lines if not line.startswith("#"))
-    assert header == [f"joint_{i} [deg]" for i in range(1, 8)]
-    return np.array(rows, float)
-
-
 def chain_of(name: str) -> Chain:
     return Chain(load_robot(name))
 
@@ -186,34 +177,6 @@ def test_heavy6_measurements_calibrate() -> None:
     assert found.verdict == "good"
     assert found.identifiability.rank == found.identifiability.structural_rank == 38
     assert 0.9 < found.statistics.sigma0 < 1.1
-
-
-@pytest.mark.parametrize(
-    ("file", "condition"), [("hand_picked.csv", 354.8), ("swarm.csv", 25.2)]
-)
-def test_space7_published_configurations(file: str, condition: float) -> None:
-    """The identification matrix of Liu et al. 2022, lengths in m.
-
-    Its block i - 1 maps the error of link i to the spatial twist of the tool. Of every
-    dependent pair of columns the later one, z of links 2 to 8, is left out.
-    """
-    degrees = published(file)
-    read = read_configurations(ROBOTS / "space7" / file, chain_of("space7"))
-    np.testing.assert_allclose(read, np.radians(degrees), rtol=1e-12)
-    assert degrees.shape == (6, 7) and np.abs(degrees).max() <= 120.0
-    blocks = [frames_of("space7", q)[:8] for q in np.radians(degrees)]
-    matrix = np.vstack([np.hstack([twist_map(T) for T in row]) for row in blocks])
-    kept = [k for k in range(48) if k < 6 or k % 6 not in (2, 5)]
-    assert np.linalg.matrix_rank(matrix) == len(kept) == 34
-    values = np.linalg.svd(matrix[:, kept], compute_uv=False)
-    assert values[0] / values[-1] == pytest.approx(condition, abs=0.1)
-
-
-def twist_map(T: Floats) -> Floats:
-    """[R, S(P) R; 0, R]."""
-    R, (x, y, z) = T[:3, :3], T[:3, 3]
-    S = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.block([[R, S @ R], [np.zeros((3, 3)), R]])
 
 
 def test_space7_errors_are_the_published_ones() -> None:

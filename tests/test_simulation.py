@@ -191,17 +191,6 @@ def touched(measured: str | tuple[str, ...], **changes: object) -> Problem:
 
 
 @pytest.mark.parametrize("model", CONTACTS)
-def test_contacts_without_noise_are_closed(model):
-    problem = touched(model)
-    theta = errors(problem)
-    rows = simulated(problem, theta, np.random.default_rng(1), count=20, noise=0.0)
-    assert rows.sigma is None and rows.values.shape == (20, 0)
-    assert np.abs(residuals(problem, rows, theta)).max() < 1e-12
-    # The robot stands there with its errors: the nominal one would not touch.
-    assert np.abs(residuals(problem, rows, 0.0 * theta)).max() > 1e-4
-
-
-@pytest.mark.parametrize("model", CONTACTS)
 def test_noise_of_a_contact_is_a_gap_of_the_stated_size(model):
     problem = touched(model, noise={"position": 5e-4, "contact": 5e-4})
     theta, sigma = errors(problem), 5e-4

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import calib_pin
@@ -16,30 +15,22 @@ from calib_pin.errors import CalibPinError
 from calib_pin.io.measurements import read_measurements, write_measurements
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey
-from calib_pin.plugins import extensions
 from calib_pin.setup import FrameSetup, Setup
 
 NAME = "theodolite"
-PLUGINS = Path(__file__).parent / "data" / "plugins"
 STATION = FrameSetup((2.5, 0.4, 0.3), (0.0, 0.0, 2.9), True)
 TOOL = FrameSetup((0.05, 0.03, 0.12), None, True)
 
 
 @pytest.fixture(autouse=True)
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The theodolite as pip leaves a package, in a folder that Python searches."""
-    site = tmp_path / "site"
-    info = site / "theodolite-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Name: theodolite\nVersion: 1.0\n")
-    entry = "[calib_pin.measurement_models]\ntheodolite = theodolite:Theodolite\n"
-    (info / "entry_points.txt").write_text(entry)
-    monkeypatch.syspath_prepend(PLUGINS)
-    monkeypatch.syspath_prepend(site)
+def package(
+    installed: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its code is where the documents quote it from."""
+    monkeypatch.syspath_prepend(Path(__file__).parent / "data" / "plugins")
     monkeypatch.chdir(tmp_path)
-    extensions.cache_clear()
-    yield info
-    extensions.cache_clear()
+    entry = "theodolite = theodolite:Theodolite"
+    installed(NAME, "calib_pin.measurement_models", entry)
 
 
 def run(words: str) -> int:
@@ -76,13 +67,6 @@ def test_files_are_read_in_gon_and_inferred() -> None:
     Path("t.csv").write_text(f"{header}\n0,0,0,0,0,0,1,1,1\n")
     with pytest.raises(CalibPinError):
         read_measurements("t.csv", chain)
-
-
-def poses(count: int = 20) -> np.ndarray:
-    rng = np.random.default_rng(3)
-    moved = [pin.exp6(0.3 * rng.normal(size=6)) for _ in range(count)]
-    away = pin.SE3(np.eye(3), np.array([-2.0, 0.1, 0.5]))
-    return np.array([(away * M).homogeneous for M in moved])
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["guess", "no guess"])

@@ -1,4 +1,7 @@
-"""Relatives of layouts: damaged files are read rightly, or refused by what was done."""
+"""Relatives of layouts: damaged files are read rightly, or refused by what was done.
+
+A few of them; `scripts/benchmark relatives` takes as many as are asked for.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ SLOW = pytest.mark.slow
 
 
 @pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=SLOW) for k in range(300, 312))]
+    "seed", [0, *(pytest.param(k, marks=SLOW) for k in range(300, 304))]
 )
 def test_no_file_is_silently_wrong(seed: int) -> None:
     found = run(seed)

@@ -287,7 +287,7 @@ def test_a_plan_knows_it(bench, run) -> None:
 # --- workers, scheduler and command are killed ------------------------------------
 
 
-MANY = 30
+MANY = 20
 
 
 @pytest.fixture
@@ -358,9 +358,9 @@ def test_kills_cost_time_only(many: Path, start_dask: Callable[[], Any]):
     assert len([name for name in expected if name.endswith("/arm.urdf")]) > 0.8 * MANY
     dask = start_dask()
     running = start("out", f"--cluster {dask.file}")
-    wait_for("out", 6)
+    wait_for("out", 4)
     dask.workers[0].send_signal(signal.SIGKILL)
-    wait_for("out", 12)
+    wait_for("out", 8)
     dask.scheduler.send_signal(signal.SIGKILL)
     status, complaint = ended(running)
     assert status == 1 and complaint.count("\n") == 1

@@ -410,8 +410,15 @@ def trials() -> Iterator[tuple[int, str, bool]]:
 @pytest.mark.slow
 # The children have one thread that matters, and no other one writes files.
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", ["SIGKILL", "SIGINT", "SIGTERM"])
+# What clears up clears up whatever was written; what is killed does not.
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        *(("SIGKILL", kind) for kind in KINDS),
+        ("SIGINT", "figures elsewhere"),
+        ("SIGTERM", "figures"),
+    ],
+)
 def test_a_killed_run_leaves_one_result(name: str, kind: str, two_inputs: None) -> None:
     number = signal.Signals[name]
     chance = random.Random(f"{name} {kind}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +19,8 @@ from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats, so3_exp, so3_log
-from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.parameterizations.error_model import ErrorModel
-
-Measured = Callable[..., Problem]
+from tests.shared import measured
 
 COMPILED = ("position", "pose", "plane-distance")
 """One model for each number of vectors that a kernel carries through the chain."""
@@ -39,7 +37,7 @@ def longest_chain(robot: Robot) -> Chain | None:
     return max(chains, key=lambda chain: len(chain.joints), default=None)
 
 
-def problems(path: Path, measured: Measured) -> Iterator[Problem]:
+def problems(path: Path) -> Iterator[Problem]:
     """Measurement models on the longest chain of a robot."""
     robot = load_robot(path)
     chain = longest_chain(robot)
@@ -61,14 +59,6 @@ def kernel_poses(error: ErrorModel, theta: Floats, q: Floats) -> Floats:
     T = np.full((len(q), 4, 4), np.nan)
     kernels.poses(chain, motion, starts, T)
     return T
-
-
-def assert_poses(error: ErrorModel, theta: Floats, q: Floats) -> None:
-    expected = error.poses(q, theta)
-    # Errors of half a radian about axes that nearly meet far away reach far.
-    size = max(1.0, np.abs(expected).max())
-    found = kernel_poses(error, theta, q)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * size)
 
 
 def assert_costs(problem: Problem, theta: Floats) -> None:
@@ -93,9 +83,9 @@ def products(r: Floats, J: Floats) -> Floats:
     return np.asarray(columns.T @ columns)
 
 
-def test_all_robots(example_robot: Path, measured: Measured) -> None:
+def test_all_robots(example_robot: Path) -> None:
     """Poses, costs and Jacobians agree with Pinocchio."""
-    for problem in problems(example_robot, measured):
+    for problem in problems(example_robot):
         part, data, *_ = problem.blocks[0]
         # A beam of a distance hits at less than 70 degrees at nominal; errors of this
         # size leave it far from grazing, where rounding would be magnified.
@@ -117,54 +107,10 @@ def test_all_robots(example_robot: Path, measured: Measured) -> None:
         np.testing.assert_allclose(found / unit, exact / unit, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("kind", ["link-transform", "dh-full", "joint-offset"])
-def test_parameterizations(kind: str, special_chain: Chain) -> None:
-    """Screws large enough that their order matters, between frames that stand off."""
-    rng = np.random.default_rng(2)
-    frames = (pin.exp6(rng.normal(size=6)) for _ in range(2))
-    error = ErrorModel.create(special_chain, [kind, "placement"]).with_frames(*frames)
-    theta = rng.normal(size=len(error.parameters))
-    assert_poses(error, theta, special_chain.random_configurations(4, rng))
-
-
-@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
-@pytest.mark.parametrize("ends", [("a", "c"), ("c", "a"), ("c", "d")])
-def test_any_axis_both_ways(
-    kind: str,
-    ends: tuple[str, str],
-    urdf_of: Callable[..., str],
-    chain_of: Callable[..., Chain],
-) -> None:
-    rng = np.random.default_rng(4)
-    names = [("first", "a", "b"), ("second", "b", "c"), ("other", "a", "d")]
-    for axis in ((0, 0, -1), (1, 0, 0), (1, 2, 3), (1e-7, 0, -1)):
-        joints = [
-            {
-                **dict(zip(("name", "parent", "child"), each, strict=True)),
-                "placement": pin.exp6(rng.normal(size=6)),
-                "type": kind,
-                "axis": axis,
-            }
-            for each in names
-        ]
-        chain = chain_of(urdf_of(*joints), *ends)
-        error = ErrorModel.create(chain, ["placement", "joint-offset"])
-        theta = rng.normal(size=len(error.parameters))
-        assert_poses(error, theta, chain.random_configurations(4, rng))
-
-
-@pytest.mark.parametrize(
-    ("model", "rows"),
-    [
-        *((model, 2 * BLOCK + 3) for model in MEASUREMENT_MODELS),
-        *(("pose", rows) for rows in (1, BLOCK - 1, BLOCK, BLOCK + 1)),
-    ],
-)
-def test_every_model_has_a_batch_form(
-    model: str, rows: int, measured: Measured
-) -> None:
-    """Of any number of rows."""
-    problem = measured(load_chain("space6"), model, ["placement"], rows)
+@pytest.mark.parametrize("rows", [1, BLOCK - 1, BLOCK, BLOCK + 1])
+def test_costs_of_any_number_of_rows(rows: int) -> None:
+    """Of every model they are compared in `test_many_rows`."""
+    problem = measured(load_chain("space6"), "pose", ["placement"], rows)
     assert_costs(problem, members(problem, (0.02, 0.005, 0.0)))
 
 
@@ -225,14 +171,3 @@ def test_rotation_vectors(angle: float) -> None:
     for R in so3_exp(angle * axes_of(7)):
         found = comparisons.rotation_vector(R)
         np.testing.assert_allclose(found, so3_log(R), rtol=1e-12, atol=atol)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.04])
-def test_little_rotations_together(angle: float) -> None:
-    """The series agree with the logarithm up to 60 degrees, where they end."""
-    R = so3_exp(angle * axes_of(8))
-    for i, weights in enumerate(np.eye(3)):
-        by_entry = R.reshape(-1, 9).T.ravel().copy()
-        found = comparisons.little_turned(by_entry, np.tile(weights[:, None], BLOCK))
-        expected = np.sum(so3_log(R)[:, i] ** 2)
-        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-30)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import pytest
 from threadpoolctl import ThreadpoolController, threadpool_limits
@@ -18,6 +17,7 @@ import calib_pin
 import calib_pin.compiled.threads
 from calib_pin.compiled.threads import Threads, serial_blas
 from calib_pin.setup import Setup, SolverSetup
+from tests.shared import simulated
 
 # Pieces.
 
@@ -60,9 +60,7 @@ def test_slices_cover_the_length() -> None:
 # Results.
 
 
-def test_a_fit_is_the_same_with_any_number_of_blas_threads(
-    simulated: Callable[..., Any],
-) -> None:
+def test_a_fit_is_the_same_with_any_number_of_blas_threads() -> None:
     problem, _ = simulated("pose", size=1.0, noise=1e-4)
     setup, found = Setup(solver=SolverSetup(name="two-step")), []
     for count in (1, 3):
@@ -127,7 +125,7 @@ class TestSerialBlas:
         with threadpool_limits(2, user_api="blas"):
             assert blas_threads() == {2}
 
-    def test_public_functions_hold_it(self, simulated: Callable[..., Any]) -> None:
+    def test_public_functions_hold_it(self) -> None:
         seen = []
         problem, _ = simulated("position", noise=1e-4)
         calib_pin.calibrate(

@@ -15,6 +15,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
+from tests.shared import refused, simulated
 
 FRAMES = Setup(
     base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4)),
@@ -59,9 +60,7 @@ def only(result):
 @pytest.mark.parametrize(
     ("frame", "point"), [("base", "tool"), ("base", "tip"), ("measuring", "tip")]
 )
-def test_deviations_are_those_of_the_true_robot(
-    simulated, calibrated_robot, frame, point
-):
+def test_deviations_are_those_of_the_true_robot(calibrated_robot, frame, point):
     """The mean square of what several robots are off is what is told of them."""
     squares = np.zeros((2, len(SEEDS)))
     for seed in SEEDS:
@@ -95,7 +94,7 @@ def test_nothing_is_said_where_nothing_matters(calibrated_robot):
         assert ends_known(result, only(result), frame, point) == ""
 
 
-def test_what_is_unknown_is_refused(scara, calibrated_robot, refused):
+def test_what_is_unknown_is_refused(scara, calibrated_robot):
     """Base and tool along parallel axes: their sum is known, and the robot."""
     result = calibrated_robot("pose", FRAMES, 40, 1.0, 1, robot=scara, noise=5e-5)
     for frame, point, whose in (

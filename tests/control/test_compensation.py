@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from calib_pin.observations import Conditions, approached
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
+from tests.residual_models.corrections import Wave
 
 
 @pytest.fixture(scope="module")
@@ -115,22 +115,8 @@ def test_a_target_that_the_nominal_robot_cannot_reach(model):
     assert np.isfinite(found.corrections).all()
 
 
-@dataclass(frozen=True)
-class Learned:
-    """A motion of the tool that was learned."""
-
-    shift: Floats
-    space: Literal["tip"] = "tip"
-
-    def __call__(self, q: Floats) -> Floats:
-        return 1e-3 * np.sin(q)
-
-    def weight(self, q: Floats) -> Floats:
-        return np.ones(len(q))
-
-
 def test_what_was_learned_of_the_tool_moves_the_tip(model, q):
-    learned = Learned(np.zeros(len(model.theta)))
+    learned = Wave(1e-3, np.zeros(len(model.theta)), "tip")
     model = replace(model, error=replace(model.error, learned=learned))
     found = follow(model, q)
     assert found.reached.all()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -15,12 +14,12 @@ from calib_pin.control.calibrated import kinematics
 from calib_pin.control.joints import Joints, Kinematics, Solutions
 from calib_pin.control.reaching import Task, reach, search
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.results import write_urdf
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
+from tests.shared import chain_of, urdf_of
 
 ROBOTS = {
     "ur10": ("example:ur10_robot", None, "tool0"),
@@ -125,17 +124,6 @@ def test_targets_are_reached_with_a_start_and_without(name):
         assert len(nothing) == len(nothing.reached) == len(nothing.position) == 0
 
 
-@pytest.mark.parametrize(
-    ("size", "kinds"), [(0.05, ("placement",)), (1e-3, ("placement", "transmission"))]
-)
-def test_large_errors_and_those_that_no_urdf_can_hold(size, kinds):
-    chain = robot("ur10")
-    model = calibrated(chain, size, parameters=kinds)
-    assert model.error.geometric == (len(kinds) == 1)
-    targets = model.poses(configurations(chain, 60))
-    check(model, commands(model, targets), targets)
-
-
 # Of the mimic joints the leader is a joint of the chain, or stands beside it.
 FOLLOWERS = {
     "within": {"j3": ("j1", -0.5, 0.2)},
@@ -144,7 +132,7 @@ FOLLOWERS = {
 
 
 @pytest.fixture
-def following(request, urdf_of, chain_of) -> Chain:
+def following(request) -> Chain:
     """A chain of seven joints, some of which follow others."""
     rng = np.random.default_rng(7)
 
@@ -189,21 +177,6 @@ def test_mimic_joints_follow(following, near):
         side = -found.q[:, 4]
         np.testing.assert_allclose(found.q[:, 1], 2.0 * side + 0.1, atol=1e-12)
     assert (found.q >= following.lower).all() and (found.q <= following.upper).all()
-
-
-def test_independent_forward_kinematics(tmp_path, independent_poses):
-    chain = robot("ur10")
-    whole = calibrated_model(chain)
-    model = whole.of()
-    targets = model.poses(configurations(chain, 5))
-    found = commands(model, targets)
-    write_urdf(whole, tmp_path / "corrected.urdf")
-    urdf = (tmp_path / "corrected.urdf").read_bytes()
-    for q, target in zip(found.q, targets, strict=True):
-        named = dict(zip(chain.joints, q, strict=True))
-        (F,) = independent_poses(urdf, named, [(chain.base, chain.tip)])
-        T = model.error.base.homogeneous @ F @ model.tool.homogeneous
-        np.testing.assert_allclose(T, target, atol=2e-9)
 
 
 @pytest.mark.parametrize("name", ["ur10", "pa10"])
@@ -297,28 +270,7 @@ def test_limits_are_never_left(name):
     assert (found.reached == (np.maximum(distances, angles) < 1e-9)).all()
 
 
-def test_limits_of_a_chain(urdf_of, chain_of):
-    chain = chain_of(
-        urdf_of(
-            {"name": "a", "parent": "0", "child": "1", "limits": (-np.pi, np.pi)},
-            {"name": "b", "parent": "1", "child": "2", "limits": (0, 0)},
-            {"name": "c", "parent": "2", "child": "3", "type": "continuous"},
-            {"name": "d", "parent": "3", "child": "4", "type": "prismatic"},
-            {"name": "e", "parent": "4", "child": "5", "limits": (1, 2)},
-        )
-    )
-    joints = Joints.of(chain)
-    inf = np.inf
-    np.testing.assert_allclose(joints.lower, [-np.pi, -inf, -inf, -2, 1])
-    np.testing.assert_allclose(joints.upper, [np.pi, inf, inf, 2, 2])
-    np.testing.assert_allclose(joints.home, [0, 0, 0, 0, 1.5])
-    q = np.array([[4.0, 7.0, 7.0, 3.0, 0.0]])
-    np.testing.assert_allclose(joints.within(q), [[np.pi, 7, 7, 2, 1]])
-    turned = joints.turned(np.array([[3.0, 7.0, -7.0, 1.5, 1.5]]), 0.0 * q)
-    np.testing.assert_allclose(turned, [[3, 7 - 2 * np.pi, 2 * np.pi - 7, 1.5, 1.5]])
-
-
-def test_continuous_joints_stay_in_the_turn_of_the_start(urdf_of, chain_of):
+def test_continuous_joints_stay_in_the_turn_of_the_start():
     place = pin.SE3(pin.exp3(np.array([0.5, 0.2, 0.1])), np.array([0.3, 0.1, 0.4]))
     chain = chain_of(
         urdf_of(
@@ -389,7 +341,7 @@ def test_closest_to_the_start(name, size):
     assert (moved <= np.linalg.norm(q - start, axis=1) + 1e-9)[found.reached].all()
 
 
-def planar(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chain:
+def planar() -> Chain:
     """Three joints in a plane, with links of 1, 0.8 and 0.5 m."""
     steps = [0.0, 1.0, 0.8]
     placements = [pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])) for x in steps]
@@ -429,8 +381,8 @@ def test_rows_out_of_reach_do_not_disturb_the_others(given):
         assert not given or np.abs(alone.q[0] - found.q[k]).max() < 1e-6
 
 
-def test_just_out_of_reach_is_not_reached(urdf_of, chain_of):
-    chain = planar(urdf_of, chain_of)
+def test_just_out_of_reach_is_not_reached():
+    chain = planar()
     model = calibrated(chain, size=0.0)
     # The tool stands beside the arm, so it reaches farthest with a bent last joint.
     tool = model.error.tool.translation

@@ -18,12 +18,12 @@ from calib_pin.estimation.fitted import (
     expected_sizes,
     posterior_with,
 )
-from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.variance_components import Systematic
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
-from calib_pin.setup import FrameSetup, Setup, ToolSetup
+from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.model_errors import predicted_variance
 
 SETUP = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1)))
@@ -151,45 +151,6 @@ def test_without_effects_it_is_the_covariance_of_the_fit() -> None:
 
 
 # Several blocks.
-
-
-def test_blocks_that_share_all_are_the_whole() -> None:
-    """Names of stations and tools that are known and the same change nothing."""
-    chain = calib_pin.load_chain("space6")
-    base = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=False)
-    tool = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=False)
-    setup = Setup(
-        base_frame=base,
-        tool_frame=tool,
-        stations={"one": base, "two": base},
-        tools={"a": ToolSetup(tool.xyz, tool.rpy, False)},
-    )
-    one = nominal_problem(chain, "pose", setup)
-    rng = np.random.default_rng(0)
-    truth = calib_pin.draw_errors(one.parameters, rng)
-    rows = calib_pin.simulate(one, truth, rng, count=60, noise=5e-5)
-    names = [("one", "a"), ("two", "a"), ("two", "")]
-    blocks = [
-        replace(rows.only.rows(np.arange(60) % 3 == k), station=station, tool=tool)
-        for k, (station, tool) in enumerate(names)
-    ]
-    several = make_problem(chain, Observations(tuple(blocks)), setup)
-    fits = [fit(problem, rng) for problem in (replace(one, data=rows), several)]
-    for each in fits:
-        assert (each.problem.units == 1.0).all()
-    robot = [
-        [each.problem.parameters.index(name) for name in one.parameters.names[6:-6]]
-        for each in fits
-    ]
-    whole, parts = (
-        (each.theta[index], each.covariance[np.ix_(index, index)])
-        for each, index in zip(fits, robot, strict=True)
-    )
-    deviations = np.sqrt(np.diag(whole[1]))
-    assert (np.abs(whole[0] - parts[0]) <= 1e-5 * deviations + 1e-12).all()
-    largest = deviations.max() ** 2
-    np.testing.assert_allclose(parts[1], whole[1], rtol=0, atol=1e-7 * largest)
-    assert len({(each.rank, each.dof) for each in fits}) == 1
 
 
 def test_the_covariance_is_that_of_all_blocks_together() -> None:

@@ -16,8 +16,10 @@ from calib_pin.estimation.identifiability import (
     structure,
 )
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import Parameter, ParameterSet
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from tests.shared import chain_of, urdf_of
 
 KNOWN = FrameSetup(estimate=False)
 FREE = FrameSetup(estimate=True)
@@ -30,7 +32,7 @@ Arm = Callable[..., Chain]
 
 
 @pytest.fixture(scope="module")
-def generic_arm(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Arm:
+def generic_arm() -> Arm:
     """A serial arm with random placements, axis 1 along z of the base."""
 
     def make(joints: str = "rrrrrr", seed: int = 1) -> Chain:
@@ -94,55 +96,41 @@ def test_everetts_count_is_the_rank_of_full_poses(
     assert everett_count(np.array([True, True, False, True])) == 20  # A SCARA.
 
 
-def test_rank_does_not_count_rounding() -> None:
-    """A column of 1e-15 is nothing, however the others are scaled."""
-    rng = np.random.default_rng(0)
-    J = np.column_stack([rng.normal(size=(50, 2)), 1e-15 * rng.normal(size=50)])
-    parameters = ParameterSet(tuple(Parameter(f"a.b.{k}", "m", 1e-3) for k in "xyz"))
-    found = structure(J, parameters)
-    assert found.rank == 2
-    assert found.unidentifiable == (2,)
+LENGTHS = tuple(Parameter(f"r.k.{name}", "m", 1e-3) for name in "abc")
+OF_TWO_UNITS = (Parameter("r.k.x", "m", 1e-3), Parameter("r.k.rz", "rad", 3e-3))
+DWARFED = (
+    Parameter("j.placement.ry", "rad", 3e-3),
+    Parameter("tool.frame.y", "m", 1.0, nuisance=True),
+)
+A, B, C = np.random.default_rng(0).normal(size=(3, 40))
 
 
-def test_a_parameter_may_stand_in_two_groups() -> None:
-    # c = a + 2 b is seen only through the columns of a and b.
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(2, 40))
-    parameters = ParameterSet(tuple(Parameter(f"r.k.{n}", "m", 1e-3) for n in "abc"))
-    found = structure(np.column_stack([a, b, a - 2.0 * b]), parameters)
-    names = parameters.names
-    assert [c.expression(names) for c in found.combinations] == [
-        "r.k.a + r.k.c",
-        "r.k.b - 2 r.k.c",
-    ]
-
-
-def test_sums_of_different_units_carry_the_ratio_of_scales() -> None:
-    rng = np.random.default_rng(0)
-    a = rng.normal(size=40)
-    parameters = ParameterSet(
-        (Parameter("r.k.x", "m", 1e-3), Parameter("r.k.rz", "rad", 3e-3))
-    )
-    found = structure(np.column_stack([a, 0.76 * a]), parameters)
-    (combination,) = found.combinations
-    assert combination.terms == (
-        (0, 1.0),
-        (1, pytest.approx(0.76, rel=1e-9)),
-    )
-
-
-def test_a_dwarfed_first_term_does_not_set_the_unit() -> None:
-    rng = np.random.default_rng(0)
-    a = rng.normal(size=40)
-    parameters = ParameterSet(
-        (
-            Parameter("j.placement.ry", "rad", 3e-3),
-            Parameter("tool.frame.y", "m", 1.0, nuisance=True),
-        )
-    )
-    (combination,) = structure(np.column_stack([1e-4 * a, a]), parameters).combinations
-    assert combination.unit == "m"
-    assert combination.row(2) == pytest.approx([1e-4, 1.0])
+@pytest.mark.parametrize(
+    ("parameters", "columns", "sums", "unit"),
+    [
+        # A column of 1e-15 is nothing, however the others are scaled.
+        (LENGTHS, (A, B, 1e-15 * C), [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], "m"),
+        # c = a + 2 b is seen only through the columns of a and b: it is in two sums.
+        (LENGTHS, (A, B, A - 2.0 * B), [[1.0, 0.0, 1.0], [0.0, 1.0, -2.0]], "m"),
+        # Sums of different units carry the ratio of their scales.
+        (OF_TWO_UNITS, (A, 0.76 * A), [[1.0, 0.76]], "m"),
+        # A dwarfed first term does not set the unit.
+        (DWARFED, (1e-4 * A, A), [[1e-4, 1.0]], "m"),
+    ],
+)
+def test_what_columns_show(
+    parameters: tuple[Parameter, ...],
+    columns: tuple[Floats, ...],
+    sums: list[list[float]],
+    unit: str,
+) -> None:
+    found = structure(np.column_stack(columns), ParameterSet(parameters))
+    assert found.rank == len(sums)
+    rows = [c.row(len(parameters)) for c in found.combinations]
+    np.testing.assert_allclose(rows, sums, rtol=1e-9, atol=1e-12)
+    assert found.combinations[-1].unit == unit
+    hidden = ~np.any(sums, axis=0)
+    assert found.unidentifiable == tuple(np.flatnonzero(hidden))
 
 
 def test_expression_writes_signs_and_leaves_out_ones() -> None:

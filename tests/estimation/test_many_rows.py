@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +33,8 @@ from calib_pin.setup import (
 )
 from calib_pin.simulation import draw_errors, exact_problem, simulate
 from calib_pin.solvers import Status
+from tests.residual_models.corrections import Wave
+from tests.shared import FRAMED, chain_of, measured, urdf_of
 
 Measured = Callable[..., Problem]
 
@@ -61,7 +62,7 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def geared(measured: Measured) -> Measured:
+def geared() -> Measured:
     """Problem whose rows carry one payload after the other: `geared(chain, model)`.
 
     Joints come from either side, or nobody knows from where.
@@ -174,7 +175,7 @@ def test_the_number_of_threads_changes_no_bit(
     assert computed(1) == computed(3)
 
 
-def test_factors_resolve_what_one_noisy_row_sees(measured: Measured) -> None:
+def test_factors_resolve_what_one_noisy_row_sees() -> None:
     """A joint stands still in all rows but one, which says next to nothing."""
     problem = measured(load_chain("space6"), "position", ["placement", "dh"], 300)
     data = problem.data.only
@@ -198,29 +199,15 @@ def test_factors_resolve_what_one_noisy_row_sees(measured: Measured) -> None:
 # What goes through the kernels, and what does not.
 
 
-@dataclass(frozen=True)
-class Nod:
-    """Something learned: every joint is off by the same."""
-
-    shift: Floats
-    space: Literal["joint", "tip"] = "joint"
-
-    def __call__(self, q: Floats) -> Floats:
-        return np.full(q.shape, 0.01)
-
-    def weight(self, q: Floats) -> Floats:
-        return np.ones(len(q))
-
-
 def test_what_kernels_do_not_know_goes_row_by_row(
-    measured: Measured, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """However many rows there are; also where the fit without it did not."""
     relative = measured(load_chain("space6"), "relative-distance", ["placement"], 300)
     assert not through_kernels(relative, monkeypatch).many
     plain = measured(load_chain("space6"), "pose", ["placement"], 30)
     theta, term = values_of(plain), plain.only
-    error = replace(term.error, learned=Nod(np.zeros(len(term.error.screws))))
+    error = replace(term.error, learned=Wave(shift=np.zeros(len(term.error.screws))))
     terms = {term.key: replace(term, error=error)}
     few = through_kernels(plain, monkeypatch)
     learned = few.with_terms(terms)
@@ -373,20 +360,6 @@ class Unbatched(Position):
     batches = None  # type: ignore[assignment]
 
 
-@dataclass(frozen=True)
-class Bent:
-    """Something learned."""
-
-    space: Literal["joint", "tip"] = "joint"
-    shift: Floats = field(default_factory=lambda: np.zeros(1))
-
-    def __call__(self, q: Floats) -> Floats:
-        return 0.01 * np.cos(q)
-
-    def weight(self, q: Floats) -> Floats:
-        return np.ones(len(q))
-
-
 def members(problem: Problem, count: int) -> Floats:
     """Random parameters, the nominal ones among them."""
     shape = count, len(problem.parameters)
@@ -406,14 +379,12 @@ def assert_costs(problem: Problem, theta: Floats, evaluator: str = "kernel") -> 
 
 
 @pytest.mark.parametrize("model", MEASUREMENT_MODELS)
-def test_every_model_and_kind_of_correction(
-    model: str, measured: Measured, framed: Setup
-) -> None:
+def test_every_model_and_kind_of_correction(model: str) -> None:
     """Every member moves the joints in its own way, some of them far."""
     odd = sorted(MEASUREMENT_MODELS).index(model) % 2
     kinds = ["dh", "transmission"] if odd else ["placement", "compliance"]
-    given: dict[str, Any] = {"payloads": framed.payloads}
-    given["gear_ratios"] = framed.gear_ratios
+    given: dict[str, Any] = {"payloads": FRAMED.payloads}
+    given["gear_ratios"] = FRAMED.gear_ratios
     bare, problem = (
         measured(load_chain("space6"), model, kinds, 40, **given, prior=prior)
         for prior in ({}, PRIOR)
@@ -451,7 +422,7 @@ def test_cameras_on_the_hand_and_beside_the_robot(mount: str) -> None:
     assert_costs(replace(problem, data=rows), 0.1 * members(problem, 4)[:3])
 
 
-def test_what_no_kernel_knows_is_evaluated_in_a_loop(measured: Measured) -> None:
+def test_what_no_kernel_knows_is_evaluated_in_a_loop() -> None:
     """Models without a batch form, what was learned, and places that bend."""
     problem = measured(load_chain("space6"), "position", ["placement"], 40, prior=PRIOR)
     theta, term = members(problem, 3), problem.only
@@ -459,7 +430,7 @@ def test_what_no_kernel_knows_is_evaluated_in_a_loop(measured: Measured) -> None
     unbatched = problem.with_terms({term.key: replace(term, measurement=Unbatched())})
     found = assert_costs(unbatched, theta, "loop")
     np.testing.assert_allclose(found, plain, rtol=1e-10)
-    learned = replace(term, error=replace(term.error, learned=Bent()))
+    learned = replace(term, error=replace(term.error, learned=Wave()))
     found = assert_costs(problem.with_terms({term.key: learned}), theta, "loop")
     assert np.abs(found - plain).min() > 1.0
     bending = measured(load_chain("space6"), "pose", BENDING, 20, payloads=LOAD)
@@ -468,7 +439,7 @@ def test_what_no_kernel_knows_is_evaluated_in_a_loop(measured: Measured) -> None
 
 @pytest.mark.parametrize("model", ["pose", "camera"])
 def test_the_number_of_threads_changes_no_cost(
-    model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
+    model: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("calib_pin.estimation.population.WORTHWHILE", 1)
     problem = measured(load_chain("space6"), model, ["placement"], 301)
@@ -477,7 +448,7 @@ def test_the_number_of_threads_changes_no_cost(
     assert others == [one, one]
 
 
-def test_a_member_costs_the_same_in_any_company(measured: Measured) -> None:
+def test_a_member_costs_the_same_in_any_company() -> None:
     problem = measured(load_chain("space6"), "pose", ["placement"], 50)
     theta = members(problem, 4)
     costs = PopulationCost(problem)
@@ -488,27 +459,8 @@ def test_a_member_costs_the_same_in_any_company(measured: Measured) -> None:
     assert costs(theta[:0]).shape == (0,)
 
 
-def test_planes_in_any_order(measured: Measured) -> None:
-    problem = measured(load_chain("space6"), "plane-distance", ["placement"], 400)
-    names = problem.data.target
-    assert sum(a != b for a, b in pairwise(names)) > 100
-    assert list(names).count("wall") % BLOCK and names.count("floor") % BLOCK
-    theta = members(problem, 3)
-    expected = PopulationCost(problem)(theta)
-    order = np.random.default_rng(2).permutation(400)
-    for again in (order, np.argsort(names, kind="stable")):
-        rows = Observations.of(problem.data.only.rows(again))
-        found = PopulationCost(replace(problem, data=rows))(theta)
-        np.testing.assert_allclose(found, expected, rtol=1e-10)
-    # Of one that no row looks at the parameters stay.
-    wall = np.flatnonzero(np.array(names) == "wall")
-    assert_costs(replace(problem, data=problem.data.rows(wall)), theta)
-
-
 @pytest.mark.parametrize("offset", [-1.0, 0.0])
-def test_a_beam_along_the_plane(
-    offset: float, urdf_of: Callable[..., str], chain_of: Callable[..., Chain]
-) -> None:
+def test_a_beam_along_the_plane(offset: float) -> None:
     """The distance is infinite, or 0/0 in the plane: no exception, no warning."""
     chain = chain_of(urdf_of({"name": "j", "parent": "a", "child": "b"}))
     setup = Setup(
@@ -529,7 +481,7 @@ def test_a_beam_along_the_plane(
 
 @pytest.mark.parametrize("model", ["pose", "relative-distance"])
 def test_very_many_measurements_that_bend_go_piece_by_piece(
-    model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
+    model: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of the same residuals and normal equations, in the memory of one piece."""
     piece = 64

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.simulation import draw_errors, simulate
+from tests.shared import chain_of, urdf_of
 
 STATIONS = {
     name: FrameSetup((x, 1.0 - x, 0.2), (0.1, x, 2.0 * x))
@@ -69,11 +69,7 @@ def test_a_fit_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
         assert own.estimate == pytest.approx(other.estimate, rel=1e-2)
 
 
-def test_the_same_is_left_for_the_others(
-    urdf_of: Callable[..., str],
-    chain_of: Callable[..., Chain],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_same_is_left_for_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the factors of stations, and by the whole Jacobian.
 
     A mimic joint has the parameters of its leader: its columns add up.

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from calib_pin.estimation.row_blocks import (
     KnownDistances,
     Priors,
     expected_places,
-    feet,
 )
 from calib_pin.estimation.statistics.population_prior import (
     RobotEvidence,
@@ -27,7 +25,7 @@ from calib_pin.estimation.statistics.population_prior import (
 )
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot_types import robot_type
-from calib_pin.kinematics.spatial import Floats, adjoint
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.references import (
     Anchor,
     Plane,
@@ -37,6 +35,7 @@ from calib_pin.measurement_models.references import (
 )
 from calib_pin.setup import AngleSetup, DistanceSetup, FrameSetup, PointSetup, Setup
 from calib_pin.setup.population import PopulationPrior
+from tests.shared import refused, simulated
 
 REFERENCES: tuple[ReferenceObject, ...] = (
     Point("probe", "target", np.array([0.0, 0.0, 0.1])),
@@ -148,7 +147,7 @@ def test_rows_of_a_problem() -> None:
 
 
 @pytest.mark.parametrize(
-    ("known", "refused"),
+    ("known", "said"),
     [
         (DistanceSetup(("s/0", "t/0"), 0.5), "'t/0', which no measurement does"),
         (DistanceSetup(("ball", "s/0"), 0.5), "base.frame and tool.frame"),
@@ -156,14 +155,14 @@ def test_rows_of_a_problem() -> None:
         (DistanceSetup(("s/0", "s/1"), 0.5), ""),
     ],
 )
-def test_nothing_that_is_known_is_ignored(known: DistanceSetup, refused: str) -> None:
+def test_nothing_that_is_known_is_ignored(known: DistanceSetup, said: str) -> None:
     """It is used, or refused where there is no such thing in one frame."""
     points = {"ball": PointSetup((0.0, 0.0, 0.1))}
     setup = replace(
         Setup(sockets=SOCKETS, targets=points, tool_frame=TOOL), **{known.key: (known,)}
     )
-    if refused:
-        with pytest.raises(OptionError, match=re.escape(refused)):
+    if said:
+        with pytest.raises(OptionError, match=re.escape(said)):
             calib_pin.identify(ARM, "fixed-point", setup)
     else:
         found = calib_pin.identify(ARM, "fixed-point", setup)
@@ -230,9 +229,7 @@ def test_a_prior_of_several_parameters(
     np.testing.assert_array_equal(block.jacobian(theta), block.rows)
 
 
-def test_the_prior_of_a_problem(
-    prior: PopulationPrior, simulated: Callable[..., Any]
-) -> None:
+def test_the_prior_of_a_problem(prior: PopulationPrior) -> None:
     """Its rows are the last ones; values that priors hold count as known."""
     data = simulated("position", count=10)[0].data
     plain = make_problem(ARM, data, Setup())
@@ -250,9 +247,7 @@ def test_the_prior_of_a_problem(
     assert make_problem(ARM, data, stated).setup.noise["position"] == 3e-3
 
 
-def test_a_prior_of_another_type_or_of_fewer_parameters(
-    prior: PopulationPrior, refused: Callable[..., Any]
-) -> None:
+def test_a_prior_of_another_type_or_of_fewer_parameters(prior: PopulationPrior) -> None:
     chain = calib_pin.load_chain("pa10")
     with refused(OptionError, reason="'space6'", file="fleet.json"):
         nominal_problem(chain, "position", Setup(prior=prior))
@@ -265,35 +260,6 @@ def test_a_prior_of_another_type_or_of_fewer_parameters(
 
 
 ROBOT = calib_pin.load_chain("heavy6")
-
-
-def test_places_of_an_arm() -> None:
-    """The wrist, the elbow and the shoulder, each on its own axis."""
-    found = feet(ROBOT)
-    frames = ROBOT.joint_frames()
-    places = frames[:, :3, 3] + np.einsum("nij,nj->ni", frames[:, :3, :3], found)
-    tip = ROBOT.poses(np.zeros((1, 6)))[0, :3, 3]
-    wrist = frames[4, :3, 3]
-    np.testing.assert_allclose(places[5], tip, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(places[3:5], [wrist, wrist], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found[1:3], 0.0, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(places[0], [0.0, 0.0, 0.675], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("family", ["placement", "link-transform"])
-def test_independent_errors_at_a_place(family: str) -> None:
-    """Seen from there translations and rotations are as large in every direction."""
-    problem = nominal_problem(ROBOT, "position", Setup(parameters=(family,)))
-    parameters, term = problem.parameters, problem.only
-    C = expected_places(problem, parameters)
-    for joint, place in zip(ROBOT.joints, feet(ROBOT), strict=True):
-        own = [k for k, name in enumerate(parameters.names) if name.startswith(joint)]
-        screws = [term.error.screws[term.index.tolist().index(k)] for k in own]
-        twists = np.array([screw.twist for screw in screws]).T * parameters.scales[own]
-        back = np.eye(4)
-        back[:3, 3] = -place
-        half = adjoint(back) @ twists @ C[np.ix_(own, own)] / parameters.scales[own]
-        np.testing.assert_allclose(half @ half.T, np.eye(6), rtol=0, atol=1e-9)
 
 
 def test_a_joint_with_a_fixed_error_has_its_frame() -> None:

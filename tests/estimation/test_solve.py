@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,11 +15,11 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.setup import Setup, SolverSetup
 from calib_pin.simulation import exact_problem
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates, fitted_ranks
+from tests.shared import refused
 
 RANGER = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
 FEW = {"population_size": 12, "maxiter": 5}
@@ -106,27 +105,6 @@ def test_two_steps_by_turns_reach_the_joint_solution() -> None:
     assert turns.result.cost == pytest.approx(joint.result.cost, rel=1e-6, abs=1e-12)
     sigma = np.sqrt(np.diag(joint.covariance)) + 1e-9
     assert (np.abs(turns.theta - joint.theta) <= 1e-3 * sigma + 1e-9).all()
-
-
-class Unbatched(PlaneDistance):
-    """A measurement model that no kernel knows."""
-
-    batch = None  # type: ignore[assignment]
-
-
-def test_without_a_kernel_its_poses_do_the_same() -> None:
-    problem, _ = ranger_problem(0, count=30)
-    (key, term), *_ = problem.terms.items()
-    assert isinstance(term.measurement, PlaneDistance)
-    unbatched = replace(term, measurement=Unbatched(term.measurement.planes))
-    slow = problem.with_terms({key: unbatched})
-    fast, plain = (solved(each, "de", **FEW) for each in (problem, slow))
-    assert (fast.result.evaluator, plain.result.evaluator) == ("kernel", "kernel")
-    np.testing.assert_allclose(plain.theta, fast.theta, rtol=1e-9, atol=1e-15)
-    evolution = fast.result.evolution
-    assert evolution is not None and evolution.population.shape == (12, 21)
-    assert len(evolution.best_history) == 6
-    assert fast.result.nfev > evolution.nfev  # The registration as well.
 
 
 @pytest.mark.parametrize(
@@ -220,9 +198,7 @@ def test_progress_goes_from_stage_to_stage() -> None:
         (SolverSetup("de", {"popsize": 15}), {"reason": "'popsize'"}),
     ],
 )
-def test_options_that_do_not_exist(
-    solver: SolverSetup, fields: dict[str, Any], refused: Callable[..., Any]
-) -> None:
+def test_options_that_do_not_exist(solver: SolverSetup, fields: dict[str, Any]) -> None:
     problem, _ = ranger_problem(0, count=10)
     setup = replace(RANGER, solver=solver, file="lab.yaml")
     with refused(OptionError, **fields, file="lab.yaml"):

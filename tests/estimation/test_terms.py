@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import asked, named_targets, registered
 from calib_pin.estimation.population import PopulationCost
@@ -30,9 +28,7 @@ from calib_pin.setup import (
     Setup,
 )
 from calib_pin.simulation import exact_at
-
-Simulated = Callable[..., tuple[Problem, Floats]]
-Equipped = Callable[..., Problem]
+from tests.shared import equipped_problem, refused, simulated, urdf_of
 
 ARM = calib_pin.load_chain("space6")
 BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
@@ -60,7 +56,7 @@ def anywhere(problem: Problem, theta: Floats, rng: np.random.Generator) -> Probl
 
 
 @pytest.fixture
-def several(equipped_problem: Equipped) -> tuple[Problem, Floats]:
+def several() -> tuple[Problem, Floats]:
     """A problem with noisy measurements of several instruments, and parameters."""
     problem, rng = equipped_problem(ARM, keys(*SEVERAL)), np.random.default_rng(0)
     theta = 0.01 * rng.normal(size=len(problem.parameters))
@@ -75,7 +71,7 @@ def several(equipped_problem: Equipped) -> tuple[Problem, Floats]:
 # What blocks share.
 
 
-def test_what_several_blocks_name_is_one_reference(simulated: Simulated) -> None:
+def test_what_several_blocks_name_is_one_reference() -> None:
     """The ball that a tracker sees rests in the sockets."""
     setup = replace(SETUP, targets={"ball": PointSetup((0.05, 0.08, 0.12))})
     problem = nominal_problem(ARM, keys("position", "fixed-point"), setup)
@@ -191,19 +187,10 @@ def test_the_cost_is_the_sum_over_blocks(several: tuple[Problem, Floats]) -> Non
     assert other == pytest.approx(cost, rel=1e-10)
 
 
-def test_the_noise_of_a_setup_holds_for_its_quantities(equipped: Setup) -> None:
-    setup = replace(equipped, noise={"position": 3e-5})
-    problem = nominal_problem(ARM, keys("position", "pose", "plane-contact"), setup)
-    expected = ([3e-5] * 3, [3e-5] * 3 + [1e-4] * 3, [1e-4])
-    for block, sigma in zip(problem.blocks, expected, strict=True):
-        table = block.table(problem.sigma)
-        np.testing.assert_array_equal(table, np.tile(sigma, (len(table), 1)))
-
-
 # Fits.
 
 
-def together(simulated: Simulated, setup: Setup, **counts: int) -> Observations:
+def together(setup: Setup, **counts: int) -> Observations:
     """Measurements of several models on one robot."""
     return Observations.of(
         *(
@@ -213,27 +200,18 @@ def together(simulated: Simulated, setup: Setup, **counts: int) -> Observations:
     )
 
 
-def test_positions_give_the_sockets_their_scale(simulated: Simulated) -> None:
-    data = together(simulated, SETUP, position=30, fixed_point=30)
-    fitted = fit(make_problem(ARM, data, Setup()), np.random.default_rng(0))
-    assert (fitted.rank, fitted.structure.scaled) == (33, True)
-    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-10
-
-
 # What does not go.
 
 
-def test_unknown_models_and_what_a_block_lacks(refused: Callable[..., Any]) -> None:
+def test_unknown_models_and_what_a_block_lacks() -> None:
     with refused(OptionError, reason="'fixed-pont'"):
         nominal_problem(ARM, keys("position", "fixed-pont"), SETUP)
     with refused(OptionError, reason="'sockets'"):
         nominal_problem(ARM, keys("pose", "fixed-point"), Setup())
 
 
-def test_measurements_of_an_unknown_socket(
-    simulated: Simulated, refused: Callable[..., Any]
-) -> None:
-    data = together(simulated, SETUP, position=5, fixed_point=5)
+def test_measurements_of_an_unknown_socket() -> None:
+    data = together(SETUP, position=5, fixed_point=5)
     positions, sockets = data.blocks
     wrong = replace(
         sockets,
@@ -247,11 +225,10 @@ def test_measurements_of_an_unknown_socket(
 
 
 MEASURED, CAMERA, TOUCH = map(BlockKey, ("position", "camera", "fixed-point"))
-STATED = FrameSetup((1.0, 2.0, 3.0))
 
 
 @pytest.fixture(scope="module")
-def tree(urdf_of: Callable[..., str]) -> Callable[..., Chains]:
+def tree() -> Callable[..., Chains]:
     """Chains of a trunk with two limbs: `tree("", "right")`."""
     joints = [("trunk", "root", "chest"), ("l", "chest", "left"), ("r", "chest", "end")]
     text = urdf_of(*({"name": n, "parent": p, "child": c} for n, p, c in joints))

@@ -114,17 +114,3 @@ def test_without_redundancy_nothing_is_predicted() -> None:
     *_, rows = measured(4, 5)
     assert fit(rows).accuracy.tip is None
     assert fit(replace(rows, sigma=None)).accuracy.tip is None
-
-
-def test_a_far_first_guess_predicts_the_same() -> None:
-    """Parameters belong to references, and so does their covariance."""
-    *_, rows = measured(2, 40)
-    far = FrameSetup((0.5, 0.1, -0.2), (1.0, -0.3, 0.4), estimate=True)
-    setups = Setup(), Setup(base_frame=far)
-    near, other = (fit(rows, setup).accuracy.tip for setup in setups)
-    assert near is not None and other is not None
-    # Directions of the structure come from Jacobians about other references.
-    np.testing.assert_allclose(other.position, near.position, rtol=1e-6)
-    np.testing.assert_allclose(other.orientation, near.orientation, rtol=1e-6)
-    curves = (tip.by_count.curve[1] for tip in (other, near))
-    np.testing.assert_allclose(*curves, rtol=1e-5)

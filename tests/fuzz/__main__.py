@@ -15,18 +15,16 @@ from itertools import count
 
 from tests.fuzz.cases import Case, Outcome, Pool, fault, make_case
 from tests.fuzz.corpus import written
-from tests.fuzz.reduction import reduced
 
 
 def main() -> int:
-    """Run cases; tell those that fail, and the smallest file of each kind."""
+    """Run cases and tell those that fail."""
     parser = argparse.ArgumentParser(prog="fuzz", description=__doc__)
     parser.add_argument("--minutes", type=float, help="end after this time")
     parser.add_argument("--cases", type=int, help="end after so many cases")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--no-reduction", action="store_true")
     options = parser.parse_args()
     if options.minutes is None and options.cases is None:
         parser.error("--minutes or --cases is needed")
@@ -50,20 +48,14 @@ def run(options: argparse.Namespace, corpus: Mapping[str, bytes]) -> int:
             yield make_case(options.seed, number, corpus)
 
     faults, statuses = Counter[str](), Counter[int | None]()
-    slowest, largest, told = 0.0, 0, set[tuple[str, str]]()
+    slowest, largest = 0.0, 0
     for case, outcome in Pool(options.jobs).run(cases()):
         statuses[outcome.status] += 1
         slowest = max(slowest, outcome.seconds)
         largest = max(largest, outcome.memory)
-        what = fault(case, outcome)
-        if what is None:
-            continue
-        faults[what] += 1
-        tell(case, outcome, what)
-        if not options.no_reduction and (what, case.file) not in told:
-            told.add((what, case.file))
-            small = reduced(case, what)
-            print(f"  smallest {case.file}: {small.files[case.file]!r}", flush=True)
+        if what := fault(case, outcome):
+            faults[what] += 1
+            tell(case, outcome, what)
     print(
         f"{statuses.total()} cases, {faults.total()} failures {dict(faults)}, "
         f"status {dict(statuses)}, longest {slowest:.1f} s, "

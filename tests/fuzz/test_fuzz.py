@@ -16,7 +16,6 @@ from tests.fuzz import cases, corpus
 from tests.fuzz.__main__ import run
 from tests.fuzz.cases import Case, Outcome, Pool, fault, make_case
 from tests.fuzz.mutators import damaged
-from tests.fuzz.reduction import reduced
 
 # --- the fuzzer itself -------------------------------------------------------------
 
@@ -92,17 +91,6 @@ def test_after_a_death_the_others_run(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found == {"a": 0, "b": None, "c": 0, "d": 0}
 
 
-@pytest.mark.slow
-def test_the_smallest_file_of_a_case(monkeypatch: pytest.MonkeyPatch) -> None:
-    def command(_: list[str]) -> int:
-        return die() if b"bad" in Path("a.csv").read_bytes() else 0
-
-    monkeypatch.setattr(cases, "main", command)
-    text = b"".join(b"%d,good\n" % k for k in range(30)) + b"31,bad,1\n32,good\n"
-    case = Case("0/0", "report a.csv", "a.csv", {"a.csv": text}, "")
-    assert reduced(case, "SIGSEGV").files == {"a.csv": b"bad"}
-
-
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, bytes]]:
     with pytest.MonkeyPatch.context() as patch:
@@ -114,7 +102,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, bytes]
 def test_damaged_files(
     files: dict[str, bytes], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = {"first": 0, "minutes": None, "jobs": 1, "no_reduction": True}
+    options = {"first": 0, "minutes": None, "jobs": 1}
     for seed, count in ((19, 100), (1900, 250)):
         asked = argparse.Namespace(seed=seed, cases=count, **options)
         assert run(asked, files) == 0, capsys.readouterr().out

@@ -66,7 +66,7 @@ class Job:
         some = np.arange(places) if isinstance(places, int) else np.array(places)
         self.there = self.rows.rows(some)
         self.time += 1
-        self.file.write_text("\n" * self.time)
+        self.file.write_text(f"{self.time}\n")
         os.utime(self.file, (self.time, self.time))
         return [*self.watch.look()]
 

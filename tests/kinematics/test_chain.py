@@ -17,9 +17,8 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
 from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import Payload
+from tests.shared import chain_of, refused, urdf_of
 
-UrdfOf = Callable[..., str]
-ChainOf = Callable[..., Chain]
 IndependentPoses = Callable[..., Any]
 
 
@@ -114,11 +113,7 @@ KINDS = [
 
 @pytest.mark.parametrize(("kind", "axis"), KINDS)
 def test_joint_kinds_and_axes(
-    kind: str,
-    axis: tuple[float, ...],
-    urdf_of: UrdfOf,
-    chain_of: ChainOf,
-    independent_poses: IndependentPoses,
+    kind: str, axis: tuple[float, ...], independent_poses: IndependentPoses
 ) -> None:
     rng = np.random.default_rng(3)
     # yourdfpy does not normalize the axes of prismatic joints.
@@ -153,52 +148,6 @@ def test_joint_kinds_and_axes(
         np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-12)
     assert_regressor(chain, q)
     assert_regressor(chain_of(urdf, "c", "a"), q[:, ::-1])
-
-
-@pytest.mark.parametrize(("base", "tip"), [("a", "c2"), ("a1", "c1"), ("b1", "c")])
-def test_fixed_joints_anywhere(
-    base: str,
-    tip: str,
-    urdf_of: UrdfOf,
-    chain_of: ChainOf,
-    independent_poses: IndependentPoses,
-) -> None:
-    rng = np.random.default_rng(8)
-    kinds = {
-        "fixed_1": ("a", "a1", "fixed"),
-        "one": ("a1", "b", "revolute"),
-        "fixed_2": ("b", "b1", "fixed"),
-        "two": ("b1", "b2", "continuous"),
-        "three": ("b2", "c", "prismatic"),
-        "fixed_3": ("c", "c1", "fixed"),
-        "fixed_4": ("c1", "c2", "fixed"),
-        # A branch on the way, and one at the end.
-        "off_1": ("b", "d", "revolute"),
-        "off_2": ("c1", "e", "revolute"),
-    }
-    urdf = urdf_of(
-        *(
-            {
-                "name": name,
-                "parent": parent,
-                "child": child,
-                "type": kind,
-                "placement": placement(rng),
-                "axis": (0, 0, -1) if name != "two" else (1, 2, 3),
-            }
-            for name, (parent, child, kind) in kinds.items()
-        )
-    )
-    chain = chain_of(urdf, base, tip)
-    assert chain.joints == (("two", "three") if base == "b1" else chain.joints)
-    assert chain.joints[-2:] == ("two", "three")
-    assert chain.tip_joint == {"c": None, "c1": "fixed_3", "c2": "fixed_4"}[tip]
-    q = rng.uniform(-2, 2, (2, len(chain.joints)))
-    for row, pose in zip(q, chain.poses(q), strict=True):
-        named = dict(zip(chain.joints, row, strict=True))
-        (expected,) = independent_poses(urdf.encode(), named, [(base, tip)])
-        np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-12)
-    assert_regressor(chain, q)
 
 
 # What a chain leaves alone.
@@ -241,7 +190,7 @@ MASSES = {
 
 
 @pytest.fixture
-def heavy_urdf(urdf_of: UrdfOf) -> str:
+def heavy_urdf() -> str:
     """Two branches with all kinds of joints; each link has a mass of its own."""
     rng = np.random.default_rng(12)
     joints = {
@@ -287,7 +236,6 @@ def test_torques_of_gravity_are_its_virtual_work(
     tip: str,
     payload: Payload | None,
     heavy_urdf: str,
-    chain_of: ChainOf,
     independent_poses: IndependentPoses,
 ) -> None:
     chain = chain_of(heavy_urdf, base, tip)
@@ -325,9 +273,7 @@ def test_torques_of_gravity_are_its_virtual_work(
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
 
 
-def test_torques_are_those_of_nominal_geometry(
-    heavy_urdf: str, chain_of: ChainOf
-) -> None:
+def test_torques_are_those_of_nominal_geometry(heavy_urdf: str) -> None:
     chain = chain_of(heavy_urdf, "f", "tool")
     rng = np.random.default_rng(0)
     q = chain.random_configurations(4, rng)
@@ -354,7 +300,7 @@ def test_torques_are_those_of_nominal_geometry(
 # Names.
 
 
-def test_link_and_joint_of_one_name(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+def test_link_and_joint_of_one_name() -> None:
     names = ("hip", "knee", "ankle", "toe", "heel")
     # Each joint is called as the link it carries, or as another one.
     urdf = urdf_of(
@@ -382,7 +328,7 @@ def test_link_and_joint_of_one_name(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
 # Limits.
 
 
-def test_limits(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+def test_limits() -> None:
     kinds = [
         ("revolute", (-1.0, 2.5)),
         ("continuous", None),
@@ -432,14 +378,7 @@ def test_limits(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
         ("a", "d", {"more": '<mimic joint="j10"/>'}),
     ],
 )
-def test_refused_joints(
-    base: str,
-    tip: str,
-    changes: dict[str, str],
-    urdf_of: UrdfOf,
-    chain_of: ChainOf,
-    refused: Callable[..., Any],
-) -> None:
+def test_refused_joints(base: str, tip: str, changes: dict[str, str]) -> None:
     urdf = urdf_of(
         {"name": "j1", "parent": "a", "child": "b"},
         {"name": "j10", "parent": "b", "child": "c", **changes},
@@ -451,9 +390,7 @@ def test_refused_joints(
     assert chain_of(urdf, "e", "b").joints == ("j12", "j1")
 
 
-def test_frames_that_make_no_chain(
-    urdf_of: UrdfOf, chain_of: ChainOf, refused: Callable[..., Any]
-) -> None:
+def test_frames_that_make_no_chain() -> None:
     joint = {"name": "j", "parent": "base_link", "child": "flange"}
     urdf, frames = urdf_of(joint), {"allowed": "base_link, flange"}
     with refused(RobotError, ["'flnge'", "'flange'?"], **frames):
@@ -485,7 +422,7 @@ def test_frames_that_make_no_chain(
         Chain(alone)
 
 
-def test_a_link_stands_still_in_itself(heavy_urdf: str, chain_of: ChainOf) -> None:
+def test_a_link_stands_still_in_itself(heavy_urdf: str) -> None:
     q = np.zeros((3, 0))
     for link in ("a", "c", "tool"):
         chain = chain_of(heavy_urdf, link, link)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import invert
 from calib_pin.setup import WORLD, ChainSetup
+from tests.shared import refused, urdf_of
 
 LEFT, RIGHT = "gripper_left_base_link", "gripper_right_base_link"
 
@@ -26,7 +26,7 @@ def talos() -> Robot:
 
 
 @pytest.fixture
-def hand(urdf_of: Callable[..., str]) -> Robot:
+def hand() -> Robot:
     """A wrist that carries two fingers, both driven by a knob on another branch.
 
     The first finger slides; the second follows the first. Each behind its mimic joint
@@ -114,7 +114,7 @@ def test_the_base_of_chains(talos: Robot) -> None:
     assert more[LEFT] is renamed[LEFT] and renamed.names == (LEFT,)
 
 
-def test_names_that_cannot_be_used(hand: Robot, refused: Callable[..., Any]) -> None:
+def test_names_that_cannot_be_used(hand: Robot) -> None:
     left = {"left": ChainSetup("nail")}
     everything = "world, left, base, palm, thumb, finger, nail, dial"
     with refused(RobotError, "'left'", allowed=everything, file="hand.urdf"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -51,22 +52,49 @@ def touching(collisions: Collisions, q: np.ndarray) -> list[tuple[str, str]]:
 
 @dataclass(frozen=True)
 class Reference:
-    """All solids of a robot with obstacles, straight from Pinocchio."""
+    """All solids of a robot with obstacles, straight from Pinocchio.
+
+    Attributes:
+        chain: Some of its joints; the others stand still.
+        model: Robot from its file.
+        geometry: Its solids, and those of the obstacles on the base of the chain.
+        names: Link of each solid, or the name of the obstacle.
+    """
 
     chain: Chain
     model: pin.Model
     geometry: pin.GeometryModel
+    names: tuple[str, ...]
 
-    def names(self) -> list[str]:
-        """Link of each solid, or the name of the obstacle."""
-        return [
-            solid.name
-            if solid.name.startswith("obstacle")
-            else self.model.frames[solid.parentFrame].name
-            for solid in self.geometry.geometryObjects
-        ]
+    @staticmethod
+    def of(chain: Chain, obstacles: Sequence[Obstacle] = OBSTACLES) -> Reference:
+        urdf = locate_robot(chain.robot.file).resolve()
+        model = pin.buildModelFromUrdf(str(urdf))
+        folders = [str(folder) for folder in urdf.parents]
+        geometry = pin.buildGeomFromUrdf(
+            model, str(urdf), pin.COLLISION, package_dirs=folders
+        )
+        links = [model.frames[s.parentFrame].name for s in geometry.geometryObjects]
+        base = model.frames[model.getFrameId(chain.base, pin.FrameType.BODY)]
+        kinds = {
+            "box": pin.coal.Box,
+            "sphere": pin.coal.Sphere,
+            "cylinder": pin.coal.Cylinder,
+        }
+        for k, obstacle in enumerate(obstacles, 1):
+            size = np.atleast_1d(getattr(obstacle, obstacle.kind)).tolist()
+            turn = pin.rpy.rpyToMatrix(*map(float, obstacle.rpy))
+            pose = base.placement * pin.SE3(turn, np.array(obstacle.xyz))
+            solid = pin.GeometryObject(
+                *(f"{k}", base.parentJoint, pose, kinds[obstacle.kind](*size))
+            )
+            geometry.addGeometryObject(solid)
+            links.append(f"obstacle {k} ({obstacle.kind})")
+        geometry.addAllCollisionPairs()
+        return Reference(chain, model, geometry, tuple(links))
 
     def full(self, q: np.ndarray) -> np.ndarray:
+        """All positions of the model, of which the chain moves some."""
         result = pin.neutral(self.model)
         for name, angle in zip(self.chain.joints, q, strict=True):
             joint = self.model.joints[self.model.getJointId(name)]
@@ -80,39 +108,23 @@ class Reference:
         pin.computeCollisions(
             self.model, data, self.geometry, results, self.full(q), False
         )
-        names = self.names()
         return {
-            frozenset((names[pair.first], names[pair.second]))
+            frozenset((self.names[pair.first], self.names[pair.second]))
             for pair, result in zip(
                 self.geometry.collisionPairs, results.collisionResults, strict=True
             )
             if result.isCollision()
         }
 
-
-def reference_of(chain: Chain) -> Reference:
-    urdf = locate_robot(chain.robot.file).resolve()
-    model = pin.buildModelFromUrdf(str(urdf))
-    folders = [str(folder) for folder in urdf.parents]
-    geometry = pin.buildGeomFromUrdf(
-        model, str(urdf), pin.COLLISION, package_dirs=folders
-    )
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, pin.neutral(model))
-    # The chain does not move its base, so obstacles may as well stand in the world.
-    base = data.oMf[model.getFrameId(chain.base, pin.FrameType.BODY)]
-    shapes = (
-        pin.coal.Box(0.5, 0.4, 0.3),
-        pin.coal.Sphere(0.2),
-        pin.coal.Cylinder(0.1, 1.0),
-    )
-    for k, (shape, obstacle) in enumerate(zip(shapes, OBSTACLES, strict=True), 1):
-        R = pin.rpy.rpyToMatrix(*obstacle.rpy)
-        pose = base * pin.SE3(R, np.array(obstacle.xyz))
-        name = f"obstacle {k} ({obstacle.kind})"
-        geometry.addGeometryObject(pin.GeometryObject(name, 0, 0, pose, shape))
-    geometry.addAllCollisionPairs()
-    return Reference(chain, model, geometry)
+    def tip(self, q: np.ndarray) -> pin.SE3:
+        """Pose of the tip in the base link."""
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, self.full(q))
+        base, tip = (
+            data.oMf[self.model.getFrameId(link, pin.FrameType.BODY)]
+            for link in (self.chain.base, self.chain.tip)
+        )
+        return base.actInv(tip)
 
 
 @pytest.fixture(scope="module", params=CHAINS)
@@ -134,7 +146,7 @@ def arm() -> Chain:
 
 
 def test_as_pinocchio_finds_them(chain: Chain, collisions: Collisions) -> None:
-    reference, chosen = reference_of(chain), set(map(frozenset, collisions.pairs))
+    reference, chosen = Reference.of(chain), set(map(frozenset, collisions.pairs))
     q = chain.random_configurations(20, np.random.default_rng(7))
     met = [reference.touching(row) for row in q]
     expected = [pairs & chosen for pairs in met]

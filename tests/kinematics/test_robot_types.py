@@ -10,6 +10,7 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.setup.population import RobotType
+from tests.shared import chain_of
 
 ARM = """<robot name="{name}">
   <link name="world"/><link name="base"/><link name="x"/><link name="y"/>
@@ -35,7 +36,7 @@ GIVEN = {
 }
 
 
-def arm(chain_of, **changes: object) -> RobotType:
+def arm(**changes: object) -> RobotType:
     return robot_type(Chains.of(chain_of(ARM.format(**{**GIVEN, **changes}))))
 
 
@@ -49,13 +50,13 @@ def arm(chain_of, **changes: object) -> RobotType:
         ({"axis": "1 0 0"}, ("'b'", "axis")),
     ],
 )
-def test_of_one_type(chain_of, changes, differing) -> None:
-    told = arm(chain_of).difference(arm(chain_of, **changes))
+def test_of_one_type(changes, differing) -> None:
+    told = arm().difference(arm(**changes))
     assert bool(told) == bool(differing) and all(word in told for word in differing)
 
 
-def test_of_other_joints(chain_of) -> None:
-    own, other = arm(chain_of), robot_type(Chains.of(load_chain("space6")))
+def test_of_other_joints() -> None:
+    own, other = arm(), robot_type(Chains.of(load_chain("space6")))
     name = other.joints[0].name
     assert f"'{name}'" in own.difference(other)
     assert "'b'" in own.difference(replace(own, joints=own.joints[:1]))

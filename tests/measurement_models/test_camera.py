@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +18,7 @@ from calib_pin.measurement_models.pinhole import distort, turning_radius, undist
 from calib_pin.observations import Measurements
 from calib_pin.setup import BoardSetup, CameraSetup, FrameSetup, PointSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
+from tests.shared import refused
 
 ARM = load_chain("space6")
 LENS = (-0.2, 0.05, 0.002, -0.001, 0.01)
@@ -351,7 +350,7 @@ def test_focal_lengths_that_are_estimated_start_from_the_images(
     assert np.abs(base.translation - BASES[mount].translation).max() < 0.03
 
 
-def test_what_cannot_be_registered(refused: Callable[..., Any]) -> None:
+def test_what_cannot_be_registered() -> None:
     model = model_of("hand", GRID)
     T, target = views(model, 3)
     data = data_of(model, T, target)
@@ -367,7 +366,7 @@ def test_what_cannot_be_registered(refused: Callable[..., Any]) -> None:
             model.register(T, wrong, None, None)
 
 
-def test_cameras_that_cannot_be(refused: Callable[..., Any]) -> None:
+def test_cameras_that_cannot_be() -> None:
     """Without points, points without a place, no camera, and bad focal lengths."""
     assert CameraModel.from_setup(Setup(camera=SEEN), ()).missing
     targets = {"a": PointSetup((0.0, 0.0, 0.0)), "b": PointSetup()}

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,30 +12,24 @@ import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.contact import PlaneContact, SphereContact
 from calib_pin.measurement_models.references import Plane, Sphere
 from calib_pin.observations import Measurements
 from calib_pin.setup import (
-    DistanceSetup,
-    FrameSetup,
     PlaneSetup,
     PointSetup,
     Setup,
     SphereSetup,
 )
 from tests.measurement_models.test_contact_registration import poses
-
-Simulated = Callable[..., tuple[Problem, Floats]]
+from tests.shared import simulated
 
 ARM = calib_pin.load_chain("space6")
 TIP = np.array([0.05, -0.03, 0.12])
-TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
 TABLE = PlaneSetup((0.0, 0.1, 1.0), -0.4)
 WALL = PlaneSetup((1.0, 0.1, 0.3), -0.5)
-DOOR = PlaneSetup((0.2, 1.0, 0.1), -0.3)
 BALL = SphereSetup((0.5, 0.2, 0.4), 0.15)
 
 
@@ -222,39 +214,7 @@ def test_spheres_and_the_point_that_touches_them(
 # What can be known.
 
 
-@pytest.mark.parametrize(
-    ("model", "stated", "rank", "scaled"),
-    [
-        ("plane-contact", {"planes": {"a": replace(TABLE, estimate=False)}}, 23, False),
-        ("plane-contact", {"planes": {"a": TABLE, "b": WALL, "c": DOOR}}, 29, False),
-        # Parallel planes a known distance apart.
-        (
-            "plane-contact",
-            {
-                "planes": {"a": TABLE, "b": replace(TABLE, offset=-0.7), "c": WALL},
-                "distances": (DistanceSetup(("a", "b"), 0.3 / 1.01**0.5),),
-            },
-            30,
-            True,
-        ),
-        ("sphere-contact", {"spheres": {"a": BALL}}, 24, True),
-        (
-            "sphere-contact",
-            {"spheres": {"a": replace(BALL, estimate_radius=True)}},
-            24,
-            False,
-        ),
-    ],
-)
-def test_ranks(model: str, stated: dict[str, Any], rank: int, scaled: bool) -> None:
-    """A radius that is known is the length that a plane lacks."""
-    found = calib_pin.identify(ARM, model, Setup(tool_frame=TOOL, **stated))
-    assert found.identifiability.rank == rank
-    assert found.identifiability.gap > 1e6
-    assert found.identifiability.scale_observable == scaled
-
-
-def test_named_points_touch_as_well(simulated: Simulated) -> None:
+def test_named_points_touch_as_well() -> None:
     """Without a first guess of them and of one of two planes."""
     planes = {"a": replace(TABLE, estimate=False), "b": WALL}
     points = {

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +16,8 @@ from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
-from calib_pin.setup import FrameSetup, PointSetup, Setup
+from calib_pin.setup import PointSetup, Setup
+from tests.shared import refused
 
 ARM = calib_pin.load_chain("space6")
 BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))
@@ -102,7 +101,7 @@ def test_unknown_points_hide_the_tool(known: str) -> None:
     assert set(parameters.free[tool]) == {bool(known)}
 
 
-def test_rows_of_an_unknown_point(refused: Callable[..., Any]) -> None:
+def test_rows_of_an_unknown_point() -> None:
     _, data = seen(("a", "b"), 4)
     model = position(Setup(targets=STATED), *data.target)
     stated = replace(data, lines=np.arange(2, 6), files=("m.csv",) * 4)
@@ -160,24 +159,3 @@ def test_a_point_that_no_row_looks_at_stays_at_the_origin() -> None:
     found, _, _ = model.register(F, data, None, None)
     assert found.missing == ""
     np.testing.assert_array_equal(located(found)[2], np.zeros(3))
-
-
-@pytest.mark.parametrize(
-    ("count", "known", "rank"),
-    [
-        (1, False, 27),
-        # Each unknown point more has three coordinates more.
-        (3, False, 33),
-        # All of the tool frame but a turn about the line through both of them.
-        (2, True, 29),
-        # As good as poses.
-        (3, True, 30),
-    ],
-)
-def test_ranks(count: int, known: bool, rank: int) -> None:
-    points = {name: PointSetup(XYZ[name], estimate=not known) for name in "abc"[:count]}
-    base = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
-    setup = Setup(targets=points, base_frame=base)
-    found = calib_pin.identify(ARM, "position", setup).identifiability
-    assert found.rank == found.structural_rank == rank
-    assert found.gap > 1e6 and found.scale_observable

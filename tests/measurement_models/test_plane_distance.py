@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +16,7 @@ from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.references import Plane
 from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, RangerSetup, Setup
+from tests.shared import refused
 
 FLOOR = Plane("floor", np.array([0.0, 0.0, 1.0]), 1.0)
 WALL = Plane("wall", np.array([0.6, 0.0, 0.8]), -2.0)
@@ -82,7 +82,7 @@ def test_a_turned_plane(normal: Floats) -> None:
     assert offset == pytest.approx(-0.3)
 
 
-def test_a_parallel_beam_has_no_finite_distance(refused: Callable[..., Any]) -> None:
+def test_a_parallel_beam_has_no_finite_distance() -> None:
     model = PlaneDistance((FLOOR,))
     T = beam([0, 0, 0], [1.0, 0, 0])[None]
     T[0, 2, 2] = 0.0
@@ -142,7 +142,7 @@ def test_planes_of_a_setup_are_normalized() -> None:
         assert all(p.normal is None and p.estimate for p in model.planes)
 
 
-def test_what_cannot_be_a_plane(refused: Callable[..., Any]) -> None:
+def test_what_cannot_be_a_plane() -> None:
     for normal in ((0.0, 0.0, 0.0), (np.nan, 0.0, 1.0), (np.inf, 0.0, 0.0)):
         with refused(OptionError, "normal'"):
             Setup(planes={"wall": PlaneSetup(normal, 1.0)})

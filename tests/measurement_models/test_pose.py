@@ -9,10 +9,8 @@ import pytest
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, so3_exp
 from calib_pin.measurement_models.pose import Pose
+from calib_pin.measurement_models.position import Position
 from calib_pin.observations import Measurements
-
-BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))
-TOOL = pin.exp6(np.array([0.1, 0.0, 0.2, -2.0, 0.4, 1.0]))
 
 
 def tips(count: int = 12) -> Floats:
@@ -50,13 +48,25 @@ def test_residual_is_in_the_measuring_frame_and_in_the_tool() -> None:
     np.testing.assert_allclose(Pose().residual(T, np.zeros(0), data), 0.0, atol=1e-12)
 
 
+BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))
+TOOL = pin.exp6(np.array([0.1, 0.0, 0.2, -2.0, 0.4, 1.0]))
+
+
+@pytest.mark.parametrize("model", [Pose(), Position()], ids=["pose", "position"])
 @pytest.mark.parametrize(
-    ("count", "base", "tool"), [(4, None, None), (12, BASE, None), (4, None, TOOL)]
+    ("base", "tool"), [(None, None), (BASE, None), (None, TOOL), (BASE, TOOL)]
 )
-def test_registration(count: int, base: pin.SE3 | None, tool: pin.SE3 | None) -> None:
-    F = tips(count)
-    data = data_of(BASE.homogeneous @ F @ TOOL.homogeneous)
-    model, found_base, found_tool = Pose().register(F, data, base, tool)
+def test_registration(
+    model: Pose | Position, base: pin.SE3 | None, tool: pin.SE3 | None
+) -> None:
+    """A point has no orientation, but a tool that is known keeps its own."""
+    F = tips()
+    T = BASE.homogeneous @ F @ TOOL.homogeneous
+    values = model.predict(T, np.zeros(0), ("",) * len(T))
+    data = Measurements(("j",), np.zeros((len(T), 1)), model.name, values)
+    found, found_base, found_tool = model.register(F, data, base, tool)
     np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-11)
-    np.testing.assert_allclose(found_tool.homogeneous, TOOL.homogeneous, atol=1e-11)
-    assert model == Pose()
+    np.testing.assert_allclose(found_tool.translation, TOOL.translation, atol=1e-11)
+    turned = TOOL if tool is not None or isinstance(model, Pose) else pin.SE3.Identity()
+    np.testing.assert_allclose(found_tool.rotation, turned.rotation, atol=1e-11)
+    assert found == model

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 from calib_pin.errors import OptionError
 from calib_pin.io.urdf import load_chain
-from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations import (
     PARAMETERIZATIONS,
     parameterization,
@@ -20,6 +18,7 @@ from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE, Screw, o
 from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Payload, Setup
+from tests.shared import FRAMED, chain_of, urdf_of
 
 COMPONENTS = {
     "placement": ["x", "y", "z", "rx", "ry", "rz"],
@@ -61,34 +60,32 @@ def test_registry() -> None:
         parameterization("placment")
 
 
-def test_what_the_user_states_reaches_the_parameterization(framed: Setup) -> None:
+def test_what_the_user_states_reaches_the_parameterization() -> None:
     chain = load_chain("space6")
     names = [s.parameter.name for s in parameterization("transmission").screws(chain)]
     assert not any("motor" in name for name in names)
-    with_motors = parameterization("transmission", framed).screws(chain)
+    with_motors = parameterization("transmission", FRAMED).screws(chain)
     assert len(with_motors) == len(names) + 4 * 6
-    payloads = {"light": Payload(1.0, (0.0, 0.0, 0.0)), **framed.payloads}
-    several = parameterization("compliance", replace(framed, payloads=payloads))
+    payloads = {"light": Payload(1.0, (0.0, 0.0, 0.0)), **FRAMED.payloads}
+    several = parameterization("compliance", replace(FRAMED, payloads=payloads))
     assert isinstance(several, Compliance)
-    assert several.payloads == payloads and several.gravity == framed.gravity
+    assert several.payloads == payloads and several.gravity == FRAMED.gravity
 
 
-def test_no_configurations_have_no_poses(framed: Setup) -> None:
+def test_no_configurations_have_no_poses() -> None:
     chain = load_chain("space6")
     for name in PARAMETERIZATIONS:
-        model = ErrorModel.create(chain, (name,), setup=framed)
+        model = ErrorModel.create(chain, (name,), setup=FRAMED)
         basis = model.basis(np.zeros((0, 6)))
         theta = np.zeros(len(model.screws))
         assert model.poses(np.zeros((0, 6)), theta, basis).shape == (0, 4, 4), name
 
 
 @pytest.mark.parametrize(("robot", "base", "tip"), ROBOTS)
-def test_names_units_and_scales(
-    robot: str, base: str | None, tip: str | None, framed: Setup
-) -> None:
+def test_names_units_and_scales(robot: str, base: str | None, tip: str | None) -> None:
     chain = load_chain(robot, base=base, tip=tip)
     for name, components in COMPONENTS.items():
-        screws = parameterization(name, framed).screws(chain)
+        screws = parameterization(name, FRAMED).screws(chain)
         kind = {"dh-full": "dh", "motor-ripple": "transmission"}.get(name, name)
         drifts = name == "instrument-drift"
         owners = ["base"] if drifts else [*chain.joints, chain.tip_joint]
@@ -122,11 +119,11 @@ def assert_of_geometry(screw: Screw) -> None:
         assert abs(screw.twist[:3] @ screw.twist[3:]) < 1e-12
 
 
-def test_zero_is_the_nominal_robot(framed: Setup) -> None:
+def test_zero_is_the_nominal_robot() -> None:
     chain = load_chain("example:tiago_no_hand", tip="arm_7_link")
     q = chain.random_configurations(3, np.random.default_rng(0))
     for name in PARAMETERIZATIONS:
-        model = ErrorModel.create(chain, [name], setup=framed)
+        model = ErrorModel.create(chain, [name], setup=FRAMED)
         zero = np.zeros(len(model.parameters))
         np.testing.assert_array_equal(model.poses(q, zero), chain.poses(q))
 
@@ -158,9 +155,7 @@ def test_a_parameter_cannot_be_defined_twice() -> None:
             ErrorModel.create(load_chain("space6"), twice)
 
 
-def test_joints_called_base_and_tool(
-    urdf_of: Callable[..., str], chain_of: Callable[..., Chain]
-) -> None:
+def test_joints_called_base_and_tool() -> None:
     assert [owner(name) for name in ("base", "tool", "Base", "tool0")] == [
         "joint:base",
         "joint:tool",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -20,9 +19,7 @@ from calib_pin.parameterizations.compliance import DEFLECTION
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.loads import LEAST
 from calib_pin.setup import Payload, Setup
-
-UrdfOf = Callable[..., str]
-ChainOf = Callable[..., Chain]
+from tests.shared import chain_of, refused, urdf_of
 
 G = 9.81
 K = 1e-3
@@ -65,9 +62,7 @@ ROUNDING = 4.0 * np.finfo(float).eps
 
 
 @pytest.mark.parametrize("axis", [(0, 1, 0), (0, -1, 0)])
-def test_an_arm_sags(
-    axis: tuple[float, float, float], urdf_of: UrdfOf, chain_of: ChainOf
-) -> None:
+def test_an_arm_sags(axis: tuple[float, float, float]) -> None:
     chain = chain_of(urdf_of(*beam(axis)))
     q = np.array([[0.0], [0.5], [-1.2], [np.pi / 2]])
     dq = deflection(chain, q)
@@ -82,22 +77,7 @@ def test_an_arm_sags(
     assert lower[0] == pytest.approx(-LENGTH * np.sin(K * MASS * G * CENTER))
 
 
-def test_the_direction_of_gravity(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
-    chain = chain_of(urdf_of(*beam()))
-    q = np.array([[0.3], [-0.9]])
-    usual = deflection(chain, q)
-    for gravity, expected in (
-        ((0.0, 0.0, G), -usual),
-        # On a wall whose x points down, the arm hangs at q = 0.
-        ((1.62, 0.0, 0.0), -K * MASS * 1.62 * CENTER * np.sin(q)),
-        # The part along the axis does nothing.
-        ((0.0, 7.0, -G), usual),
-    ):
-        found = deflection(chain, q, gravity=gravity)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=ROUNDING)
-
-
-def test_a_joint_that_slides(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+def test_a_joint_that_slides() -> None:
     """A lift gives way by its weight, in meters per newton, wherever it stands."""
     chain = chain_of(urdf_of(LIFT))
     q = np.array([[0.0], [1.5]])
@@ -111,53 +91,6 @@ def test_a_joint_that_slides(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
 
 
 # Against models that Pinocchio builds itself.
-
-
-def test_a_payload_is_a_link_more() -> None:
-    """The robot with a link welded to its last link, read by Pinocchio."""
-    chain = calib_pin.load_chain("pa10", tip="link_7")
-    load = Payload(7.5, (0.05, -0.1, 0.2))
-    center = " ".join(map(str, load.com))
-    welded = chain.robot.source.decode().replace(
-        "</robot>",
-        f"""<link name="load"><inertial><origin xyz="{center}"/>
-        <mass value="{load.mass}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0"
-        izz="1"/></inertial></link>
-        <joint name="weld" type="fixed"><parent link="{chain.tip}"/>
-        <child link="load"/></joint></robot>""",
-    )
-    model = pin.buildModelFromXML(welded)
-    data = model.createData()
-    q = chain.random_configurations(5, np.random.default_rng(0))
-    expected = [-K * pin.computeGeneralizedGravity(model, data, row) for row in q]
-    found = deflection(chain, q, payloads={"load": load})
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
-    assert np.abs(found - deflection(chain, q)).max() > K
-
-
-def test_a_chain_from_tool_to_base_is_the_same_robot() -> None:
-    """The joints sag as they do; only what is held still is another end."""
-    chain = calib_pin.load_chain("example:ur10_robot", tip="tool0")
-    back = Chain(chain.robot, "tool0", "base_link")
-    # Gravity is given in the base, here the tool where the joints are at zero.
-    R = chain.poses(np.zeros((1, 6)))[0, :3, :3]
-    turned = tuple(R.T @ [0.0, 0.0, -G])
-    rng = np.random.default_rng(2)
-    q, k = chain.random_configurations(4, rng), rng.uniform(1e-4, 1e-3, 6)
-    dq = (deflection(chain, q) / K) * k
-    assert np.abs(dq).max() > 1e-2
-    names = [f"{joint}.compliance.k" for joint in chain.joints]
-    for model, order in (
-        (model_of(chain), slice(None)),
-        (model_of(back, gravity=turned), slice(None, None, -1)),
-    ):
-        theta = model.parameters.vector(dict(zip(names, k, strict=True)))
-        found = model.joint_positions(q[:, order], theta) - q[:, order]
-        np.testing.assert_allclose(found, dq[:, order], rtol=0, atol=1e-12)
-        expected = model.chain.poses(q[:, order] + dq[:, order])
-        np.testing.assert_allclose(
-            model.poses(q[:, order], theta), expected, rtol=0, atol=1e-12
-        )
 
 
 # Scales, and what cannot be used.
@@ -206,7 +139,7 @@ def test_each_row_has_the_torques_of_its_payload() -> None:
     assert several == heavy
 
 
-def test_rows_that_name_no_payload(refused: Callable[..., Any]) -> None:
+def test_rows_that_name_no_payload() -> None:
     chain = calib_pin.load_chain("pa10")
     q = chain.random_configurations(2, np.random.default_rng(0))
     one = model_of(chain, payloads={"only": LOADS["heavy"]})
@@ -221,7 +154,7 @@ def test_rows_that_name_no_payload(refused: Callable[..., Any]) -> None:
             model_of(chain, payloads=LOADS).basis(q, Conditions(("light", name)))
 
 
-def test_rows_of_an_unknown_payload(refused: Callable[..., Any]) -> None:
+def test_rows_of_an_unknown_payload() -> None:
     chain = calib_pin.load_chain("pa10")
     setup = replace(SETUP, payloads=LOADS)
     rows = Measurements(
@@ -269,7 +202,7 @@ def test_a_joint_about_gravity_is_unidentifiable() -> None:
     assert status["joint_1.compliance.k"] == "identifiable"
 
 
-def test_a_single_lever_is_a_harmonic(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+def test_a_single_lever_is_a_harmonic() -> None:
     """One joint alone: its torque is m g l cos q, which a wheel could do as well."""
     chain = chain_of(urdf_of(*beam()))
     both = {"parameters": ("transmission", "compliance")}

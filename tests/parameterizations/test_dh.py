@@ -6,7 +6,7 @@ the convention, and with its root at either end or in the middle of the chain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,13 +14,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import parameterization
 from calib_pin.parameterizations.error_model import ErrorModel
+from tests.shared import chain_of, urdf_of
 
-UrdfOf = Callable[..., str]
-ChainOf = Callable[..., Chain]
 COMPONENTS = ("theta", "d", "a", "alpha", "beta")
 H = np.pi / 2.0
 X, Y, Z = np.eye(3)
@@ -110,9 +108,7 @@ def tool_of(table: Sequence[Link]) -> pin.SE3:
     return shift(Z, 0.0 if table[-1].parallel else 0.3) * turn(Z, 0.4)
 
 
-def robot_of(
-    table: Sequence[Link], backwards: int, rng: np.random.Generator, urdf_of: UrdfOf
-) -> str:
+def robot_of(table: Sequence[Link], backwards: int, rng: np.random.Generator) -> str:
     """URDF whose chain from `base` to `tip` passes the first joints backwards."""
     count = len(table)
     ends = [pin.SE3.Identity()]
@@ -159,12 +155,12 @@ def robot_of(
     ("member", "backwards"), [("dh", 0), ("dh", 2), ("dh-full", 2), ("dh", 3)]
 )
 def test_errors_are_those_of_the_matrices(
-    member: str, backwards: int, name: str, urdf_of: UrdfOf, chain_of: ChainOf
+    member: str, backwards: int, name: str
 ) -> None:
     table = TABLES[name]
     count = len(table)
     rng = np.random.default_rng(count)
-    chain = chain_of(robot_of(table, backwards, rng, urdf_of), "base", "tip")
+    chain = chain_of(robot_of(table, backwards, rng), "base", "tip")
     assert chain.joints == tuple(f"j{k}" for k in range(count))
     assert chain.reversed.sum() == backwards
     model = ErrorModel.create(chain, [member])
@@ -192,9 +188,7 @@ def test_errors_are_those_of_the_matrices(
 
 
 @pytest.mark.parametrize("backwards", [0, 2, 6])
-def test_beta_takes_the_place_of_d_before_a_parallel_axis(
-    backwards: int, urdf_of: UrdfOf, chain_of: ChainOf
-) -> None:
+def test_beta_takes_the_place_of_d_before_a_parallel_axis(backwards: int) -> None:
     table = [
         Link(0.0, 0.0, 0.3, np.radians(2.8)),
         Link(0.0, 0.0, 0.3, np.radians(2.9)),
@@ -204,7 +198,7 @@ def test_beta_takes_the_place_of_d_before_a_parallel_axis(
         # The line behind the last joint is the z axis of the tip.
         Link(0.0, 0.0, 0.1, 0.0),
     ]
-    urdf = robot_of(table, backwards, np.random.default_rng(0), urdf_of)
+    urdf = robot_of(table, backwards, np.random.default_rng(0))
     screws = parameterization("dh").screws(chain_of(urdf, "base", "tip"))
     names = {screw.parameter.name for screw in screws}
     for k, beta in enumerate([True, False, True, True, False, False]):
@@ -214,9 +208,7 @@ def test_beta_takes_the_place_of_d_before_a_parallel_axis(
 
 @pytest.mark.parametrize("x", [(1, 0, 0), (0, 0, 1), (1, 1, 1), (1, 1, -1)])
 @pytest.mark.parametrize("axis", [(0, 0, 1), (1, 1, 1)])
-def test_coinciding_axes(
-    axis: tuple[float, ...], x: Any, urdf_of: UrdfOf, chain_of: ChainOf
-) -> None:
+def test_coinciding_axes(axis: tuple[float, ...], x: Any) -> None:
     # Nothing says where x is where two axes coincide. The x axis of the tip settles
     # it, unless it is that axis itself.
     tip = pin.SE3(pin.Quaternion.FromTwoVectors(X, np.array(x, float)), np.zeros(3))

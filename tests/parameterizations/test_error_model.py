@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,27 +15,12 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.learned import Learned
 from calib_pin.setup import Setup
+from tests.residual_models.corrections import Wave
+from tests.shared import FRAMED
 
 Space = Literal["joint", "tip"]
 SPACES: tuple[Space, ...] = ("joint", "tip")
 EVERYTHING = ("placement", "transmission", "compliance")
-
-
-@dataclass(frozen=True)
-class Wave:
-    """Something learned: a smooth function of all joint positions."""
-
-    space: Space
-    size: float = 0.1
-    shift: Floats = field(default_factory=lambda: np.zeros(1))
-
-    def __call__(self, q: Floats) -> Floats:
-        count = q.shape[1] if self.space == "joint" else 6
-        mixed = np.sin(np.arange(1.0, 1.0 + q.shape[1] * count)).reshape(-1, count)
-        return np.asarray(self.size * np.sin(q @ mixed + np.arange(count)))
-
-    def weight(self, q: Floats) -> Floats:
-        return np.ones(len(q))
 
 
 def model_of(
@@ -60,29 +45,32 @@ def some(model: ErrorModel, count: int = 3) -> tuple[Floats, Floats]:
     return q, sizes * rng.normal(size=len(sizes))
 
 
-def test_what_was_learned_of_the_joints_is_added(framed: Setup) -> None:
-    model = model_of(load_chain("space6"), framed, Wave("joint"))
+def test_what_was_learned_of_the_joints_is_added() -> None:
+    model = model_of(load_chain("space6"), FRAMED, Wave())
     q, theta = some(model)
     plain = replace(model, learned=None)
     at = model.joint_positions(q, theta)
     by_parameters = plain.joint_positions(q, theta) - q
     assert np.abs(by_parameters).max() > 0.01
-    np.testing.assert_allclose(at, q + by_parameters + Wave("joint")(q), atol=1e-12)
-    geometry = model_of(model.chain, framed, None, ("placement",))
+    np.testing.assert_allclose(at, q + by_parameters + Wave()(q), atol=1e-12)
+    geometry = model_of(model.chain, FRAMED, None, ("placement",))
     values = dict(zip(model.parameters.names, theta, strict=True))
     of_geometry = np.array([values[name] for name in geometry.parameters.names])
     np.testing.assert_allclose(
         model.poses(q, theta), geometry.poses(at, of_geometry), rtol=0, atol=1e-13
     )
     assert plain.geometric is model.geometric is False
-    assert geometry.geometric and not replace(geometry, learned=Wave("tip")).geometric
+    assert (
+        geometry.geometric
+        and not replace(geometry, learned=Wave(space="tip")).geometric
+    )
 
 
-def test_what_was_learned_of_the_tip_stands_behind_the_tool(framed: Setup) -> None:
-    model = model_of(load_chain("space6"), framed, Wave("tip"))
+def test_what_was_learned_of_the_tip_stands_behind_the_tool() -> None:
+    model = model_of(load_chain("space6"), FRAMED, Wave(space="tip"))
     q, theta = some(model)
     plain = replace(model, learned=None)
-    moves = [pin.exp6(twist).homogeneous for twist in Wave("tip")(q)]
+    moves = [pin.exp6(twist).homogeneous for twist in Wave(space="tip")(q)]
     expected = plain.poses(q, theta) @ np.array(moves)
     np.testing.assert_allclose(model.poses(q, theta), expected, rtol=0, atol=1e-13)
     # Neither the joints nor the tip know of it.
@@ -92,14 +80,12 @@ def test_what_was_learned_of_the_tip_stands_behind_the_tool(framed: Setup) -> No
 
 
 @pytest.mark.parametrize("space", SPACES)
-def test_parameters_shift_along_with_what_was_learned(
-    space: Space, framed: Setup
-) -> None:
-    model = model_of(load_chain("space6"), framed)
+def test_parameters_shift_along_with_what_was_learned(space: Space) -> None:
+    model = model_of(load_chain("space6"), FRAMED)
     q, theta = some(model)
     shift = theta[::-1]
-    shifted = replace(model, learned=Wave(space, shift=shift))
-    same = replace(model, learned=Wave(space))
+    shifted = replace(model, learned=Wave(space=space, shift=shift))
+    same = replace(model, learned=Wave(space=space))
     assert np.abs(shifted.poses(q, theta) - same.poses(q, theta)).max() > 0.01
     for name in ("poses", "tip_poses", "joint_positions"):
         found = getattr(shifted, name)(q, theta)
@@ -111,14 +97,14 @@ def test_parameters_shift_along_with_what_was_learned(
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
-def test_functions_are_of_commanded_positions(framed: Setup) -> None:
+def test_functions_are_of_commanded_positions() -> None:
     """However far the joints move, harmonics and torques are those of the command."""
-    chain, learned = load_chain("space6"), Wave("joint", 0.5)
+    chain, learned = load_chain("space6"), Wave(0.5)
     kinds = ("joint-offset", "transmission", "compliance")
-    model = model_of(chain, framed, learned, kinds)
+    model = model_of(chain, FRAMED, learned, kinds)
     q, _ = some(model)
-    load = next(iter(framed.payloads.values()))
-    torque = chain.gravity_torques(q, framed.gravity, load)[:, 2]
+    load = next(iter(FRAMED.payloads.values()))
+    torque = chain.gravity_torques(q, FRAMED.gravity, load)[:, 2]
     values = {
         "joint_3.joint-offset.q": 0.7,
         "joint_3.transmission.gain": 0.4,
@@ -147,12 +133,12 @@ class Fading(Wave):
 
 
 @pytest.mark.parametrize("space", SPACES)
-def test_what_was_learned_fades_with_its_shift(space: Space, framed: Setup) -> None:
+def test_what_was_learned_fades_with_its_shift(space: Space) -> None:
     """Far away the robot is as it was fitted; the shift alone would be worse."""
-    plain = model_of(load_chain("space6"), framed)
+    plain = model_of(load_chain("space6"), FRAMED)
     q, theta = some(plain, 4)
-    fading = replace(plain, learned=Fading(space, 1e-3, 0.01 * theta))
-    whole = replace(plain, learned=Wave(space, 1e-3, 0.01 * theta))
+    fading = replace(plain, learned=Fading(1e-3, 0.01 * theta, space))
+    whole = replace(plain, learned=Wave(1e-3, 0.01 * theta, space))
     q[:, 0] = 0.5, -0.5, -1e-9, -2.0
     before, after = plain.poses(q, theta), whole.poses(q, theta)
     found = fading.poses(q, theta)
@@ -171,12 +157,12 @@ def test_what_was_learned_fades_with_its_shift(space: Space, framed: Setup) -> N
 
 
 @pytest.mark.parametrize("space", SPACES)
-def test_derivatives_where_what_was_learned_fades(space: Space, framed: Setup) -> None:
+def test_derivatives_where_what_was_learned_fades(space: Space) -> None:
     """Where it counts in full, in part, and not at all."""
-    model = model_of(load_chain("space6"), framed)
+    model = model_of(load_chain("space6"), FRAMED)
     q, theta = some(model, 4)
     q[:, 0] = 0.5, -0.2, -0.8, -2.0
-    model = replace(model, learned=Fading(space, 0.1, 0.5 * theta))
+    model = replace(model, learned=Fading(0.1, 0.5 * theta, space))
     T, J = model.jacobian(q, theta)
     step = 1e-6
     # The columns of two joints in the middle, and of the frames.
@@ -192,12 +178,12 @@ def test_derivatives_where_what_was_learned_fades(space: Space, framed: Setup) -
 
 @pytest.mark.parametrize("space", [None, *SPACES])
 def test_kinematics_are_those_of_the_linearization(
-    space: Space | None, special_chain: Chain, framed: Setup
+    space: Space | None, special_chain: Chain
 ) -> None:
-    model = model_of(special_chain, framed)
+    model = model_of(special_chain, FRAMED)
     q, theta = some(model, 2)
     if space is not None:
-        model = replace(model, learned=Wave(space, 1e-3, 0.1 * theta))
+        model = replace(model, learned=Wave(1e-3, 0.1 * theta, space))
     linear = model.linearize(q, theta)
     T, J = model.kinematics(q, theta)
     np.testing.assert_allclose(T, linear.T, atol=1e-12)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from calib_pin.observations import Conditions, Observations, approached
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
+from tests.shared import refused
 
 LOST = {1: 2e-3, 2: 5e-4, 4: 1e-3}
 """Backlash by the position of a joint [rad]."""
@@ -78,7 +78,7 @@ def test_lost_motion_is_estimated() -> None:
     assert [e.of for e in kinds] == [(joint,) for joint in chain.joints]
 
 
-def test_measurements_in_no_order_are_refused(refused: Callable[..., None]) -> None:
+def test_measurements_in_no_order_are_refused() -> None:
     chain = calib_pin.load_chain("space6")
     rows, _ = measured(chain, 20, 0)
     setup = Setup(parameters=("hysteresis",))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import PARAMETERIZATIONS, drives
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Payload, Setup
+from tests.shared import urdf_of
 
 SETUP = Setup(
     gravity=(1.0, -2.0, -9.5),
@@ -26,7 +26,7 @@ OTHERS = ("motor-ripple", "thermal", "instrument-drift")
 
 
 @pytest.fixture(scope="module")
-def arm(urdf_of: Callable[..., str]) -> Chains:
+def arm() -> Chains:
     """A chain of five joints: a leader, two that follow it, and one that stands still.
 
     One of those that follow slides and moves by meters per radian.

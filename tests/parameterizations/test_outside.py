@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,6 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.parameterizations import PARAMETERIZATIONS, outside_urdf
-from calib_pin.plugins import extensions
 from calib_pin.setup import Setup
 from calib_pin.simulation import exact_problem
 
@@ -32,19 +31,11 @@ frames:
 
 
 @pytest.fixture(autouse=True)
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The package as pip would leave it."""
-    info = tmp_path / "packages" / "poe-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Name: poe\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[calib_pin.parameterizations]\npoe = poe:ProductOfExponentials\n"
-    )
+def package(installed: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its code is where the documents quote it from."""
     monkeypatch.syspath_prepend(Path(__file__).parent / "outside")
-    monkeypatch.syspath_prepend(info.parent)
-    extensions.cache_clear()
-    yield
-    extensions.cache_clear()
+    entry = "poe = poe:ProductOfExponentials"
+    installed("poe", "calib_pin.parameterizations", entry)
 
 
 def test_it_is_listed(capsys: pytest.CaptureFixture[str]) -> None:

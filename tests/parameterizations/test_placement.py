@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.error_model import ErrorModel
-
-UrdfOf = Callable[..., str]
-ChainOf = Callable[..., Chain]
+from tests.shared import chain_of, urdf_of
 
 #  root -[fixed]- l0 -hip- l1 -knee- l2 -[fixed]- l3 -ankle- l4 -[fixed]- foot
 #                 l1 -arm- hand
@@ -53,64 +49,54 @@ def product(amounts: Floats) -> pin.SE3:
     return result
 
 
-@pytest.mark.parametrize(("base", "tip"), ENDS)
-def test_placement_is_exact(
-    base: str, tip: str, urdf_of: UrdfOf, chain_of: ChainOf
-) -> None:
-    nominal = joints(1)
-    chain = chain_of(urdf_of(*nominal.values()), base, tip)
-    model = ErrorModel.create(chain, ["placement"])
-    rng = np.random.default_rng(2)
-    moved, values = dict(nominal), {}
-    for name in chain.joints:
-        amounts = rng.normal(size=6) * 0.2
-        true = nominal[name]["placement"] * product(amounts)
-        moved[name] = {**nominal[name], "placement": true}
-        for component, amount in zip(
-            ("x", "y", "z", "rx", "ry", "rz"), amounts, strict=True
-        ):
-            values[f"{name}.placement.{component}"] = amount
-    q = rng.uniform(-2, 2, (4, len(chain.joints)))
-    expected = chain_of(urdf_of(*moved.values()), base, tip).poses(q)
-    found = model.poses(q, model.parameters.vector(values))
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+PLACEMENT = ("x", "y", "z", "rx", "ry", "rz")
+LINK_TRANSFORM = ("mx", "my", "mz", "dx", "dy", "dz")
 
 
-# The joint before each one in the tree, whose frame the errors are expressed in.
-@pytest.mark.parametrize(("base", "tip"), [*ENDS, ("l1", "foot"), ("hand", "l1")])
-def test_link_transform_is_exact(
-    base: str, tip: str, urdf_of: UrdfOf, chain_of: ChainOf
-) -> None:
-    nominal = joints(3)
+@pytest.mark.parametrize(
+    ("kind", "base", "tip"),
+    [
+        *(("placement", *ends) for ends in ENDS),
+        # Errors in the frame of the joint before each one in the tree.
+        *(
+            ("link-transform", *ends)
+            for ends in (*ENDS, ("l1", "foot"), ("hand", "l1"))
+        ),
+    ],
+)
+def test_errors_of_the_geometry_are_exact(kind: str, base: str, tip: str) -> None:
+    """Against a URDF that has them."""
+    nominal, rng = joints(3), np.random.default_rng(4)
     chain = chain_of(urdf_of(*nominal.values()), base, tip)
-    model = ErrorModel.create(chain, ["link-transform"])
-    rng = np.random.default_rng(4)
-    moved, values = dict(nominal), {}
-    owners = [*chain.joints, *([chain.tip_joint] if chain.tip_joint else [])]
-    assert ("sole" in owners) == (tip == "foot")
+    model = ErrorModel.create(chain, [kind])
+    moved, values, owners = dict(nominal), {}, [*chain.joints]
+    if kind == "link-transform" and chain.tip_joint:
+        owners.append(chain.tip_joint)
+        assert chain.tip_joint == "sole" and tip == "foot"
     for name in owners:
         amounts = rng.normal(size=6) * 0.2
-        # Behind a fixed joint, the first in the link frame of the joint before.
-        first = {"ankle": "shank", "hip": "stand"}.get(name, name)
-        true = product(amounts) * nominal[first]["placement"]
+        if kind == "placement":
+            first, components = name, PLACEMENT
+            true = nominal[name]["placement"] * product(amounts)
+        else:
+            # Behind a fixed joint, the first in the link frame of the joint before;
+            # the stand belongs to the transform from the root to the hip.
+            first = {"ankle": "shank", "hip": "stand"}.get(name, name)
+            true, components = product(amounts), LINK_TRANSFORM
+            true = true * nominal[first]["placement"]
         moved[first] = {**nominal[first], "placement": true}
-        for component, amount in zip(
-            ("mx", "my", "mz", "dx", "dy", "dz"), amounts, strict=True
-        ):
-            values[f"{name}.link-transform.{component}"] = amount
+        values |= {
+            f"{name}.{kind}.{component}": amount
+            for component, amount in zip(components, amounts, strict=True)
+        }
     q = rng.uniform(-2, 2, (4, len(chain.joints)))
     expected = chain_of(urdf_of(*moved.values()), base, tip).poses(q)
-    if base == "root":
-        # The stand belongs to the transform from the root to the hip.
-        assert "hip" in chain.joints
     found = model.poses(q, model.parameters.vector(values))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize(("base", "tip"), ENDS)
-def test_an_offset_is_a_shift_of_the_joint(
-    base: str, tip: str, urdf_of: UrdfOf, chain_of: ChainOf
-) -> None:
+def test_an_offset_is_a_shift_of_the_joint(base: str, tip: str) -> None:
     chain = chain_of(urdf_of(*joints(2).values()), base, tip)
     model = ErrorModel.create(chain, ["joint-offset"])
     rng = np.random.default_rng(1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Conditions, Measurements
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup, ThermalSetup
+from tests.shared import chain_of, urdf_of
 
 GROWTH = 2e-5
 
@@ -45,9 +45,7 @@ def test_a_robot_of_one_material_grows_as_a_whole(robot: str) -> None:
     np.testing.assert_array_equal(model.poses(q, theta), cold)
 
 
-def test_one_link_grows(
-    urdf_of: Callable[..., str], chain_of: Callable[..., Chain]
-) -> None:
+def test_one_link_grows() -> None:
     way = pin.SE3(pin.exp3(np.array([0.3, -0.5, 1.0])), np.array([0.4, 0.1, 0.2]))
     end = pin.SE3(pin.exp3(np.array([0.1, 0.7, 0.0])), np.array([0.0, 0.3, 0.1]))
     first = {"name": "first", "parent": "a", "child": "b"}

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import pinocchio as pin
@@ -20,9 +19,7 @@ from calib_pin.parameterizations.transmission import (
     Transmission,
 )
 from calib_pin.setup import Setup
-
-UrdfOf = Callable[..., str]
-ChainOf = Callable[..., Chain]
+from tests.shared import chain_of, refused, urdf_of
 
 RATIOS = {"j*": 50.0, "j2": -31.5, "j1": 400.0}
 HARMONICS = ["gain", "sin1", "cos1", "sin2", "cos2"]
@@ -30,7 +27,7 @@ MOTOR = ["motor_sin", "motor_cos", "motor_sin2", "motor_cos2"]
 
 
 @pytest.fixture
-def arm(urdf_of: UrdfOf) -> str:
+def arm() -> str:
     """Skew joints of all kinds."""
     rng = np.random.default_rng(2)
     kinds = ["revolute", "prismatic", "continuous", "prismatic"]
@@ -75,7 +72,7 @@ def moved(chain: Chain, q: Floats, values: Mapping[str, float]) -> Floats:
     return result
 
 
-def test_components_units_and_scales(arm: str, chain_of: ChainOf) -> None:
+def test_components_units_and_scales(arm: str) -> None:
     """A joint that slides has no turn; motors only where a gear ratio is given."""
     chain = chain_of(arm)
     screws = Transmission({"j1": 400.0, "j2": 80.0}).screws(chain)
@@ -104,9 +101,7 @@ def test_components_units_and_scales(arm: str, chain_of: ChainOf) -> None:
 
 
 @pytest.mark.parametrize("ends", [("l0", "l4"), ("l4", "l0"), ("l3", "l1")])
-def test_joints_move_by_the_formula(
-    ends: tuple[str, str], arm: str, chain_of: ChainOf
-) -> None:
+def test_joints_move_by_the_formula(ends: tuple[str, str], arm: str) -> None:
     """Each column of the factors is its own function, and all add up."""
     chain = chain_of(arm, *ends)
     model = model_of(chain, {k: v for k, v in RATIOS.items() if k != "j0"})
@@ -139,12 +134,7 @@ def test_joints_move_by_the_formula(
         ({"j3": -0.5}, {"j3": -0.5}),
     ],
 )
-def test_globs(
-    ratios: dict[str, float],
-    expected: dict[str, float],
-    arm: str,
-    chain_of: ChainOf,
-) -> None:
+def test_globs(ratios: dict[str, float], expected: dict[str, float], arm: str) -> None:
     chain = chain_of(arm)
     model = model_of(chain, ratios)
     names = [n for n in model.parameters.names if n.endswith(".motor_sin")]
@@ -156,9 +146,7 @@ def test_globs(
     np.testing.assert_allclose(found, waves, rtol=0, atol=1e-12)
 
 
-def test_names_of_gear_ratios(
-    arm: str, urdf_of: UrdfOf, chain_of: ChainOf, refused: Callable[..., Any]
-) -> None:
+def test_names_of_gear_ratios(arm: str) -> None:
     """A name with brackets is a name, and one of no joint a mistake."""
     bracket = {"name": "j[1]", "parent": "a", "child": "b"}
     plain = {"name": "j1", "parent": "b", "child": "c"}
@@ -174,9 +162,7 @@ def test_names_of_gear_ratios(
 # What can be known.
 
 
-def test_a_motor_that_turns_as_its_joint_is_the_same_wave(
-    arm: str, chain_of: ChainOf
-) -> None:
+def test_a_motor_that_turns_as_its_joint_is_the_same_wave(arm: str) -> None:
     setup = Setup(parameters=("transmission",), gear_ratios={"j0": 1.0, "j2": -2.0})
     found = calib_pin.identify(chain_of(arm), "pose", setup)
     assert {group.expression for group in found.groups} == {

@@ -16,6 +16,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import ChainSetup, Setup
+from tests.shared import urdf_of
 
 
 @pytest.fixture(scope="session")
@@ -37,7 +38,7 @@ def workspace_of() -> Callable[..., Workspace]:
 
 
 @pytest.fixture(scope="session")
-def tree(urdf_of: Callable[..., str]) -> Chains:
+def tree() -> Chains:
     """Two arms on a torso; the left one ends in a finger that follows its wrist."""
     turn = pin.rpy.rpyToMatrix(0.3, -0.2, 0.4)
     joints: list[dict[str, Any]] = [

@@ -12,7 +12,7 @@ from calib_pin.planning.criteria import Information
 from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
-from tests.planning.test_criteria import factored
+from tests.planning.test_criteria import factored, gram
 
 COLUMNS = 9
 
@@ -21,11 +21,6 @@ def table(d: int, count: int, seed: int = 0) -> Floats:
     """Rows of configurations whose columns differ by 1e4, shape (count, d, m)."""
     rng = np.random.default_rng(seed)
     return rng.normal(size=(count, d, COLUMNS)) * np.logspace(-2, 2, COLUMNS)
-
-
-def gram(rows: Floats) -> Floats:
-    U = rows.reshape(-1, rows.shape[-1])
-    return U.T @ U
 
 
 def schur(M: Floats, f: int) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -24,6 +23,7 @@ from calib_pin.planning.search import METHODS
 from calib_pin.setup import FrameSetup, PlaneSetup, Region, Setup
 from calib_pin.simulation import exact_problem
 from calib_pin.solvers import Status
+from tests.shared import refused
 
 COUNT = 12
 REGION = Region(box=((-0.9, -0.9, 0.0), (1.5, 1.5, 2.2)))
@@ -401,14 +401,12 @@ def test_a_stopped_search_returns_a_valid_plan(method: str, after: int) -> None:
         ({"setup": replace(SETUP, fixed=("*",))}, {"file": "space6"}),
     ],
 )
-def test_impossible_requests(
-    options: dict[str, Any], fields: dict[str, Any], refused: Callable[..., Any]
-) -> None:
+def test_impossible_requests(options: dict[str, Any], fields: dict[str, Any]) -> None:
     with refused(InputError, **fields):
         small(**options)
 
 
-def test_rows_that_show_no_frames_are_refused(refused: Callable[..., Any]) -> None:
+def test_rows_that_show_no_frames_are_refused() -> None:
     problem = nominal_problem(CHAIN, "position", SETUP)
     zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
     rows = calib_pin.simulate(problem, zero, rng, count=2)

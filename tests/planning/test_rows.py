@@ -21,8 +21,7 @@ from calib_pin.observations import BlockKey, Indices
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.workspace import Aims
 from calib_pin.setup import PointSetup, Setup
-
-Equipped = Callable[..., Problem]
+from tests.shared import FRAMED, equipped_problem
 
 MIXED = tuple(map(BlockKey, ("position", "plane-distance", "camera")))
 NOISE = {"position": 2e-4, "orientation": 1e-3}
@@ -35,7 +34,7 @@ def make(problem: Problem, columns: int = 7) -> IdentificationRows:
 
 
 @pytest.fixture
-def equipped_rows(equipped_problem: Equipped) -> Callable[..., IdentificationRows]:
+def equipped_rows() -> Callable[..., IdentificationRows]:
     """On one chain: what a model adds knows nothing of the chain."""
 
     def rows(model: str | tuple[BlockKey, ...], **settings: Any) -> IdentificationRows:
@@ -121,8 +120,8 @@ def test_rows_and_their_slopes_are_those_of_the_problem(
     check_pullback(equipped_rows(model))
 
 
-def test_chains_of_all_kinds(special_chain: Chain, framed: Setup) -> None:
-    of = make(nominal_problem(special_chain, "pose", replace(framed, noise=NOISE)))
+def test_chains_of_all_kinds(special_chain: Chain) -> None:
+    of = make(nominal_problem(special_chain, "pose", replace(FRAMED, noise=NOISE)))
     check_rows(of)
     check_pullback(of)
 
@@ -136,7 +135,7 @@ def test_joint_corrections_have_rows_but_no_slopes(
     check_rows(of)
 
 
-def test_an_image_has_no_more_rows_than_unknowns(equipped_problem: Equipped) -> None:
+def test_an_image_has_no_more_rows_than_unknowns() -> None:
     """Of 30 corners, 60 pixels: rows with the information of all of them."""
     corners = {
         f"c{k}": PointSetup((0.03 * (k % 6), 0.03 * (k // 6), 0.1)) for k in range(30)

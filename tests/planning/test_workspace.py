@@ -17,12 +17,10 @@ import calib_pin
 from calib_pin.calibration import calibrate
 from calib_pin.errors import InputError, OptionError, RobotError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.identifiability import observability
 from calib_pin.estimation.nominal import asked
 from calib_pin.estimation.problem import Problem, sigma_at
 from calib_pin.io.measurements import encode_configurations, read_held
 from calib_pin.io.table import read_table
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Conditions, Observations, approached
@@ -42,6 +40,8 @@ from calib_pin.setup import (
     ToolSetup,
 )
 from calib_pin.simulation import draw_errors, simulate
+from tests.planning.test_plan import value_of
+from tests.shared import chain_of, refused, urdf_of
 
 PLANES = {
     "floor": PlaneSetup((0.1, 0.2, 1.0), 1.5),
@@ -76,10 +76,7 @@ def test_limits_narrow_by_name_and_glob(workspace_of: Callable[..., Workspace]) 
 
 
 def test_limits_of_the_urdf(
-    workspace_of: Callable[..., Workspace],
-    urdf_of: Callable[..., str],
-    chain_of: Callable[..., Chain],
-    rng: np.random.Generator,
+    workspace_of: Callable[..., Workspace], rng: np.random.Generator
 ) -> None:
     def limited(*limits: float) -> Workspace:
         joints = [
@@ -126,7 +123,6 @@ def test_limits_that_leave_nothing(
     limits: dict[str, Any],
     fields: dict[str, Any],
     workspace_of: Callable[..., Workspace],
-    refused: Callable[..., Any],
 ) -> None:
     with refused(OptionError, **fields):
         workspace_of("space7", limits=limits)
@@ -329,14 +325,6 @@ def information(plan: Plan, problem: Problem) -> Floats:
     return np.where(problem.parameters.free, J, 0.0)
 
 
-def o1(problem: Problem, J: Floats, count: int) -> float:
-    nuisance = problem.parameters.nuisance
-    U, s, _ = np.linalg.svd(J[:, nuisance], full_matrices=False)
-    Q = U[:, s > 1e-9 * s[0]]
-    s = np.linalg.svd(J[:, ~nuisance] - Q @ (Q.T @ J[:, ~nuisance]), compute_uv=False)
-    return observability(s[s > 1e-9 * s[0]], count)["O1"]
-
-
 # --- what is measured together -----------------------------------------------------
 
 
@@ -390,7 +378,7 @@ def test_an_image_counts_with_all_corners_that_are_seen() -> None:
     problem = nominal_problem(chain, "camera", setup)
     J = information(plan, problem)
     assert 8 * 12 < len(J) <= 8 * 24
-    assert plan.value == pytest.approx(o1(problem, J, 8), rel=1e-6)
+    assert plan.value == pytest.approx(value_of("O1", problem, J, 8), rel=1e-6)
     assert plan.value > plan.random
     # Simulated, an image is measured as it was planned, or with corners at its edge.
     zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
@@ -419,7 +407,7 @@ def test_a_tracker_and_a_ranger_together() -> None:
     problem = nominal_problem(chain, keys, setup)
     J = information(plan, problem)
     assert len(J) == 14 * (2 * 3 + 1)
-    assert plan.value == pytest.approx(o1(problem, J, 14), rel=1e-6)
+    assert plan.value == pytest.approx(value_of("O1", problem, J, 14), rel=1e-6)
     assert plan.value > plan.random
 
 
@@ -457,7 +445,7 @@ def test_plans_of_two_arms(method: str, tree: Chains) -> None:
             assert not plan.q[resting, k].any() and plan.q[~resting, k].all()
     problem = nominal_problem(tree, ARMS, TREE)
     J = information(plan, problem)
-    assert plan.value == pytest.approx(o1(problem, J, 12), rel=1e-6)
+    assert plan.value == pytest.approx(value_of("O1", problem, J, 12), rel=1e-6)
     assert plan.value > plan.random
 
 
@@ -568,11 +556,3 @@ def test_a_plan_says_from_where_to_come(tmp_path: Path) -> None:
     np.testing.assert_allclose(asked, predicted, rtol=0.35)
     came = sigmas(Conditions(direction=approached(found.q)))
     assert np.mean(np.log(asked / came)) < 0.0
-
-
-def test_without_lost_motion_no_side_matters() -> None:
-    setup = replace(SETUP, parameters=("placement",))
-    found = plan(CHAIN, "position", 16, setup, method="greedy", candidates=100)
-    assert not sides_of(found)
-    table = encode_configurations(CHAIN, found.q, sides=sides_of(found))
-    assert b"direction" not in table

@@ -166,37 +166,6 @@ def test_a_plan_for_test_poses_is_better_there_than_random_sets(
     assert all(len(of) == SMALL.tests for of in errors)
 
 
-def test_a_prediction_is_what_the_covariance_of_a_fit_says() -> None:
-    design, rng = Design.create(SMALL), np.random.default_rng(1)
-    problem, theta = truth(rng, SMALL.length, SMALL.angle)
-    q = configurations(SMALL.count, rng)
-    rows = measure(problem, theta, q, rng, noise=SMALL.noise, repeats=SMALL.repeats)
-    found = calibrated(rows, setup_of(known=True))
-    model = found.model.of()
-    _, J = model.error.jacobian(design.tests, model.theta)
-    J, count = J[:, :3], J.shape[2]
-    variances = np.einsum(
-        "nap,pq,naq->na", J, found.covariance[:count, :count], J, optimize=True
-    )
-    expected = np.sqrt(variances.sum(axis=1).mean())
-    assert design.predicted(q) == pytest.approx(expected, rel=0.01)
-
-
-def test_rows_of_all_points_against_central_differences() -> None:
-    rows, rng = Design.create(SMALL).rows, np.random.default_rng(2)
-    q, aim = configurations(4, rng), np.zeros(4, int)
-    U, pullback = rows.linearize(q, aim)
-    assert U.shape == (4, 9, 30) and rows.nuisances == 12 and rows.differentiable
-    by_rows, step = rng.normal(size=U.shape) / np.abs(U).max(), 1e-6
-    expected = np.empty_like(q)
-    for k in range(6):
-        shift = step * np.eye(6)[k]
-        ends = (rows.linearize(q + s * shift, aim)[0] for s in (1, -1))
-        change = np.subtract(*ends)
-        expected[:, k] = np.sum(by_rows * change, axis=(1, 2)) / (2 * step)
-    np.testing.assert_allclose(pullback(by_rows), expected, atol=1e-7)
-
-
 @pytest.mark.slow
 def test_the_report_and_its_figures(
     planned: Floats, seed: Seed, tmp_path: Path

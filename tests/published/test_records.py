@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from studies.records import Condition, Record, Report, Table, Values, number
-from studies.shared import medians, plain
+from studies.records import Condition, Record, Report, Table, Values
+from studies.shared import plain
 
 
 @pytest.mark.parametrize(
@@ -71,22 +71,3 @@ def test_the_document_is_in_si_units() -> None:
     assert largest["conditions"][0]["met"] is False
     assert rank["ours"] == {"35": 27} and "published" not in rank
     assert document["seeds"] == [[None, 1.0]]
-
-
-def test_medians_are_those_of_every_number() -> None:
-    values = [{"a": {"b": x}, "c": 2 * x} for x in (1.0, 5.0, 2.0)]
-    assert medians(values) == {"a": {"b": 2.0}, "c": 4.0}
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.0, "0"),
-        (math.nan, "-"),
-        (12.345, "12.3"),
-        (12345.6, "12346"),
-        (2e-9, "2e-09"),
-    ],
-)
-def test_numbers(value: float, text: str) -> None:
-    assert number(value) == text

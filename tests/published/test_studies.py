@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
@@ -25,8 +23,6 @@ from studies.aoyagi2010 import COMES_NEAR, LOWERS, STALLS
 from studies.liu2012 import REACHES, SAME_COST
 from studies.liu2012_study import MUTATIONS, Settings, study
 from studies.liu2022_arm import Arm, SpatialTwist, condition
-
-SCRIPTS = Path(__file__).parents[2] / "scripts"
 
 
 @dataclass(frozen=True)
@@ -242,17 +238,3 @@ def test_what_it_refuses(words: list[str], parts: list[str]) -> None:
     assert isinstance(ended.code, str) and ended.code.startswith("reproduce")
     assert all(part in ended.code for part in parts)
     assert ended.out == "" and "\n" not in ended.code
-
-
-@pytest.mark.slow
-def test_as_a_process() -> None:
-    """The text with which it ends is a line on the error stream."""
-    ended = subprocess.run(
-        [sys.executable, "-m", "studies", "lieu"],
-        env={**os.environ, "PYTHONPATH": str(SCRIPTS)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (ended.returncode, ended.stdout) == (1, "")
-    assert ended.stderr == f"{reproduce('lieu').code}\n"

@@ -37,40 +37,6 @@ def check_limits(
     assert (changed <= acceleration * (1 + 1e-9) + rounding).all()
 
 
-def test_cruise_between_two_ramps() -> None:
-    motion = trapezoidal([0.0], [3.0], 1.0, 2.0, 0.25)
-    assert motion.duration == 3.5
-    expected = [0, 0.5, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0.5, 0]
-    np.testing.assert_allclose(motion.velocity[:, 0], expected, atol=1e-12)
-    np.testing.assert_allclose(
-        motion.q[[1, 2, 7, 12, 13], 0], [0.0625, 0.25, 1.5, 2.75, 2.9375]
-    )
-
-
-def test_a_short_way_is_a_triangle() -> None:
-    motion = trapezoidal([1.0, 0.0], [0.5, 0.0], 10.0, 2.0, 0.1)
-    assert motion.duration == 1.0
-    assert np.abs(motion.velocity[:, 0]).max() == pytest.approx(1.0)
-    assert motion.q[5, 0] == pytest.approx(0.75)
-    check_limits(motion, 10.0, 2.0)
-
-
-def test_a_way_that_just_reaches_full_speed() -> None:
-    motion = trapezoidal([0.0], [2.0], 2.0, 2.0, 0.5)
-    assert motion.duration == 2.0
-    assert motion.velocity[:, 0].tolist() == [0.0, 1.0, 2.0, 1.0, 0.0]
-
-
-def test_the_slowest_joint_sets_the_time() -> None:
-    """Here one joint limits the speed and another the acceleration."""
-    velocity, acceleration = np.array([1.0, 5.0]), np.array([50.0, 1.0])
-    motion = trapezoidal([0.0, 0.0], [4.0, 2.0], velocity, acceleration, 0.01)
-    check_limits(motion, velocity, acceleration)
-    assert motion.duration == pytest.approx(4.0 + 0.5)
-    assert np.abs(motion.velocity).max(axis=0) == pytest.approx([1.0, 0.5])
-    assert np.diff(motion.velocity[:10, 1]) / 0.01 == pytest.approx(1.0)
-
-
 def test_the_published_motion() -> None:
     motion = trapezoidal(START, GOAL, 0.5, 0.5, 0.02)
     check_limits(motion, 0.5, 0.5)
@@ -133,11 +99,6 @@ def test_the_last_interval_may_be_shorter() -> None:
     motion = trapezoidal([0.0], [3.0], 1.0, 2.0, 1.0)
     assert motion.time.tolist() == [0.0, 1.0, 2.0, 3.0, 3.5]
     assert motion.q[-1, 0] == 3.0
-
-
-def test_rounding_adds_no_sample() -> None:
-    """3.5 s in periods of 0.07 s are 50.00000000000001 of them."""
-    assert len(trapezoidal([0.0], [3.0], 1.0, 2.0, 0.07).time) == 51
 
 
 @pytest.mark.parametrize("place", [[0.25], [1.0, -2.0], []])

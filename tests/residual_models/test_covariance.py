@@ -12,7 +12,6 @@ from calib_pin.residual_models.covariance import (
     Covariance,
     Form,
     Likelihood,
-    most_likely,
 )
 
 RNG = np.random.default_rng(0)
@@ -68,14 +67,3 @@ def test_the_likelihood_and_its_gradient(form: Form) -> None:
 
     slopes = [(at(x + step) - at(x - step)) / (2.0 * h) for step in h * np.eye(len(x))]
     np.testing.assert_allclose(gradient, slopes, rtol=1e-5, atol=1e-6)
-
-
-def test_the_likeliest_is_found() -> None:
-    """Measurements drawn from a covariance lead back to one that is as likely."""
-    truth = of(FORMS[0])
-    y = np.random.default_rng(3).multivariate_normal(np.zeros(60), by_hand(truth))
-    cost = Likelihood(ANGLE, A, y.reshape(30, 2), FREE, KINDS)
-    told: list[float] = []
-    found = most_likely(cost, FORMS[0], told.append)
-    assert cost(found)[0] < cost(truth)[0]
-    assert cost(found.scaled(2.0))[0] > cost(found)[0] and told == sorted(told)

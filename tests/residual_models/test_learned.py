@@ -20,6 +20,7 @@ from calib_pin.residual_models.gaussian_process import (
     fit_gaussian_process,
 )
 from calib_pin.residual_models.network import NetworkOptions, fit_network
+from tests.shared import refused
 
 Arm = Callable[..., Any]
 
@@ -95,9 +96,7 @@ def test_without_any_residual(study: Arm, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_too_few_configurations_are_refused(
-    study: Arm, refused: Callable[..., Any], kind: str
-) -> None:
+def test_too_few_configurations_are_refused(study: Arm, kind: str) -> None:
     rows = study().rows(30, NOISE, 0)
     with refused(InputError, reason="5"):
         FITS[kind](replace(rows, groups=np.arange(30) // 6))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -69,31 +67,6 @@ def test_mixing_saves_rounds() -> None:
     assert plain.status is mixed.status is Status.CONVERGED
     assert plain.cost == pytest.approx(mixed.cost, rel=1e-9)
     assert mixed.nit < 20 < 60 < plain.nit
-
-
-def test_plain_turns_converge_as_slowly_as_the_halves_are_alike() -> None:
-    curve = Bent(0.999)
-    plain = alternation(
-        curve.linearize, curve.cost, START, FIRST, SECOND, memory=0, max_rounds=30
-    )
-    assert plain.status is Status.ITERATIONS and plain.nit == 30
-    best = gauss_newton(curve.linearize, curve.cost, START, np.eye(4)).cost
-    assert plain.cost > best * (1.0 + 1e-6)
-    # What is returned belongs to where it stopped.
-    np.testing.assert_array_equal(plain.fun, curve.residual(plain.x))
-    assert plain.cost == curve.cost(plain.x)
-
-
-def test_a_mixture_that_is_worse_is_not_taken() -> None:
-    """The cost never rises from round to round."""
-    curve = Bent(0.99)
-    costs = [
-        alternation(
-            curve.linearize, curve.cost, START, FIRST, SECOND, max_rounds=rounds
-        ).cost
-        for rounds in range(1, 12)
-    ]
-    assert all(b <= a * (1.0 + 1e-12) for a, b in pairwise(costs))
 
 
 @pytest.mark.parametrize("which", [0, 1])

@@ -1,24 +1,32 @@
-"""Differential evolution on functions with known minima; no robots here."""
+"""Both searches on functions with known minima; no robots here."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import (
     DifferentialEvolution,
     EvolutionResult,
+    ParticleSwarm,
     Status,
     differential_evolution,
+    particle_swarm,
 )
 from calib_pin.solvers.differential_evolution import MUTATIONS, STRATEGIES, TRADEOFF
+from tests.shared import refused
 
 WIDE = np.tile([-5.0, 5.0], (10, 1))
 QUICK = DifferentialEvolution(population_size=20, maxiter=30)
+SWARM = ParticleSwarm(particles=20, iterations=30)
+SEARCHES: dict[str, Any] = {name: replace(QUICK, strategy=name) for name in STRATEGIES}
+SEARCHES["swarm"] = SWARM
 
 
 def sphere(x: Floats) -> Floats:
@@ -36,19 +44,17 @@ def rastrigin(x: Floats) -> Floats:
 
 def run(
     costs: Callable[[Floats], Floats] = sphere,
-    options: DifferentialEvolution = QUICK,
+    options: Any = QUICK,
     bounds: Floats = WIDE,
     seed: int = 0,
-    **arguments: object,
+    **arguments: Any,
 ) -> EvolutionResult:
+    """A search by its options."""
+    swarm = isinstance(options, ParticleSwarm)
+    search: Any = particle_swarm if swarm else differential_evolution
     rng = np.random.default_rng(seed)
-    return differential_evolution(
-        costs,
-        bounds,
-        rng,
-        options,
-        **arguments,  # type: ignore[arg-type]
-    )
+    found: EvolutionResult = search(costs, bounds, rng, options, **arguments)
+    return found
 
 
 @pytest.mark.parametrize(
@@ -74,9 +80,9 @@ def test_mutations_of_known_members(strategy: str, mutants: list[float]) -> None
     assert result[:, 0].tolist() == mutants
 
 
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_members_stay_within_bounds_and_are_counted(strategy: str) -> None:
-    seen: list[Floats] = []
+@pytest.mark.parametrize("name", SEARCHES)
+def test_members_stay_within_bounds_and_are_counted(name: str) -> None:
+    seen, told = list[Floats](), list[int]()
 
     def costs(x: Floats) -> Floats:
         seen.append(x.copy())
@@ -84,29 +90,38 @@ def test_members_stay_within_bounds_and_are_counted(strategy: str) -> None:
 
     # The minimum is in a corner; one component is fixed, one is narrow.
     bounds = np.array([[-1.0, 1.0], [0.1, 0.3], [0.7, 0.7], [1e-12, 3e-12]])
-    result = run(costs, replace(QUICK, strategy=strategy, mutation=1.5), bounds)
+    wild: dict[str, Any] = {"mutation": 1.5}
+    if name == "swarm":
+        wild = {"velocity": 1.0, "crossover": 0.5, "mutation": 0.5, "tol": 0}
+    options = replace(SEARCHES[name], **wild)
+    result = run(costs, options, bounds, callback=lambda n, *_: told.append(n))
     members = np.concatenate(seen)
-    assert len(members) == result.nfev
-    assert len(seen) == result.nit + 1
+    assert (len(members), len(seen)) == (result.nfev, result.nit + 1)
+    assert told == [*range(1, result.nit + 1)]
     assert (bounds[:, 0] <= members).all() and (members <= bounds[:, 1]).all()
     assert (members[:, 2] == 0.7).all()
     assert result.x[:3] == pytest.approx([-1.0, 0.3, 0.7], rel=0.05)
-    # The way back leads into the box: nobody was put down on a bound.
-    assert not (members[:, [0, 1, 3]] == bounds[[0, 1, 3]].T[:, None]).any()
+    # The way back of a mutant leads into the box: nobody was put down on a bound.
+    away = members[:, [0, 1, 3]] != bounds[[0, 1, 3]].T[:, None]
+    assert away.all() or name == "swarm"
 
 
-def test_x0_is_a_member_of_the_first_population() -> None:
+@pytest.mark.parametrize("options", [QUICK, SWARM])
+def test_x0_is_a_member_of_the_first_population(options: Any) -> None:
+    """Of a swarm several may be."""
     seen: list[Floats] = []
 
     def costs(x: Floats) -> Floats:
         seen.append(x.copy())
         return sphere(x)
 
-    x0, bounds = np.full(10, 1.0), WIDE.copy()
+    best, bounds = np.full(10, 1.0), WIDE.copy()
+    x0 = np.array([best, np.full(10, 2.0)]) if options is SWARM else best.copy()
     x0.flags.writeable = bounds.flags.writeable = False
-    result = run(costs, bounds=bounds, x0=x0)
-    assert np.array_equal(seen[0][0], x0)
-    assert (result.fun, result.x.tolist()) == (0.0, x0.tolist())
+    result = run(costs, options, bounds, x0=x0)
+    given = np.atleast_2d(x0)
+    assert np.array_equal(seen[0][: len(given)], given) and len(seen[0]) == 20
+    assert (result.fun, result.x.tolist()) == (0.0, best.tolist())
     assert not np.shares_memory(result.x, x0)
 
 
@@ -122,19 +137,18 @@ def test_the_population_meets() -> None:
 
 def test_each_strategy_follows_its_name() -> None:
     assert DifferentialEvolution().strategy == "tradeoff"
-    options = {name: replace(QUICK, strategy=name) for name in STRATEGIES}
-    results = {name: run(options=each).x.tobytes() for name, each in options.items()}
+    results = {n: run(options=SEARCHES[n]).x.tobytes() for n in STRATEGIES}
     assert results.pop("tradeoff") == results[TRADEOFF]
     assert len(set(results.values())) == len(results)
     # The same seed gives the same bytes, another one does not.
     for name, found in results.items():
-        assert found == run(options=options[name]).x.tobytes()
-        assert found != run(options=options[name], seed=4).x.tobytes()
+        assert found == run(options=SEARCHES[name]).x.tobytes()
+        assert found != run(options=SEARCHES[name], seed=4).x.tobytes()
 
 
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_generations_are_counted_and_told(strategy: str) -> None:
-    options, seen = replace(QUICK, strategy=strategy), list[int]()
+@pytest.mark.parametrize("name", SEARCHES)
+def test_generations_are_counted_and_told(name: str) -> None:
+    options, seen = SEARCHES[name], list[int]()
 
     def callback(generation: int, x: Floats, fun: float) -> None:
         assert sphere(x[None])[0] == fun
@@ -143,11 +157,13 @@ def test_generations_are_counted_and_told(strategy: str) -> None:
     result = run(options=options, callback=callback)
     assert seen == list(range(1, result.nit + 1))
     assert result.fun == sphere(result.x[None])[0]
-    assert np.array_equal(result.population_energies, sphere(result.population))
-    if strategy != "l-shade":
+    if name != "l-shade":
         assert result.status is Status.GENERATIONS
-        assert (result.nit, result.nfev) == (30, 20 * 31)
+        assert (result.nit, result.nfev) == (30, options.budget) == (30, 20 * 31)
         assert result.population.shape == (20, 10)
+    if name == "swarm":
+        return  # Its population is where it flies, not where it was best.
+    assert np.array_equal(result.population_energies, sphere(result.population))
     fixed = run(options=options, bounds=np.tile([0.1, 0.1], (3, 1)))
     assert (fixed.status, fixed.nit) == (Status.CONVERGED, 0)
     assert fixed.x.tolist() == [0.1] * 3
@@ -174,3 +190,49 @@ def test_known_minima(
     assert result.status is Status.TARGET
     assert result.fun <= 1e-8 < result.best_history[-2]
     assert result.x == pytest.approx(np.ones(10), abs=2e-3)
+
+
+# Swarms.
+
+
+@pytest.mark.parametrize(
+    ("costs", "size", "within"),
+    [(sphere, 5, 2e-3), (rosenbrock, 2, 0.02), (rastrigin, 3, 1e-3)],
+)
+def test_known_minima_of_a_swarm(
+    costs: Callable[[Floats], Floats], size: int, within: float
+) -> None:
+    options = ParticleSwarm(particles=60, iterations=400, target=1e-6)
+    result = run(costs, options, WIDE[:size])
+    assert result.status is Status.TARGET
+    assert result.x == pytest.approx(np.ones(size), abs=within)
+
+
+def test_the_swarm_converges_in_one_basin() -> None:
+    """As printed, without inertia below 1, it does not."""
+    options = ParticleSwarm(particles=30, iterations=300, mutation=0.0, tol=1e-6)
+
+    def found(seed: int = 0, **changes: float) -> EvolutionResult:
+        changed = replace(options, **changes)
+        return run(lambda x: sphere(x) + 1.0, changed, WIDE[:5], seed)
+
+    result = found()
+    assert result.status is Status.CONVERGED and result.nit < 300
+    assert result.x == pytest.approx(np.ones(5), abs=0.01)
+    assert found(inertia=1.0).status is Status.GENERATIONS
+    assert found().population.tobytes() == result.population.tobytes()
+    assert found(4).x.tobytes() != result.x.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("x0", "value"),
+    [
+        (np.ones(5), (5,)),
+        (np.ones((2, 4)), (2, 4)),
+        (np.full((2, 5), 6.0), 6.0),
+        (np.ones((21, 5)), 21),
+    ],
+)
+def test_places_that_cannot_be_used(x0: Floats, value: object) -> None:
+    with refused(OptionError, value=value):
+        run(options=SWARM, bounds=WIDE[:5], x0=x0)

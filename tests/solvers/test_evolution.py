@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -173,16 +171,6 @@ def test_costs_of_the_wrong_shape() -> None:
         with pytest.raises(OptionError) as caught:
             run([0.4, 0.5], Script(), costs=costs)
         assert caught.value.value == shape
-
-
-def test_histories_are_monotone_and_end_with_the_result() -> None:
-    rng = np.random.default_rng(0)
-    result = run(rng.random(5).tolist(), Script(*rng.random((20, 5)).tolist()))
-    assert result.best_history.shape == result.mean_history.shape == (21,)
-    assert all(b <= a for a, b in pairwise(result.best_history))
-    assert all(b <= a for a, b in pairwise(result.mean_history))
-    assert result.best_history[-1] == result.fun == result.population_energies.min()
-    assert result.mean_history[-1] == result.population_energies.mean()
 
 
 def test_others_are_uniform() -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
 from calib_pin.solvers.evolution import Box
+from tests.shared import refused
 
 UNEVEN = np.array([[-1.0, 2.0], [0.3, 0.3], [1e-9, 3e-9]])
 
@@ -58,7 +56,7 @@ def test_repair_leads_between_the_parent_and_the_bound_that_was_crossed() -> Non
     assert not (np.abs(trials) == 1.0).any()
 
 
-def test_bounds_and_members_that_cannot_be_used(refused: Callable[..., Any]) -> None:
+def test_bounds_and_members_that_cannot_be_used() -> None:
     for bounds, value in (
         ([0.0, 1.0], (2,)),
         (np.zeros((2, 3)), (2, 3)),

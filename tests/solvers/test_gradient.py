@@ -13,6 +13,7 @@ from scipy import optimize
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import DescentResult, Status, projected_descent
+from tests.shared import refused
 
 Smooth = Callable[[Floats], tuple[float, Floats]]
 
@@ -95,17 +96,6 @@ def test_as_low_as_scipy_with_about_as_many_evaluations(name: str) -> None:
     # Counts depend on the last bits of products; without curvature it takes tenfold.
     assert ours.nfev <= 3 * theirs.nfev
     assert ours.fun == function(ours.x)[0]
-
-
-def test_bounds_that_hold_the_minimum_are_met_exactly() -> None:
-    bounds = np.array([[0.1, 0.3], [-1.0, 1.0], [0.7, 0.7]])
-    target = np.array([[0.0, 0.5, 2.0], [0.9, -3.0, 0.0]])
-    x0 = np.array([[0.2, 0.0, 0.7], [0.1, 1.0, 0.7]])
-    result = projected_descent(coupled(target, 0.0), bounds, x0)
-    assert result.status is Status.CONVERGED
-    assert result.x[:, [0, 2]].tolist() == [[0.1, 0.7], [0.3, 0.7]]
-    assert result.x[:, 1] == pytest.approx([0.5, -1.0], abs=1e-6)
-    assert result.x[1, 1] == -1.0
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
@@ -262,9 +252,7 @@ def test_the_limits_end_it() -> None:
         ({"allowed": lambda x: True}, ()),
     ],
 )
-def test_what_cannot_be_used(
-    arguments: dict[str, Any], value: object, refused: Callable[..., Any]
-) -> None:
+def test_what_cannot_be_used(arguments: dict[str, Any], value: object) -> None:
     usual = {"function": rosenbrock, "bounds": SQUARE, "x0": np.zeros((2, 2))}
     with refused(OptionError, value=value):
         projected_descent(**(usual | arguments))

@@ -59,7 +59,7 @@ def test_pixels_that_no_robot_explains_are_untrusted() -> None:
     """No corner of a board is found so badly, whatever the noise that is assumed."""
     job = tracked(2, model="camera", noise=12.0, stated=False)
     rows = job.measured(stream(2, 1))
-    result = calib_pin.calibrate(job.chain, rows, job.setup)
+    result = calib_pin.calibrate(job.chain, rows, job.setup, validate=False)
     assert result.verdict == "untrusted"
     assert "nothing that was estimated explains them" in result.reason
 

@@ -21,6 +21,7 @@ from calib_pin.estimation.statistics.population_prior import (
 )
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup.population import JointType, RobotType
+from tests.shared import refused
 
 TYPE = RobotType("arm", (JointType("a", (0.0, 0.0, 1.0), ()),))
 NAMES = tuple(f"j{k // 3}.placement.{'xyz'[k % 3]}" for k in range(9))
@@ -88,24 +89,7 @@ def test_mean_and_spread_are_recovered(many: Population) -> None:
     assert prior.noise == {"position": 1e-4}
 
 
-def test_the_next_robot_lies_within_its_interval(many: Population) -> None:
-    """Before it is measured; of few robots the intervals are wide."""
-    widths = []
-    for found, count in ((population_of(robots(8)), 8), (many, 120)):
-        prior = found.prior()
-        mean = np.array([p.mean for p in prior.parameters]) / SCALES
-        S = np.array(prior.covariance) / np.outer(SCALES, SCALES)
-        # Of what can be known: all but the hidden one and the terms of the sum.
-        shown = [2, 3, 4, 5, 6, 8]
-        z = (mean - MEAN)[shown] / np.sqrt(np.diag(S)[shown])
-        # By about a deviation of the mean of so many robots.
-        assert np.abs(z).max() < 3.5 / np.sqrt(count) + 0.5
-        widths.append(np.sqrt(np.diag(S)[shown]) / SPREAD[shown])
-    assert (widths[1] < widths[0]).mean() > 0.5
-    np.testing.assert_allclose(widths[1], 1.0, atol=0.4)
-
-
-def test_other_robots_are_refused(refused) -> None:
+def test_other_robots_are_refused() -> None:
     """Too few, or of several types."""
     with refused(OptionError, value=LEAST - 1):
         population_of(robots(LEAST - 1))

@@ -345,15 +345,6 @@ def test_the_likelihood_is_at_its_maximum(model) -> None:
         assert dense(found.values * factors_)[0] < best
 
 
-def test_one_variance_is_that_of_the_residuals() -> None:
-    one = components(Block(np.column_stack([A, Y]), NOISE), count=1)
-    found = estimate_variances(one, np.ones(1))
-    b, (squares,) = np.linalg.lstsq(-A, Y, rcond=None)[:2]
-    assert found.values[0] == pytest.approx(squares / 76.0)
-    assert found.dof[0] == pytest.approx(76.0) == pytest.approx(found.redundancies[0])
-    np.testing.assert_allclose(found.unknowns, b)
-
-
 def test_an_effect_that_is_not_there_vanishes() -> None:
     U = np.linalg.qr(np.hstack([A, X]))[0]
     rest = Y - U @ (U.T @ Y)
@@ -362,21 +353,6 @@ def test_an_effect_that_is_not_there_vanishes() -> None:
     # A bound stops it before.
     bounded = estimate_variances(factors(rest), np.ones(2), np.full(2, 0.01))
     assert bounded.values[1] == 0.01
-
-
-def test_repetitions_have_the_closed_form_of_one_way_analysis() -> None:
-    """Twenty configurations, four times each: mean squares within and between."""
-    y = np.repeat(rng.normal(size=20), 4) + 0.3 * rng.normal(size=80)
-    Z = np.repeat(np.eye(20), 4, axis=0)
-    labels = np.append(NOISE, np.ones(20, int))
-    rows = np.column_stack([np.ones(80), y])
-    found = estimate_variances(
-        components(Block(rows, labels, np.hstack([np.eye(80), Z])), count=2), np.ones(2)
-    )
-    means = y.reshape(20, 4).mean(axis=1)
-    within = np.sum((y - np.repeat(means, 4)) ** 2) / 60.0
-    between = 4.0 * means.var(ddof=1)
-    np.testing.assert_allclose(found.values, [within, (between - within) / 4.0], 1e-4)
 
 
 def test_what_is_known_beforehand_counts_like_further_errors() -> None:

@@ -92,9 +92,7 @@ SEEN: dict[str, Any] = {"camera": CAMERA, "base_frame": FAR}
 
 
 @pytest.mark.parametrize("apart", [0.0, 1e-4])
-def test_axes_that_meet_have_no_lengths(
-    apart: float, urdf_of: Callable[..., str], chain_of: Callable[..., Chain]
-) -> None:
+def test_axes_that_meet_have_no_lengths(apart: float) -> None:
     """A positioner of tilt and turn: what grows is how far away its base stands."""
     across = pin.SE3(pin.rpy.rpyToMatrix(0.0, 1.57, 0.0), np.array([apart, 0.0, 0.0]))
     tilt = {"name": "tilt", "parent": "base", "child": "frame"}

@@ -72,20 +72,23 @@ def read_mesh(
     if not 1 <= len(corners) <= TRIANGLES:
         reason = f"has {len(corners)} triangles, not 1 to {TRIANGLES}"
         raise InputError(reason, file=path)
-    # Triangles share corners, in the order in which they first come.
-    every, first, place = np.unique(
-        corners.reshape(-1, 3), axis=0, return_index=True, return_inverse=True
-    )
-    if len(every) < 3:  # Of a single one, the library gives numbers of no meaning.
+    # Triangles share corners, in the order in which they first come. To sort by columns
+    # takes a quarter of the time of `np.unique`, which compares rows.
+    points = corners.reshape(-1, 3)
+    by = np.lexsort(points.T)
+    begins = np.append(True, (points[by][1:] != points[by][:-1]).any(axis=1))
+    first, place = by[begins], np.empty(len(by), np.intp)
+    place[by] = np.cumsum(begins) - 1
+    if len(first) < 3:  # Of a single one, the library gives numbers of no meaning.
         raise InputError("has less than 3 different vertices", file=path)
     order = np.argsort(first)
     with np.errstate(over="ignore", invalid="ignore"):
-        vertices = every[order] * np.array(scale)
+        vertices = points[first[order]] * np.array(scale)
     far = vertices[~(np.abs(vertices) <= FARTHEST).all(axis=1)]
     if len(far):
         reason = f"has the vertex {far[0].tolist()}, not within {FARTHEST:g} m"
         raise InputError(reason, file=path)
-    return Surface(vertices, np.argsort(order)[place.ravel()].reshape(-1, 3))
+    return Surface(vertices, np.argsort(order)[place].reshape(-1, 3))
 
 
 def _corners(path: Path) -> Floats:

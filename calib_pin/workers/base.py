@@ -121,7 +121,7 @@ class Workers:
         place: int,
     ) -> Iterator[Any]:
         """Results of items behind a place, by batches of about a second."""
-        sent = deque[tuple[Future[Done], Sequence[Any]]]()
+        sent = deque[tuple[Future[Done], list[Any]]]()
         known, seconds = 1, SECONDS  # At first, an item is a batch.
         try:
             while True:
@@ -140,9 +140,10 @@ class Workers:
                     wait([other for other, _ in sent])
                     parts = (self._taken(submit([item])) for item in batch)
                 for item, done in zip(batch, parts, strict=False):
-                    if done is None and lost is None:
-                        raise WorkerLost(f"workers died twice over item {place + 1}")
                     if done is None:
+                        if lost is None:
+                            number = place + 1
+                            raise WorkerLost(f"workers died twice over item {number}")
                         place += 1
                         yield lost(item)
                         continue

@@ -45,11 +45,6 @@ VISIBLE = 0.2
 """Length that the largest vector gets at first, by the size of the robot."""
 
 
-def css(color: tuple[int, ...]) -> str:
-    """A color as style sheets write it."""
-    return f"rgb({', '.join(map(str, color))})"
-
-
 class Controls:
     """The controls of a window.
 
@@ -95,21 +90,8 @@ def text(content: str) -> str:
 
 def swatch(color: RGB, label: str) -> str:
     """A colored square with its meaning."""
-    square = f'<span style="color: {css(color)}">&#9632;</span>'
+    square = f'<span style="color: rgb{color}">&#9632;</span>'
     return f'<span style="margin-right: 1em">{square} {html.escape(label)}</span>'
-
-
-def scale(sizes: Floats, unit: str) -> str:
-    """The colormap with the least and the largest size at its ends."""
-    if len(sizes) == 0:
-        return text("no measurement has it")
-    ends = f"<span>{sizes.min():.3g} {unit}</span><span>{sizes.max():.3g} {unit}</span>"
-    steps = MAP(np.linspace(0.0, 1.0, 9), bytes=True)[:, :3].tolist()
-    gradient = f"linear-gradient(to right, {', '.join(map(css, steps))})"
-    bar = f'<div style="height: 0.8em; background: {gradient}"></div>'
-    return text(
-        f'{bar}<div style="display: flex; justify-content: space-between">{ends}</div>'
-    )
 
 
 class Joints:
@@ -341,19 +323,24 @@ def _add_map(controls: Controls, stage: Stage, rows: Rows, behind: Any) -> None:
         block = controls.gui.add_dropdown(
             "measurements", tuple(rows.blocks), visible=len(rows.blocks) > 1
         )
+        controls.gui.add_image(
+            np.tile(MAP(np.linspace(0.0, 1.0, 200))[:, :3], (12, 1, 1))
+        )
         legend = controls.gui.add_html("")
 
     def color() -> None:
         errors = rows.stages[robot.value]
         every = errors.sizes[quantity.value]
         shown = np.isfinite(every) & rows.blocks[block.value]
-        sizes, colors = every[shown], np.zeros((0, 3), np.uint8)
+        sizes, colors, told = every[shown], MEASURED, "no measurement has it"
+        unit, factor = DISPLAY[errors.units[quantity.value]]
         if len(sizes):
             colors = MAP(Normalize()(sizes), bytes=True)[:, :3]
+            least, most = factor * sizes.min(), factor * sizes.max()
+            told = f"{least:.3g} {unit} to {most:.3g} {unit}, from left to right"
         # Points and colors in one: a browser may draw between two messages.
         _cloud(stage, "/map/points", errors.points[shown], colors, 0.014)
-        unit, factor = DISPLAY[errors.units[quantity.value]]
-        legend.content = scale(factor * sizes, unit)
+        legend.content = text(told)
 
     for choice in (quantity, robot, block):
         controls.on(choice, lambda _: color())
@@ -365,7 +352,7 @@ def _cloud(stage: Stage, name: str, points: Floats, colors: Any, size: float) ->
     return stage.api.add_point_cloud(
         name,
         points.astype(np.float32),
-        colors if len(points) else MEASURED,
+        colors,
         point_size=size * stage.size,
         point_shape="circle",
         precision="float32",

@@ -158,7 +158,7 @@ class Workers:
                 future.cancel()
 
     def _taken(self, future: Future[Done]) -> Done | None:
-        """What became of a batch; None if it was lost with its worker."""
+        """Results of a batch; None if it was lost with its worker."""
         while not wait([future], timeout=SECONDS).done:
             self.require_there()
         try:

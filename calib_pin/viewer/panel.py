@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_hex
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
@@ -34,6 +34,10 @@ PATH: RGB = (0, 158, 115)
 
 MAP = colormaps["viridis"]
 """Colormap of sizes: perceptually uniform, and of growing lightness."""
+
+STEPS = ", ".join(map(to_hex, MAP(np.linspace(0.0, 1.0, 9))))
+BAR = f"height: 0.8em; background: linear-gradient(to right, {STEPS})"
+"""Style of a bar with its colors."""
 
 LAST = 1e9
 """Place of the sliders in the panel: there may be many."""
@@ -323,9 +327,6 @@ def _add_map(controls: Controls, stage: Stage, rows: Rows, behind: Any) -> None:
         block = controls.gui.add_dropdown(
             "measurements", tuple(rows.blocks), visible=len(rows.blocks) > 1
         )
-        controls.gui.add_image(
-            np.tile(MAP(np.linspace(0.0, 1.0, 200))[:, :3], (12, 1, 1))
-        )
         legend = controls.gui.add_html("")
 
     def color() -> None:
@@ -337,7 +338,7 @@ def _add_map(controls: Controls, stage: Stage, rows: Rows, behind: Any) -> None:
         if len(sizes):
             colors = MAP(Normalize()(sizes), bytes=True)[:, :3]
             least, most = factor * sizes.min(), factor * sizes.max()
-            told = f"{least:.3g} {unit} to {most:.3g} {unit}, from left to right"
+            told = f'<div style="{BAR}"></div>{least:.3g} to {most:.3g} {unit}'
         # Points and colors in one: a browser may draw between two messages.
         _cloud(stage, "/map/points", errors.points[shown], colors, 0.014)
         legend.content = text(told)

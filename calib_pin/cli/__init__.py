@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ[name] = "1"
     if arguments is None:
         # A process of our own is short: looking for garbage takes a tenth of its time.
-        gc.set_threshold(100_000)
+        gc.set_threshold(300_000)
         atexit.register(gc.freeze)
         atexit.register(_flush_output)
     _prepare_streams()

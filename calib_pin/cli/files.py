@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from calib_pin.cli.printing import Bar, notice, stage
 from calib_pin.errors import (
@@ -20,15 +20,16 @@ from calib_pin.errors import (
 )
 from calib_pin.io.measured_columns import asked_models
 from calib_pin.io.measurements import read_measurements
-from calib_pin.io.setup import read_setup
 from calib_pin.io.urdf import load_chains, locate_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import WORLD, Setup
-from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.result import CalibrationResult
+
+if TYPE_CHECKING:
+    from calib_pin.validation.calibrated_model import CalibratedModel
+    from calib_pin.validation.result import CalibrationResult
 
 exists = os.path.exists  # False also where that cannot be determined.
 
@@ -47,7 +48,11 @@ def open_setup(file: Path | None, **flags: Any) -> Setup:
         InputError: If the file cannot be used.
         OptionError: If a flag cannot.
     """
-    setup = Setup() if file is None else read_setup(file)
+    setup = Setup()
+    if file is not None:
+        from calib_pin.io.setup import read_setup  # With all that may be stated.
+
+        setup = read_setup(file)
     given = {key: value for key, value in flags.items() if value is not None}
     asked_models(given.get("model"))
     if "parameters" in given:

@@ -61,13 +61,15 @@ def looked_at(asked: Init, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
     Raises:
         CalibPinError: If one of the files cannot be used.
     """
-    from calib_pin.io.boards import board_of
-
     files, folders = asked.measurements, asked.package_dir or []
     require_folders(folders)
     require_distinct(files)
     robot, given = load_robot(asked.robot, folders), asked.stated()
-    seen = given.board if asked.board is None else board_of(asked.board)
+    seen = given.board
+    if asked.board is not None:
+        from calib_pin.io.boards import board_of  # Loads what looks at images.
+
+        seen = board_of(asked.board)
     start = Setup(asked.base, asked.tip, model=asked.model, board=seen)
     start = replace(start, camera=given.camera)
     with stated_in(str(files[0])):

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-import calib_pin.io.exchange.rosbag as rosbag
+import calib_pin.io.rosbag as rosbag
 from calib_pin.cli import printing
 from calib_pin.cli.asked import Join
 from calib_pin.cli.files import check_outputs, open_setup, require_file

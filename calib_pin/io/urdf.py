@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from calib_pin.errors import (
@@ -64,13 +65,19 @@ def known_robots() -> dict[str, Path]:
     data = "cmeel.prefix/share/example-robot-data"
     with suppress(importlib.metadata.PackageNotFoundError):
         package = importlib.metadata.distribution("example-robot-data")
-        files = sorted(Path(str(package.locate_file(data))).rglob("*.urdf"))
+        files = _urdfs(Path(str(package.locate_file(data))))
     stems = Counter(path.stem for path in files)
     for path in files:
         # Of several robots of one name a longer one tells which.
         parts = path.with_suffix("").parts[-3 if stems[path.stem] > 1 else -1 :]
         robots[_EXAMPLE + "/".join(parts)] = path
     return robots
+
+
+@cache
+def _urdfs(folder: Path) -> list[Path]:
+    """The URDF files of an installed package, sorted; each mesh of a robot asks."""
+    return sorted(folder.rglob("*.urdf"))
 
 
 def robot_file(robot: str, name: str) -> Path:

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import IO, Any
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
@@ -73,6 +72,8 @@ def branch(
         more: Other elements of the joint, in lines.
         inside: Elements of the link.
     """
+    from xml.sax.saxutils import quoteattr  # Loads what reads from the network.
+
     name, kind, parent, child = map(quoteattr, joint)
     link = f"link name={child}"
     return f"""  <{link}{f">{inside}</link" if inside else "/"}>

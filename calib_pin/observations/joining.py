@@ -16,8 +16,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
-from scipy.signal import correlate
 
 from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats, from_quaternion, so3_log
@@ -213,8 +211,7 @@ class _Motion:
         self.settle = settle
         width = max(round(settle / self.step), 2)
         allowed = STILL * max(settle / 0.5, 1.0) + NOISES * noise
-        high = maximum_filter1d(q, width, axis=0, mode="nearest")
-        low = minimum_filter1d(q, width, axis=0, mode="nearest")
+        high, low = _extremes(q, width)
         quiet = np.all(high - low <= allowed, axis=1)
         far = np.searchsorted(time, grid)
         before = time[np.maximum(far - 1, 0)]
@@ -261,9 +258,9 @@ class _Motion:
         a, b = by_joints - by_joints.mean(), by_readings - by_readings.mean()
         if not (a.any() and b.any()):
             return None
-        found = correlate(b, a, mode="full")
-        ones = correlate(b**2, np.ones(len(a))), correlate(np.ones(len(b)), a**2)
-        shared = correlate(np.ones(len(b)), np.ones(len(a)))
+        one_a, one_b = np.ones(len(a)), np.ones(len(b))
+        found, shared = _correlated(b, a), _correlated(one_b, one_a)
+        ones = _correlated(b**2, one_a), _correlated(one_b, a**2)
         enough = shared >= 0.5 * min(len(a), len(b))
         scale = np.sqrt(np.maximum(ones[0] * ones[1], 1e-300))
         likeness = np.where(enough, found / scale, -1.0)
@@ -352,6 +349,32 @@ class _Motion:
         # Nothing moves it from zero needlessly.
         ahead = 0.0 if low <= 0.0 <= high else 0.5 * (low + high)
         return Clock(ahead, (high - low + COARSE) / np.sqrt(12.0), 0)
+
+
+def _extremes(values: Floats, width: int) -> tuple[Floats, Floats]:
+    """The largest and the least value around every sample, shapes (N, n).
+
+    Args:
+        values: Samples, shape (N, n); those beyond are as the first and the last.
+        width: Number of samples that a window has.
+    """
+    before = width // 2
+    padded = np.pad(values, ((before, width - before - 1), (0, 0)), "edge")
+    high, low, reach = padded, padded, 1
+    while reach < width:
+        # Two overlapping windows make a longer one.
+        step = min(reach, width - reach)
+        high = np.maximum(high[:-step], high[step:])
+        low = np.minimum(low[:-step], low[step:])
+        reach += step
+    return high, low
+
+
+def _correlated(b: Floats, a: Floats) -> Floats:
+    """Sums of products of b (M,) and a (N,) at all their shifts, shape (M + N - 1,)."""
+    count = len(a) + len(b) - 1
+    of_both = np.fft.rfft(b, count) * np.fft.rfft(a[::-1], count)
+    return np.fft.irfft(of_both, count)
 
 
 def shared_names(

@@ -143,11 +143,8 @@ def _tables(found: Compensation, chain: Chain) -> Iterator[Table]:
         pair = (found.reached & np.isfinite(before), found.reached & np.isfinite(after))
         rows.append((name, "nominal", *_sizes(before[pair[0]], unit)))
         rows.append((name, "compensated", *_sizes(after[pair[1]], unit)))
-    title, titles = (
-        "Distance from the targets, by the calibrated model",
-        ("mean", "max"),
-    )
-    yield table(title, ("", "commands|word", *titles, UNIT), rows, grouped=1)
+    title = "Distance from the targets, by the calibrated model"
+    yield table(title, ("", "commands|word", "mean", "max", UNIT), rows, grouped=1)
     drives = JointColumns.of(chain)
     sizes = np.abs(drives.values(found.corrections + drives.offsets))
     columns = zip(drives.joints, drives.revolute, sizes.T, strict=True)

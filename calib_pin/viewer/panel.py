@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import html
-import io
 import math
-import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -13,24 +11,42 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps
-from PIL import Image
+from matplotlib.colors import Normalize, to_hex
+from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.breakdown import block_names
 from calib_pin.units import DISPLAY
-from calib_pin.viewer.scene import Plan, Rows, Scene
-from calib_pin.viewer.stage import BODIES, MAP, RGB, STAGES, RowsDrawing, Stage
+from calib_pin.viewer.scene import Plan, Rows, Scene, StageErrors
+from calib_pin.viewer.stage import BODIES, RGB, Stage
 
 if TYPE_CHECKING:
     import viser
 
+STAGES: dict[str, RGB] = {"before": (213, 94, 0), "after": (0, 114, 178)}
+"""Of errors, after Okabe and Ito."""
+
+MARK: RGB = (204, 121, 167)
+"""Of the measurement that is looked at."""
+
+MEASURED: RGB = (40, 40, 40)
+PATH: RGB = (0, 158, 115)
+
+MAP = colormaps["viridis"]
+"""Colormap of sizes: perceptually uniform, and of growing lightness."""
+
+STEPS = ", ".join(map(to_hex, MAP(np.linspace(0.0, 1.0, 9))))
+BAR = f"height: 0.8em; background: linear-gradient(to right, {STEPS})"
+"""Style of a bar with its colors."""
+
 LAST = 1e9
 """Place of the sliders in the panel: there may be many."""
 
+MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""Magnifications of the error vectors."""
 
-def css(color: tuple[int, ...]) -> str:
-    """A color as style sheets write it."""
-    return f"rgb({', '.join(map(str, color))})"
+VISIBLE = 0.2
+"""Length that the largest vector gets at first, by the size of the robot."""
 
 
 class Controls:
@@ -71,11 +87,6 @@ class Controls:
         show(on)
 
 
-def put(control: Any, value: float) -> None:
-    """Set the value of a control, which viser lets nobody see."""
-    control.value = value
-
-
 def text(content: str) -> str:
     """HTML as it stands between controls."""
     return f'<div style="font-size: 0.8em; padding: 0 0.8em 0.5em">{content}</div>'
@@ -83,21 +94,8 @@ def text(content: str) -> str:
 
 def swatch(color: RGB, label: str) -> str:
     """A colored square with its meaning."""
-    square = f'<span style="color: {css(color)}">&#9632;</span>'
+    square = f'<span style="color: rgb{color}">&#9632;</span>'
     return f'<span style="margin-right: 1em">{square} {html.escape(label)}</span>'
-
-
-def scale(sizes: Floats, unit: str) -> str:
-    """The colormap with the least and the largest size at its ends."""
-    if len(sizes) == 0:
-        return text("no measurement has it")
-    ends = f"<span>{sizes.min():.3g} {unit}</span><span>{sizes.max():.3g} {unit}</span>"
-    steps = colormaps[MAP](np.linspace(0.0, 1.0, 9), bytes=True)[:, :3].tolist()
-    gradient = f"linear-gradient(to right, {', '.join(map(css, steps))})"
-    bar = f'<div style="height: 0.8em; background: {gradient}"></div>'
-    return text(
-        f'{bar}<div style="display: flex; justify-content: space-between">{ends}</div>'
-    )
 
 
 class Joints:
@@ -120,7 +118,7 @@ class Joints:
         with controls.gui.add_folder(
             "Joints [deg]", order=LAST, expand_by_default=alone
         ):
-            self._sliders = [
+            self._sliders: list[Any] = [
                 controls.gui.add_slider(
                     name + units[k],
                     math.floor(lower[k]),
@@ -140,7 +138,7 @@ class Joints:
         self._payload, self.mover = payload, mover
         self._stage.pose(self._q, payload)
         for place in self._places:
-            put(self._sliders[place], self._displayed(place))
+            self._sliders[place].value = self._displayed(place)
 
     def _displayed(self, place: int) -> float:
         return round(float(self._factors[place] * self._q[place]), 2)
@@ -166,23 +164,23 @@ class Player:
     """The controls of a plan, which play its configurations in their order."""
 
     def __init__(
-        self,
-        controls: Controls,
-        plan: Plan,
-        joints: Joints,
-        path: viser.LineSegmentsHandle,
+        self, controls: Controls, stage: Stage, plan: Plan, joints: Joints
     ) -> None:
-        """Add the controls; nothing is played yet."""
+        """Draw its paths and add the controls; nothing is played yet."""
         self._lock, self._plan, self._joints = controls.lock, plan, joints
-        self._number, self._playing = 0.0, False
-        count = len(plan.q)
+        self._number, self._playing, count = 0.0, False, len(plan.q)
+        ways = [np.stack([way[:-1], way[1:]], axis=1) for way in plan.paths]
+        path = stage.api.add_line_segments(
+            "/path", np.concatenate(ways), np.array(PATH), thickness=0.002 * stage.size
+        )
         with controls.gui.add_folder("Plan"):
-            self._slider = controls.gui.add_slider("number", 1, max(count, 2), 1, 1)
+            self._slider: Any = controls.gui.add_slider(
+                "number", 1, max(count, 2), 1, 1
+            )
             self._button = controls.gui.add_button("play", disabled=count < 2)
             self._speed = controls.gui.add_slider("per second", 0.1, 5.0, 0.1, 1.0)
-            controls.switch(
-                "paths of the tips" if len(plan.paths) > 1 else "path of the tip", path
-            )
+            several = len(plan.paths) > 1
+            controls.switch("paths of the tips" if several else "path of the tip", path)
         controls.on(self._slider, lambda value: self._show(min(value, count) - 1.0))
         self._button.on_click(lambda _: self.play(not self._playing))
 
@@ -204,25 +202,19 @@ class Player:
                 return
             number = self._number + seconds * self._speed.value
             self._show(number if number <= len(self._plan.q) - 1 else 0.0)
-            put(self._slider, int(self._number) + 1)
+            self._slider.value = int(self._number) + 1
 
     def _show(self, number: float) -> None:
         self._number = number
         self._joints.move(self._plan.at(number), "", self)
 
 
-MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-"""Magnifications of the error vectors."""
-
-WAIT = 60.0
-"""Time for a browser to draw a picture, also without a graphics card [s]."""
-
-VISIBLE = 0.2
-"""Length that the largest vector gets at first, by the size of the robot."""
-
-
 def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
-    """Add all controls; returns what plays the plan, if there is one."""
+    """Draw errors and plan, and add all controls.
+
+    Returns:
+        What plays the plan, if there is one.
+    """
     with controls.gui.add_folder("Robot"):
         for name, robot in stage.robots.items():
             controls.switch(name, robot.root)
@@ -232,32 +224,34 @@ def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
         if scene.things:
             controls.switch("instruments and targets", stage.things.root)
             controls.switch("their names", stage.names.root, False)
-        button = controls.gui.add_button("save picture")
-        button.on_click(lambda event: save_picture(event.client, scene.title))
-    joints = Joints(controls, scene, stage)
-    if stage.rows is not None:
-        _add_rows(controls, stage.rows, joints)
+    joints, rows = Joints(controls, scene, stage), scene.rows
+    behind = stage.api.add_frame("/behind", show_axes=False)
+    if rows is not None:
+        _add_rows(controls, stage, rows, joints)
     _add_magnifier(controls, scene, stage)
-    if stage.rows is not None:
-        _add_map(controls, stage.rows)
-    if scene.plan is None or stage.path is None:
-        return None
-    return Player(controls, scene.plan, joints, stage.path)
+    if rows is not None:
+        _add_map(controls, stage, rows, behind)
+    return Player(controls, stage, scene.plan, joints) if scene.plan else None
 
 
-def _add_rows(controls: Controls, drawing: RowsDrawing, joints: Joints) -> None:
-    rows = drawing.rows
-    count = len(rows.data)
+def _add_rows(controls: Controls, stage: Stage, rows: Rows, joints: Joints) -> None:
+    """The measured points, and a slider that goes to a measurement and marks it."""
+    count, last = len(rows.data), list(rows.stages.values())[-1]
+    mark = stage.api.add_icosphere(
+        "/row", radius=0.012 * stage.size, color=MARK, cast_shadow=False
+    )
     with controls.gui.add_folder("Measurements"):
         slider = controls.gui.add_slider("measurement", 1, max(count, 2), 1, 1)
         about = controls.gui.add_html("")
-        if drawing.vectors:
-            controls.switch("measured points", drawing.measured)
+        if rows.positions:
+            points = last.measured[np.isfinite(last.measured).all(axis=1)]
+            cloud = _cloud(stage, "/behind/measured", points, MEASURED, 0.005)
+            controls.switch("measured points", cloud)
 
     def show(value: int) -> None:
         row = min(value, count) - 1
         about.content = text(_about(rows, row))
-        drawing.mark(row)
+        mark.position = last.points[row]
         joints.move(rows.data.q[row], rows.data.payload[row], rows)
 
     controls.on(slider, show)
@@ -266,14 +260,23 @@ def _add_rows(controls: Controls, drawing: RowsDrawing, joints: Joints) -> None:
 
 def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
     """One slider for error vectors and the geometry, if there are any of these."""
-    vectors, moving = dict[str, Any](), len(scene.bodies) > 1
-    largest = scene.largest_move
-    if stage.rows is not None and (vectors := stage.rows.vectors):
-        errors = stage.rows.rows.stages.values()
-        lengths = [np.linalg.norm(e.vectors, axis=1) for e in errors]
-        largest = max(largest, float(np.nanmax(lengths)))
-    if not (vectors or moving):
+    positions = {} if scene.rows is None else scene.rows.positions
+    moving, largest = len(scene.bodies) > 1, scene.largest_move
+    if not (positions or moving):
         return
+    # Lines have no shades: they keep the colors of the legend.
+    vectors = {
+        name: stage.api.add_line_segments(
+            f"/{name}",
+            lines(errors, 1.0),
+            np.array(STAGES[name]),
+            thickness=0.004 * stage.size,
+        )
+        for name, errors in positions.items()
+    }
+    for errors in positions.values():
+        lengths = np.linalg.norm(errors.vectors, axis=1)
+        largest = max(largest, float(np.nanmax(lengths)))
     # The one that makes the largest vector just not too long.
     fitting = [m * largest <= VISIBLE * stage.size for m in MAGNIFICATIONS]
     first = str(MAGNIFICATIONS[max(sum(fitting) - 1, 0)])
@@ -285,57 +288,76 @@ def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
             controls.switch(name, handle)
         choice = controls.gui.add_dropdown("magnified", factors, initial_value=first)
         legend = controls.gui.add_html("")
-    what = ["errors, from the measured point"] * bool(vectors)
-    what += ["corrections of the robot"] * moving
+    shown = ["errors, from the measured point"] * bool(vectors)
+    shown += ["corrections of the robot"] * moving
 
     def magnify(factor: str) -> None:
         stage.magnify(float(factor))
+        for name, handle in vectors.items():
+            handle.points = lines(positions[name], float(factor))
         swatches = "".join(swatch(STAGES[name], name) for name in vectors)
-        told = f"magnified {factor} times: {'; '.join(what)}"
+        told = f"magnified {factor} times: {'; '.join(shown)}"
         legend.content = text(f"{swatches}<br>{told}" if swatches else told)
 
     controls.on(choice, magnify)
     magnify(first)
 
 
-def save_picture(client: viser.ClientHandle | None, title: str) -> None:
-    """Have the browser of whoever asked draw its view once more, as a PNG file.
+def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
+    """Magnified error vectors from the measured points, shape (n, 2, 3) [m].
 
-    Nothing is drawn behind the scene, so that the picture fits on any page.
+    Where no position is measured, there is none.
     """
-    if client is None:
-        return
-    width, height = client.camera.image_width, client.camera.image_height
-    image = client.get_render(height, width, transport_format="png", timeout=WAIT)
-    stream = io.BytesIO()
-    Image.fromarray(image).save(stream, format="png")
-    name = re.sub(r"[^\w.-]+", "_", title) or "robot"
-    client.send_file_download(f"{name}.png", stream.getvalue(), save_immediately=True)
+    measured = errors.measured
+    ends = np.stack([measured, measured + factor * errors.vectors], axis=1)
+    return ends[np.isfinite(ends).all(axis=(1, 2))].astype(np.float32)
 
 
-def _add_map(controls: Controls, drawing: RowsDrawing) -> None:
-    rows, stages = drawing.rows, tuple(drawing.rows.stages)
-    quantities = tuple(rows.stages[stages[-1]].quantities)
+def _add_map(controls: Controls, stage: Stage, rows: Rows, behind: Any) -> None:
+    """Tool points in colors of their errors, in place of the measured points."""
+    stages = tuple(rows.stages)
+    quantities = tuple(rows.stages[stages[-1]].sizes)
     with controls.gui.add_folder("Residual map"):
-        # Without vectors it is the only view of the errors.
-        on = not drawing.vectors
-        # Measured points would look like holes in those of the map.
-        controls.switch("tool points by size", drawing.map, on, instead=drawing.behind)
+        # Without vectors it is the only view of the errors. Measured points would look
+        # like holes in those of the map.
+        points, on = stage.api.add_frame("/map", show_axes=False), not rows.positions
+        controls.switch("tool points by size", points, on, instead=behind)
         quantity = controls.gui.add_dropdown("error of", quantities)
-        stage = controls.gui.add_dropdown("robot", stages, initial_value=stages[-1])
+        robot = controls.gui.add_dropdown("robot", stages, initial_value=stages[-1])
         block = controls.gui.add_dropdown(
             "measurements", tuple(rows.blocks), visible=len(rows.blocks) > 1
         )
         legend = controls.gui.add_html("")
 
     def color() -> None:
-        found = drawing.color_map(stage.value, quantity.value, block.value)
-        unit, factor = DISPLAY[found.unit]
-        legend.content = scale(factor * found.sizes, unit)
+        errors = rows.stages[robot.value]
+        every = errors.sizes[quantity.value]
+        shown = np.isfinite(every) & rows.blocks[block.value]
+        sizes, colors, told = every[shown], MEASURED, "no measurement has it"
+        unit, factor = DISPLAY[errors.units[quantity.value]]
+        if len(sizes):
+            colors = MAP(Normalize()(sizes), bytes=True)[:, :3]
+            least, most = factor * sizes.min(), factor * sizes.max()
+            told = f'<div style="{BAR}"></div>{least:.3g} to {most:.3g} {unit}'
+        # Points and colors in one: a browser may draw between two messages.
+        _cloud(stage, "/map/points", errors.points[shown], colors, 0.014)
+        legend.content = text(told)
 
-    for choice in (quantity, stage, block):
+    for choice in (quantity, robot, block):
         controls.on(choice, lambda _: color())
     color()
+
+
+def _cloud(stage: Stage, name: str, points: Floats, colors: Any, size: float) -> Any:
+    """Points (N, 3) [m] in one color or (N, 3), of a size by that of the robot."""
+    return stage.api.add_point_cloud(
+        name,
+        points.astype(np.float32),
+        colors,
+        point_size=size * stage.size,
+        point_shape="circle",
+        precision="float32",
+    )
 
 
 def _about(rows: Rows, row: int) -> str:
@@ -345,13 +367,10 @@ def _about(rows: Rows, row: int) -> str:
         lines.append(block_names(rows.data.keys)[int(rows.data.block_of[row])])
     if rows.data.target[row]:
         lines.append(f"target {rows.data.target[row]}")
-    for name in next(iter(rows.stages.values())).quantities:
-        found = []
-        for stage, errors in rows.stages.items():
-            quantity = errors.quantities[name]
-            unit, factor = DISPLAY[quantity.unit]
-            if quantity.shown[row]:
-                found.append(f"{stage} {factor * quantity.sizes[row]:.3g} {unit}")
+    for name, quantity in next(iter(rows.stages.values())).units.items():
+        unit, factor = DISPLAY[quantity]
+        sizes = {stage: e.sizes[name][row] for stage, e in rows.stages.items()}
+        found = [f"{s} {factor * x:.3g} {unit}" for s, x in sizes.items() if x < np.inf]
         if found:
             lines.append(f"{name}: {', '.join(found)}")
     return "<br>".join(map(html.escape, lines))

@@ -53,25 +53,6 @@ LONGEST = 5000
 
 
 @dataclass(frozen=True)
-class ErrorSizes:
-    """Sizes of the errors of one quantity.
-
-    Attributes:
-        unit: `m`, `rad` or `px`.
-        sizes: Size in every measurement, shape (N,); NaN where it does not have
-            the quantity, infinite where it cannot be predicted.
-    """
-
-    unit: str
-    sizes: Floats
-
-    @property
-    def shown(self) -> NDArray[np.bool_]:
-        """The measurements that have a size, shape (N,)."""
-        return np.isfinite(self.sizes)
-
-
-@dataclass(frozen=True)
 class StageErrors:
     """Errors of N measurements as one robot predicts them, in one of its links.
 
@@ -79,12 +60,15 @@ class StageErrors:
         points: The measured points of its tool, shape (N, 3) [m].
         vectors: Predicted minus measured position, shape (N, 3) [m]; NaN where none
             is measured.
-        quantities: Sizes of the errors by the name of the quantity.
+        sizes: Sizes of the errors by the name of the quantity, shape (N,); NaN where a
+            measurement does not have it, infinite where it cannot be predicted.
+        units: Unit of each quantity: `m`, `rad` or `px`.
     """
 
     points: Floats
     vectors: Floats
-    quantities: Mapping[str, ErrorSizes]
+    sizes: Mapping[str, Floats]
+    units: Mapping[str, str]
 
     @property
     def measured(self) -> Floats:
@@ -159,6 +143,12 @@ class Rows:
     stages: dict[str, StageErrors]
 
     @property
+    def positions(self) -> dict[str, StageErrors]:
+        """Errors of the stages at which something is measured as a position."""
+        every = self.stages.items()
+        return {name: e for name, e in every if np.isfinite(e.vectors).any()}
+
+    @property
     def blocks(self) -> dict[str, NDArray[np.bool_]]:
         """Masks (N,) of the measurements of each block, by its name, after all."""
         blocks, names = self.data.block_of, block_names(self.data.keys)
@@ -210,7 +200,7 @@ class Scene:
     plan: Plan | None = None
     things: tuple[Thing, ...] = ()
 
-    @cached_property
+    @property
     def highlighted(self) -> frozenset[str]:
         """The links of the chains that measurements and plan move, or all links."""
         return chain_links(self.chains) or frozenset(self.bodies[0].skeleton.links)
@@ -309,11 +299,9 @@ def stage_errors(robot: Registered, link: str) -> StageErrors:
             columns = errors[:, quantity.columns]
             if quantity.unit == "m" and columns.shape[1] == 3:
                 vectors[rows] = np.einsum("nij,nj->ni", turn, columns)
-    table, sizes = error_table(problem, theta), dict[str, ErrorSizes]()
-    for quantity in problem.layout.quantities:
-        size = np.linalg.norm(table[:, quantity.columns], axis=1)
-        sizes[quantity.name] = ErrorSizes(quantity.unit, size)
-    return StageErrors(points, vectors, sizes)
+    table, quantities = error_table(problem, theta), problem.layout.quantities
+    sizes = {q.name: np.linalg.norm(table[:, q.columns], axis=1) for q in quantities}
+    return StageErrors(points, vectors, sizes, {q.name: q.unit for q in quantities})
 
 
 def _in_base(robot: Registered) -> Iterator[tuple[Block, Floats]]:

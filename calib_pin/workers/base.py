@@ -19,12 +19,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, wait
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
-from hashlib import sha256
+from functools import lru_cache
 from itertools import islice
 from math import inf
 from pathlib import Path
-from threading import Lock
 from typing import Any, NamedTuple, TypeVar
 
 from calib_pin.errors import CalibPinError
@@ -71,13 +69,8 @@ class Workers:
     patience = inf
     died: type[BaseException]
 
-    def sharing(self, digest: bytes, payload: bytes) -> AbstractContextManager[Submit]:
-        """The way to workers that have a function and its shared value.
-
-        Args:
-            digest: Name of both.
-            payload: Both, pickled.
-        """
+    def sharing(self, payload: bytes) -> AbstractContextManager[Submit]:
+        """The way to workers that have a function and its shared value, pickled."""
         raise NotImplementedError
 
     def require_there(self) -> None:
@@ -117,84 +110,65 @@ class Workers:
             else:
                 return
         payload = pickle.dumps((work, shared), pickle.HIGHEST_PROTOCOL)
-        with self.sharing(sha256(payload).digest(), payload) as submit:
-            yield from _Flow(self, submit, lost, place).results(todo)
+        with self.sharing(payload) as submit:
+            yield from self._sent(submit, todo, lost, place)
+
+    def _sent(
+        self,
+        submit: Submit,
+        items: Iterator[Any],
+        lost: Callable[[Any], Any] | None,
+        place: int,
+    ) -> Iterator[Any]:
+        """Results of items behind a place, by batches of about a second."""
+        sent = deque[tuple[Future[Done], list[Any]]]()
+        known, seconds = 1, SECONDS  # At first, an item is a batch.
+        try:
+            while True:
+                size = max(int(SECONDS / max(seconds / known, LEAST)), 1)
+                room = len(sent) < AHEAD * self.count
+                if room and (batch := list(islice(items, size))):
+                    sent.append((submit(batch), batch))
+                    continue
+                if not sent:
+                    return
+                future, batch = sent.popleft()
+                parts: Iterable[Done | None] = [self._taken(future)]
+                if parts == [None]:
+                    # Each goes alone, when nothing else is under way: who dies dies
+                    # over this item.
+                    wait([other for other, _ in sent])
+                    parts = (self._taken(submit([item])) for item in batch)
+                for item, done in zip(batch, parts, strict=False):
+                    if done is None:
+                        if lost is None:
+                            number = place + 1
+                            raise WorkerLost(f"workers died twice over item {number}")
+                        place += 1
+                        yield lost(item)
+                        continue
+                    known, seconds = known + len(done.results), seconds + done.seconds
+                    for result in done.results:
+                        place += 1
+                        yield pickle.loads(result)
+                    if done.failure is not None:
+                        raise done.failure
+        finally:
+            for future, _ in sent:
+                future.cancel()
+
+    def _taken(self, future: Future[Done]) -> Done | None:
+        """Results of a batch; None if it was lost with its worker."""
+        while not wait([future], timeout=SECONDS).done:
+            self.require_there()
+        try:
+            return future.result()
+        except self.died:
+            return None
 
 
 SERIAL = Workers()
 """The default of whatever takes workers."""
-
-
-@dataclass
-class _Flow:
-    """Items on their way to workers.
-
-    Attributes:
-        workers: The workers.
-        submit: Sends them a batch.
-        lost: Result of an item over which workers died twice.
-        place: Number of items whose results were given.
-        done: Number of items whose time is known; at first, one that is a batch.
-        seconds: Time that these took together.
-        sent: Batches whose results were not taken, with their items.
-    """
-
-    workers: Workers
-    submit: Submit
-    lost: Callable[[Any], Any] | None
-    place: int
-    done: int = 1
-    seconds: float = SECONDS
-    sent: deque[tuple[Future[Done], Sequence[Any]]] = field(default_factory=deque)
-
-    def results(self, items: Iterator[Any]) -> Iterator[Any]:
-        """Results in the order of the items."""
-        batches = iter(lambda: list(islice(items, self._size())), [])
-        try:
-            for batch in batches:
-                self.sent.append((self.submit(batch), batch))
-                if len(self.sent) == AHEAD * self.workers.count:
-                    yield from self._taken(*self.sent.popleft())
-            while self.sent:
-                yield from self._taken(*self.sent.popleft())
-        finally:
-            for future, _ in self.sent:
-                future.cancel()
-
-    def _size(self) -> int:
-        """Items of a batch that takes about a second."""
-        return max(int(SECONDS / max(self.seconds / self.done, LEAST)), 1)
-
-    def _taken(
-        self, future: Future[Done], items: Sequence[Any], alone: bool = False
-    ) -> Iterator[Any]:
-        """Results of a batch; of one that was lost, by sending its items again.
-
-        Each goes alone, when nothing else is under way: who dies dies over this item.
-        """
-        try:
-            while not wait([future], timeout=SECONDS).done:
-                self.workers.require_there()
-            done = future.result()
-        except self.workers.died as error:
-            if not alone:
-                wait([other for other, _ in self.sent])
-                for item in items:
-                    yield from self._taken(self.submit([item]), [item], alone=True)
-            elif self.lost is not None:
-                self.place += 1
-                yield self.lost(items[0])
-            else:
-                number = self.place + 1
-                raise WorkerLost(f"workers died twice over item {number}") from error
-            return
-        self.done += len(done.results)
-        self.seconds += done.seconds
-        for result in done.results:
-            self.place += 1
-            yield pickle.loads(result)
-        if done.failure is not None:
-            raise done.failure
 
 
 class Done(NamedTuple):
@@ -211,10 +185,6 @@ class Done(NamedTuple):
     seconds: float
 
 
-_kept: dict[bytes, tuple[Any, Any]] = {}
-_lock = Lock()
-
-
 def alone() -> None:
     """Give this process one thread: there is a worker for every core."""
     for library in LIBRARIES:
@@ -224,23 +194,24 @@ def alone() -> None:
         numba.config.NUMBA_NUM_THREADS = 1
 
 
-def run(digest: bytes, payload: bytes | str, items: Sequence[Any]) -> Done:
+@lru_cache(KEPT)
+def _loaded(payload: bytes | str) -> tuple[Callable[[Any, Any], Any], Any]:
+    """A function and the value that its items share."""
+    alone()
+    if isinstance(payload, str):
+        payload = Path(payload).read_bytes()
+    return pickle.loads(payload)  # type: ignore[no-any-return]
+
+
+def run(payload: bytes | str, items: Sequence[Any]) -> Done:
     """Work on a batch.
 
     Args:
-        digest: Name of the function and the value that its items share.
-        payload: Both, pickled, or the path of a file of this.
+        payload: A function and the value that its items share, pickled, or the path of
+            a file of this, which no other value has.
         items: The items.
     """
-    with _lock:
-        if digest not in _kept:
-            alone()
-            while len(_kept) >= KEPT:
-                del _kept[next(iter(_kept))]
-            if isinstance(payload, str):
-                payload = Path(payload).read_bytes()
-            _kept[digest] = pickle.loads(payload)
-        work, shared = _kept[digest]
+    work, shared = _loaded(payload)
     start, results, failure = time.perf_counter(), [], None
     for item in items:
         try:

@@ -87,11 +87,11 @@ class Cluster(Workers, AbstractContextManager["Cluster"]):
         self._client.close()
 
     @contextmanager
-    def sharing(self, digest: bytes, payload: bytes) -> Iterator[Submit]:
+    def sharing(self, payload: bytes) -> Iterator[Submit]:
         """The way to workers, all of which are sent what they share."""
         try:
             scattered = self._client.scatter(payload, broadcast=True, hash=False)
-            yield partial(self._executor.submit, run, digest, scattered)
+            yield partial(self._executor.submit, run, scattered)
         except Exception as error:
             # Dask may raise anything; what the work itself raised is not lost.
             if not isinstance(error, CalibPinError):

@@ -8,16 +8,17 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, Future
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from calib_pin.workers.base import Done, Submit, Workers, alone, run
+
+if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
 
 PATIENCE = 1.0
 """Time that items are done in this process before others are started, which takes about
@@ -43,7 +44,7 @@ class LocalProcesses(Workers, AbstractContextManager["LocalProcesses"]):
             may end its process.
     """
 
-    died = BrokenProcessPool
+    died = BrokenExecutor
 
     def __init__(self, count: int | None = None, patience: float = PATIENCE) -> None:
         """Start nothing yet."""
@@ -61,25 +62,29 @@ class LocalProcesses(Workers, AbstractContextManager["LocalProcesses"]):
             self._executor.shutdown(wait=True, cancel_futures=True)
 
     @contextmanager
-    def sharing(self, digest: bytes, payload: bytes) -> Iterator[Submit]:
+    def sharing(self, payload: bytes) -> Iterator[Submit]:
         """The way to processes, with a file of what they share."""
         with NamedTemporaryFile(dir=self._folder.name, delete=False) as file:
             file.write(payload)
         try:
-            yield partial(self._submit, digest, file.name)
+            yield partial(self._submit, file.name)
         finally:
             Path(file.name).unlink(missing_ok=True)
 
-    def _submit(self, digest: bytes, file: str, items: Sequence[Any]) -> Future[Done]:
+    def _submit(self, file: str, items: Sequence[Any]) -> Future[Done]:
         if self._executor is None:
+            # Most commands need none, and do not load what starts them.
+            from concurrent.futures import ProcessPoolExecutor
+            from multiprocessing import get_context
+
             # Not forked: a copy of a process with threads may hang.
             spawn, ties = get_context("spawn"), (os.getpid(), self._folder.name)
             self._executor = ProcessPoolExecutor(self.count, spawn, _begin, ties)
         try:
-            return self._executor.submit(run, digest, file, items)
-        except BrokenProcessPool:
+            return self._executor.submit(run, file, items)
+        except BrokenExecutor:
             self._executor = None
-            return self._submit(digest, file, items)
+            return self._submit(file, items)
 
 
 def _begin(parent: int, folder: str) -> None:

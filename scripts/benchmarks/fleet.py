@@ -140,7 +140,7 @@ class _Fake(Workers):
     def __init__(self, count: int) -> None:
         self.count = count
 
-    def sharing(self, digest: bytes, payload: bytes) -> nullcontext[Any]:
+    def sharing(self, payload: bytes) -> nullcontext[Any]:
         return nullcontext(self._submit)
 
     def _submit(self, items: Sequence[Any]) -> Future[Done]:

@@ -1,8 +1,8 @@
-"""The cost of a whole process, and Python against the command.
+"""The cost of whole commands, and Python against the command.
 
-The times are those of the processor, of processes one after the other in turns: they
-say the same on a busy machine. What everything is measured by is to import Pinocchio,
-and to save one empty figure.
+The times are those of the processor, of processes one after the other in turns and with
+one thread: they say the same on a busy machine. What everything is measured by is to
+import Pinocchio; `LIMITS` are the most that a command may take of that.
 """
 
 from __future__ import annotations
@@ -14,19 +14,26 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 import calib_pin
 from benchmarks.timing import DATA, processor_time, simulated
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import FrameSetup, Setup
 
-TURNS = 3
+TURNS = 5
 
-FIGURE = """
-import io
-from matplotlib.figure import Figure
-figure = Figure()
-figure.add_subplot()
-figure.savefig(io.BytesIO(), format="svg")
-"""
+POSES = 500
+
+LIMITS = {
+    "calibrate": 4.0,
+    "calibrate with its page": 9.0,
+    **dict.fromkeys(("export", "join", "init", "compare"), 4.0),
+}
+"""The most that commands should take, by the time of importing Pinocchio."""
+
+TIMED = 2.0
+"""Time from one standstill of the joint log to the next, which lasts half of it [s]."""
 
 SCRIPT = """
 import sys, time
@@ -43,45 +50,78 @@ print(time.perf_counter() - start)
 
 
 def main() -> None:
-    """Processes by importing Pinocchio and an empty figure; Python by the command."""
+    """Commands by importing Pinocchio; Python by the command."""
     with tempfile.TemporaryDirectory() as name:
         _measure(Path(name))
 
 
 def _measure(folder: Path) -> None:
     robot, rows, tip = _rows(folder)
-    run = ["-m", "calib_pin.cli"]
-    calibrate = [*run, "calibrate", robot, str(rows), *(("--tip", tip) if tip else ())]
-    out = folder / "out"
+    run, given = (
+        ["-m", "calib_pin.cli"],
+        [robot, str(rows), *["--tip", tip][: 2 * bool(tip)]],
+    )
+    calibrate = [*run, "calibrate", *given]
+    first, second, made = folder / "first", folder / "second", str(folder / "made")
+    logs = _logs(rows, robot, tip, folder)
+    forced = ["-o", made, "--force"]
+    joints = ["--parameters", "joint-offset", "-o", str(second)]
+    _cpu_seconds([*calibrate, *joints])
     commands = {
         "importing pinocchio": ["-c", "import pinocchio"],
-        "an empty figure": ["-c", FIGURE],
         "calib-pin --help": [*run, "--help"],
-        "calibrate, 500 poses": calibrate,
-        "calibrate with its page": [*calibrate, "-o", str(out), "--force"],
+        "calibrate": calibrate,
+        "calibrate with its page": [*calibrate, "-o", str(first), "--force"],
+        "export": [*run, "export", str(first), "--format", "joint-offsets", *forced],
+        "join": [*run, "join", *map(str, logs), *forced],
+        "init": [*run, "init", *given, *forced],
+        "compare": [
+            *run,
+            "compare",
+            *(f"{d}/calibration.json" for d in (first, second)),
+        ],
+        "report --pdf": [*run, "report", str(first), "--pdf", made, "--force"],
     }
     seconds = dict.fromkeys(commands, float("inf"))
     python = command = float("inf")
     for _ in range(TURNS):
         for name, words in commands.items():
             seconds[name] = min(seconds[name], _cpu_seconds(words))
-        found = json.loads((out / "calibration.json").read_text())
+        found = json.loads((first / "calibration.json").read_text())
         command = min(command, found["solver"]["seconds"])
         script = [sys.executable, "-c", SCRIPT, robot, str(rows), tip]
         done = subprocess.run(
             script, check=True, capture_output=True, text=True, env=_plain()
         )
         python = min(python, float(done.stdout))
-    pinocchio, figure = (seconds[name] for name in list(commands)[:2])
     for name, time in seconds.items():
-        print(
-            f"{name:<40}{1e3 * time:>11.0f} ms{time / pinocchio:>8.1f} x pinocchio"
-            f"{time / (pinocchio + figure):>8.1f} x (pinocchio + figure)"
-        )
+        ratio = time / seconds["importing pinocchio"]
+        most = f" (<= {LIMITS[name]:g})" if name in LIMITS else ""
+        print(f"{name:<32}{1e3 * time:>9.0f} ms{ratio:>8.1f} x pinocchio{most}")
     print(
-        f"{'calib_pin.calibrate in a script':<40}{1e3 * python:>11.0f} ms"
+        f"{'calib_pin.calibrate in a script':<32}{1e3 * python:>9.0f} ms"
         f"{python / command:>8.2f} x the command's own time"
     )
+
+
+def _logs(rows: Path, robot: str, tip: str, folder: Path) -> tuple[Path, Path]:
+    """Two logs of the measurements, as a robot that stops for each would write them."""
+    chain = calib_pin.load_chain(robot, tip=tip or None)
+    data = calib_pin.read_measurements(rows, chain)
+    begins = TIMED * np.arange(len(data))
+    samples = np.arange(0.0, begins[-1] + 1.0, 0.1)
+    # It stands for half of the time, and then moves evenly.
+    known = np.sort(np.concatenate([begins, begins + 0.5 * TIMED]))
+    q = [np.interp(samples, known, np.repeat(each, 2)) for each in data.q.T]
+    joints, readings = folder / "joints.csv", folder / "readings.csv"
+    _write(joints, ["time", *data.joints], np.column_stack([samples, *q]))
+    values = data.only.values[:, :3]
+    _write(readings, ["time", *"xyz"], np.column_stack([begins + 0.7, values]))
+    return joints, readings
+
+
+def _write(file: Path, header: list[str], rows: Floats) -> None:
+    np.savetxt(file, rows, "%.9g", ",", header=",".join(header), comments="")
 
 
 def _rows(folder: Path) -> tuple[str, Path, str]:
@@ -92,14 +132,15 @@ def _rows(folder: Path) -> tuple[str, Path, str]:
     print(f"(no real measurements in {DATA}: simulated ones)")
     chain = calib_pin.load_chain("space6")
     setup = Setup(tool_frame=FrameSetup())
-    _, _, data = simulated(chain, "pose", setup, 500, 1e-4)
+    _, _, data = simulated(chain, "pose", setup, POSES, 1e-4)
     calib_pin.write_measurements(folder / "rows.csv", data)
     return "space6", folder / "rows.csv", ""
 
 
 def _plain() -> dict[str, str]:
-    """The environment of a user who has set nothing about threads."""
-    return {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    """The environment of a user whose processor has one core, and keeps bytecode."""
+    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def _cpu_seconds(words: list[str]) -> float:

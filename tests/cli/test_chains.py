@@ -193,10 +193,10 @@ def test_all_chains_are_shown(
         }
     assert opened[0].plan is not None and len(opened[0].plan.paths) == 2
     before, after = opened[0].rows.stages.values()
-    sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]
+    sizes = [e.sizes["position"].mean() for e in (before, after)]
     assert sizes[0] > 2.0 * sizes[1]
     (alone,) = opened[1].rows.stages.values()
-    assert alone.quantities["position"].sizes.mean() < 3e-4
+    assert alone.sizes["position"].mean() < 3e-4
     assert run(f"{view} arms.csv --chain left").status == 0
     assert len(opened[-1].rows.data) == 30
     refuses(f"{view} arms.csv --chain lift", reason="'lift'")

@@ -174,7 +174,7 @@ def test_a_calibration(here, run, opened):
     assert [thing.kind for thing in scene.things] == ["station"]
     np.testing.assert_allclose(scene.things[0].origin, bare.things[0].origin, atol=0.01)
     before, after = scene.rows.stages.values()
-    sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]
+    sizes = [e.sizes["position"].mean() for e in (before, after)]
     assert sizes[0] > 5.0 * sizes[1]
 
 

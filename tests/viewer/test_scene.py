@@ -185,11 +185,9 @@ def test_vectors_end_where_the_robot_has_its_point(panda, calibrated, measured_r
         predicted = (to_base.homogeneous @ arm.poses(rows.q))[:, :3, 3]
         np.testing.assert_allclose(errors.measured, measured, atol=1e-12)
         np.testing.assert_allclose(errors.points, predicted, atol=1e-12)
-        sizes = errors.quantities["position"]
         lengths = np.linalg.norm(predicted - measured, axis=1)
-        np.testing.assert_allclose(sizes.sizes, lengths, atol=1e-12)
-        assert sizes.unit == "m"
-    assert errors.quantities["orientation"].unit == "rad"
+        np.testing.assert_allclose(errors.sizes["position"], lengths, atol=1e-12)
+    assert errors.units == {"position": "m", "orientation": "rad"}
 
 
 def test_the_nominal_robot_is_registered(panda, calibrated, measured_rows):
@@ -199,7 +197,7 @@ def test_the_nominal_robot_is_registered(panda, calibrated, measured_rows):
     before = stage_errors(ready, panda.base)
     assert ready.reason == ""
     after = stage_errors(prepared(model, rows), panda.base)
-    sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]
+    sizes = [e.sizes["position"].mean() for e in (before, after)]
     assert sizes[0] > 1.3 * sizes[1]
     # The tracker stands where the nominal robot puts it, within its own errors.
     assert np.abs(before.measured - after.measured).max() < 0.02
@@ -212,8 +210,8 @@ def test_other_measurements_have_sizes_only(panda, calibrated, measured_rows):
     rows = measured_rows(ranger, 200, ("wall",) * 200)
     errors = stage_errors(prepared(ranger, rows), panda.base)
     assert np.isnan(errors.vectors).all()
-    (sizes,) = errors.quantities.values()
-    assert sizes.shown.any() and sizes.unit == "m"
+    ((name, sizes),) = errors.sizes.items()
+    assert np.isfinite(sizes).any() and errors.units == {name: "m"}
     expected = ranger.of().poses(rows.q)[:, :3, 3]
     base = ranger.of().error.base
     found = errors.points @ base.rotation.T + base.translation

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 import signal
 import socket
@@ -12,14 +11,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from calib_pin.cli import main
 from calib_pin.io.robot_shapes import robot_shapes
@@ -32,10 +29,10 @@ from calib_pin.viewer.panel import (
     Joints,
     Player,
     add_panel,
-    save_picture,
+    lines,
 )
 from calib_pin.viewer.scene import Scene, bodies_of
-from calib_pin.viewer.stage import Stage, lines
+from calib_pin.viewer.stage import Stage
 
 pytestmark = pytest.mark.needs("view")
 
@@ -140,7 +137,7 @@ def test_a_calibration_in_the_browser(browser, viewing, study):
     text = looked_at(browser, view.url, "panda_joint1")
     for label in ("panda", "nominal", "corrected", "measurement", "before", "after"):
         assert f"{label}\n" in text
-    for label in ("magnified", "Residual map", "Plan", "play", "save picture"):
+    for label in ("magnified", "Residual map", "Plan", "play"):
         assert f"{label}\n" in text
     assert "\nrows.csv:3\nposition: before" in text
     assert view.end() == (0, "", "")
@@ -317,10 +314,16 @@ def test_controls_do_what_they_say(scene, viser_server, monkeypatch):
         listen(self, control, do)
 
     monkeypatch.setattr(Controls, "on", on)
+    drawn, draw = dict[str, Any](), viser_server.scene.add_line_segments
+    monkeypatch.setattr(
+        viser_server.scene,
+        "add_line_segments",
+        lambda name, *of, **more: drawn.setdefault(name, draw(name, *of, **more)),
+    )
     stage = Stage(viser_server, scene)
     assert isinstance(add_panel(Controls(viser_server.gui), scene, stage), Player)
     assert {"measurement", "magnified", "nominal", "after"} <= known.keys()
-    assert scene.rows is not None and stage.rows is not None
+    assert scene.rows is not None
     known["measurement"][1](4)
     moved = known["panda_joint3"][0].value
     column = scene.rows.data.joints.index("panda_joint3")
@@ -328,26 +331,12 @@ def test_controls_do_what_they_say(scene, viser_server, monkeypatch):
     known["nominal"][1](False)
     assert not stage.robots["nominal"].root.visible
     known["panda_joint3"][1](moved + 0.1)
-    known["magnified"][1](str(MAGNIFICATIONS[5]))
-    drawn = np.asarray(stage.rows.vectors["after"].points)
-    expected = np.asarray(lines(scene.rows.stages["after"], float(MAGNIFICATIONS[5])))
-    np.testing.assert_array_equal(drawn, expected)
-
-
-def test_a_picture_is_what_the_browser_draws():
-    """A PNG file of the view, called as the robot is."""
-    image = np.random.default_rng(0).integers(0, 255, (4, 6, 3), np.uint8)
-    saved = dict[str, bytes]()
-    client = SimpleNamespace(
-        camera=SimpleNamespace(image_height=4, image_width=6),
-        get_render=lambda height, width, **_: image[:height, :width],
-        send_file_download=lambda name, data, **_: saved.update({name: data}),
-    )
-    save_picture(client, "arm")
-    ((name, data),) = saved.items()
-    assert name.startswith("arm") and name.endswith(".png")
-    with Image.open(io.BytesIO(data)) as read:
-        np.testing.assert_array_equal(np.asarray(read), image)
+    errors, factor = scene.rows.stages["after"], MAGNIFICATIONS[5]
+    known["magnified"][1](str(factor))
+    vectors = lines(errors, float(factor))
+    np.testing.assert_array_equal(drawn["/after"].points, vectors)
+    length = factor * errors.vectors
+    np.testing.assert_allclose(vectors[:, 1] - vectors[:, 0], length, atol=1e-6)
 
 
 def test_the_plan_is_played(scene, viser_server, monkeypatch):
@@ -358,8 +347,7 @@ def test_the_plan_is_played(scene, viser_server, monkeypatch):
     )
     stage, controls = Stage(viser_server, scene), Controls(viser_server.gui)
     joints = Joints(controls, scene, stage)
-    assert stage.path is not None
-    player = Player(controls, scene.plan, joints, stage.path)
+    player = Player(controls, stage, scene.plan, joints)
     player.tick(1.0)
     assert len(shown) == 1  # The first posture.
     player.play(True)
@@ -375,7 +363,7 @@ def test_the_plan_is_played(scene, viser_server, monkeypatch):
     np.testing.assert_array_equal(shown[-1], scene.plan.q[2])
 
 
-def test_one_slider_magnifies_vectors_and_links(scene, viser_server):
+def test_links_are_magnified_and_carry_what_hangs_on_them(scene, viser_server):
     board = Thing("board", "tool.frame", np.zeros(3), (scene.shapes[-1],))
     stage = Stage(viser_server, replace(scene, things=(board,)))
     stage.pose(scene.start + 0.1, "")
@@ -384,21 +372,15 @@ def test_one_slider_magnifies_vectors_and_links(scene, viser_server):
     tip, base = links.index(scene.shapes[-1].link), links.index("panda_link0")
     # What a link carries moves with it.
     carried = stage.things.frames[tip].position
-    placed = {1.0: corrected.placements[tip, :3, 3]}
+    placed = {1.0: corrected.frames[tip].position.copy()}
     np.testing.assert_allclose(carried, placed[1.0], atol=1e-6)
     for factor in (0.0, 1.0, 5.0):
         stage.magnify(factor)
-        placed[factor] = corrected.placements[tip, :3, 3]
+        placed[factor] = corrected.frames[tip].position.copy()
     move = placed[1.0] - placed[0.0]
     size = np.linalg.norm(move)
     assert size > 1e-4
     np.testing.assert_allclose(placed[5.0] - placed[0.0], 5.0 * move, atol=0.25 * size)
-    assert stage.rows is not None and scene.rows is not None
-    errors = scene.rows.stages["after"]
-    drawn = np.asarray(lines(errors, 5.0))
-    np.testing.assert_array_equal(stage.rows.vectors["after"].points, drawn)
-    vectors = drawn[:, 1] - drawn[:, 0]
-    np.testing.assert_allclose(vectors, 5.0 * errors.vectors, atol=1e-6)
     # What is in one place is drawn once.
     assert not ghost.frames[base].visible and ghost.frames[tip].visible
     stage.magnify(0.0)

@@ -40,27 +40,27 @@ class Fake(Workers):
         self.sizes: list[int] = []
         self.deaths: dict[int, int] = {}
 
-    def sharing(self, digest: bytes, payload: bytes) -> nullcontext[Any]:
-        return nullcontext(partial(self.submit, digest, payload))
+    def sharing(self, payload: bytes) -> nullcontext[Any]:
+        return nullcontext(partial(self.submit, payload))
 
-    def submit(self, digest: bytes, payload: bytes, items: Sequence[Any]) -> Any:
+    def submit(self, payload: bytes, items: Sequence[Any]) -> Any:
         future: Future[Done] = Future()
         self.sizes.append(len(items))
-        self.waiting.append((future, partial(run, digest, payload, items)))
+        self.waiting.append((future, partial(run, payload, items)))
         if self.at_once:
             self.finish()
         return future
 
     def finish(self, place: int = 0) -> None:
         future, batch = self.waiting.pop(place)
-        for item in batch.args[2]:
+        for item in batch.args[1]:
             if self.deaths.get(item, 0) > 0:
                 self.deaths[item] -= 1
                 others, self.waiting = self.waiting, []
                 for lost, _ in [(future, batch), *others]:
                     lost.set_exception(BrokenProcessPool("died"))
                 return
-        seconds = self.seconds * len(batch.args[2])
+        seconds = self.seconds * len(batch.args[1])
         future.set_result(batch()._replace(seconds=seconds))
 
 

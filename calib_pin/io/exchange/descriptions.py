@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
-from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 import pinocchio as pin
@@ -243,6 +242,8 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     Those of the chain, and those that the calibration moved. Properties have names that
     may stand in an expression, and no other joint's.
     """
+    from xml.sax.saxutils import escape, quoteattr  # Loads what reads from the network.
+
     document, (links, remarks) = _corrected(exported), camera_links(exported)
     changed = {} if exported.geometry is None else exported.geometry.urdf_corrections()
     taken, renamed = set[str](), list[str]()

@@ -20,7 +20,7 @@ from calib_pin.report.figures.canvas import Drawn, drawing
 from calib_pin.report.figures.robot_errors import robot_errors
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["NAMES", "Drawn", "drawn", "figures"]
+__all__ = ["NAMES", "Drawn", "drawn"]
 
 DRAWN: Mapping[str, Mapping[str, Callable[..., Drawn | None]]] = {
     "calibration": {

@@ -156,7 +156,7 @@ def _with_palette(found: re.Match[str]) -> str:
     stream = io.BytesIO()
     with Image.open(io.BytesIO(base64.b64decode(found[0]))) as picture:
         few = picture.convert("RGBA").quantize(256, Image.Quantize.FASTOCTREE)
-        few.save(stream, format="png", optimize=True)
+        few.save(stream, format="png")
     return base64.b64encode(stream.getvalue()).decode()
 
 

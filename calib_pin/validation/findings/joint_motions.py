@@ -556,13 +556,16 @@ def periodogram(
     Returns:
         Squares, shape (F,).
     """
+    # All values of a configuration share its waves.
+    q, configuration = np.unique(q, return_inverse=True)
     # A frequency is a coarse and a fine part, whose exponentials meet in one product.
     fine = max(int(np.sqrt(len(frequencies))), 1)
     coarse, small = frequencies[::fine], frequencies[:fine] - frequencies[0]
 
     def sums(weight: Floats, times: float) -> tuple[Floats, Floats]:
         """Sums of `weight exp(i f q)` over positions, at some times the frequencies."""
-        left = np.exp(1j * times * np.outer(coarse, q)) * weight
+        waves = np.exp(1j * times * np.outer(coarse, q))
+        left = waves * np.bincount(configuration, weight)
         of_each = (left @ np.exp(1j * times * np.outer(q, small))).ravel()
         return of_each.real[: len(frequencies)], of_each.imag[: len(frequencies)]
 

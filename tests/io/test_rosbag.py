@@ -13,8 +13,8 @@ import pytest
 
 import calib_pin
 from calib_pin.cli import main
-from calib_pin.io.exchange.rosbag import TYPES
 from calib_pin.io.measurements import read_measurements
+from calib_pin.io.rosbag import TYPES
 from calib_pin.observations.joining import Log
 
 ABSENT = "needs rosbags (ros), scripts/test --all has it"
@@ -259,5 +259,5 @@ def test_bags_that_cannot_be_used(made, monkeypatch, capsys):
     (file,) = Path(bag).glob("*.db3")
     file.write_bytes(file.read_bytes()[:4000])
     refused(f"{join} --topic /a", "bag", capsys)
-    monkeypatch.setattr("calib_pin.io.exchange.rosbag.find_spec", lambda _: None)
+    monkeypatch.setattr("calib_pin.io.rosbag.find_spec", lambda _: None)
     refused(join, "calib-pin[ros]", capsys)

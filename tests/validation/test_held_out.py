@@ -530,6 +530,32 @@ def moved(rows: Observations, by: float) -> Observations:
     return Observations.of(replace(rows.only, values=values))
 
 
+@pytest.mark.parametrize("seed", [4, 10, 11])
+def test_a_robot_that_is_not_known_there_is_no_instrument_that_moved(seed: int) -> None:
+    """Measured in one corner of joint space, a robot errs in another by its own."""
+    setup = replace(SETUP, parameters=("placement",))
+    problem, rng = (
+        nominal_problem(CHAIN, "position", setup),
+        np.random.default_rng(seed),
+    )
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    here, there = rng.uniform(-1.2, 1.2, (2, 6))
+
+    def at(corner: Floats, count: int) -> Observations:
+        q = corner + rng.uniform(-0.35, 0.35, (count, 6))
+        return calib_pin.simulate(problem, truth, rng, q=q, noise=5e-5)
+
+    rows, elsewhere, again = at(here, 30), at(there, 12), at(here, 12)
+    model = fit_model(CHAIN, rows, setup, 0)
+
+    def told(new: Observations) -> list[str]:
+        found = check(model, rows, 0, validation=new, method="file").findings
+        return [finding.code for finding in found if finding.code == "moved-instrument"]
+
+    assert not told(elsewhere)
+    assert told(moved(again, 3e-4))
+
+
 def test_a_model_with_no_row_to_fit_is_refused() -> None:
     points, poses = rows_of(30), rows_of(10, seed=2, model="pose").only
     poses = replace(

@@ -12,13 +12,15 @@ from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.nominal import relocated
 from calib_pin.estimation.problem import Problem, distinct_values, measured_count
 from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.statistics.distributions import chi_square_tail
 from calib_pin.estimation.terms import BASE, FRAME
-from calib_pin.validation.findings.case import CHANCE, by_chance
+from calib_pin.validation.findings.case import CHANCE, MEASUREMENTS, by_chance
 from calib_pin.validation.findings.sentences import told
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
     errors_of_registered,
+    mahalanobis,
 )
 from calib_pin.validation.splits import FEWEST_HELD_OUT
 
@@ -131,6 +133,11 @@ def _if_moved(
     distinct = distinct_values(here.problem)
     if ratio <= MOVED or not _alike(errors, own, here.problem):
         if anew > SUSPICIOUS or by_chance(was, now, unknowns, left) > CHANCE:
+            return errors, []
+        # Where the fit does not know the robot as well, it is that far off.
+        some = replace(after.problem, data=after.problem.data.sample(MEASUREMENTS))
+        square, count = mahalanobis(model.fit, some, after.theta), measured_count(some)
+        if chi_square_tail(square, count) > CHANCE:
             return errors, []
         own, end = errors, "may have moved before them"
     elif distinct <= unknowns or here.problem.data.configurations < FEWEST_HELD_OUT:

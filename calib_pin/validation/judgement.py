@@ -330,8 +330,8 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
     advice = next((f"{f.message}; {f.remedy}" for f in lacks), advice)
     first, last = (shown(errors, quantity.unit, 3) for errors in (before, after))
     return (
-        f"{quantity.name} errors of {last} rms remain of {first}{times}: nothing that "
-        f"was estimated explains them; {advice}"
+        f"{quantity.name} errors of {last} rms remain (nominal robot: {first}){times}: "
+        f"nothing that was estimated explains them; {advice}"
     )
 
 

@@ -103,14 +103,26 @@ def _corners(path: Path) -> Floats:
 
 def _of_collada(data: bytes) -> Floats:
     """Corners of the triangles in a DAE file, of which most visuals of robots are."""
+    from zipfile import is_zipfile
+
     # Trimesh reads it by this, but takes ten times as long to load.
     from collada import Collada
+    from collada.common import DaeError
 
+    if is_zipfile(BytesIO(data)):  # This would be read, too.
+        raise ValueError("it is an archive")
     # Where a material is not found, the mesh would be left out.
     data = re.sub(rb"(?s)<bind_material>.*?</bind_material>", b"", data)
-    nodes = Collada(BytesIO(data)).scene.nodes
-    parts = (part for node in nodes for part in _below(node, np.eye(4)))
-    return np.concatenate([np.zeros((0, 3, 3)), *parts])
+    # Of no use here are missing images, and elements that other programs add.
+    document = Collada(BytesIO(data), ignore=[DaeError])
+    found, count = [np.zeros((0, 3, 3))], 0
+    for part in (p for node in document.scene.nodes for p in _below(node, np.eye(4))):
+        found.append(part)
+        if (count := count + len(part)) > TRIANGLES:
+            break  # Instances of instances can be any number.
+    if not count and document.errors:
+        raise document.errors[0]
+    return np.concatenate(found)
 
 
 def _below(node: Any, T: Floats) -> Iterator[Floats]:
@@ -121,7 +133,9 @@ def _below(node: Any, T: Floats) -> Iterator[Floats]:
         part = part.triangleset() if hasattr(part, "triangleset") else part
         # Others are lines.
         if part.vertex is not None and part.vertex_index.shape[1:] == (3,):
-            yield part.vertex[part.vertex_index] @ T[:3, :3].T + T[:3, 3]
+            corners = part.vertex[part.vertex_index] @ T[:3, :3].T + T[:3, 3]
+            # The outside of what is mirrored stays outside.
+            yield corners[:, ::-1] if np.linalg.det(T[:3, :3]) < 0.0 else corners
 
 
 def _by_trimesh(data: bytes, kind: str, path: Path) -> Floats:

@@ -516,11 +516,12 @@ def _apart(points: Floats, others: Floats, distance: float) -> Indices:
         others: Those that they keep away from, shape (K, n).
         distance: The distance, the largest difference of a component.
     """
-    every, count = np.concatenate([others, points]), len(others)
-    kept = np.arange(len(every)) < count
-    for k in range(count, len(every)):
-        between = np.abs(every[kept] - every[k]).max(axis=1)
-        kept[k] = (between >= distance).all()
+    # By columns: rows take five times as long among many candidates.
+    every, count = np.concatenate([others, points]).T.copy(), len(others)
+    kept = np.arange(every.shape[1]) < count
+    for k in range(count, len(kept)):
+        between = np.abs(every[:, :k] - every[:, k : k + 1]).max(axis=0)
+        kept[k] = not (kept[:k] & (between < distance)).any()
     return np.flatnonzero(kept[count:])
 
 

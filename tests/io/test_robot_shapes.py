@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import pinocchio as pin
@@ -174,6 +176,39 @@ def test_parts_and_materials(tmp_path: Path) -> None:
     assert len(surface.vertices) == 3
 
 
+def test_what_is_no_surface_in_a_dae_file_does_not_matter(tmp_path: Path) -> None:
+    """An image that is missing, a light, a comment: trimesh reads such files, too."""
+    effect = '<effect id="e"><profile_GLSL/></effect>'
+    effects = f"</asset><library_effects>{effect}</library_effects>"
+    instance = '<instance_geometry url="#g"/>'
+    more = '<!-- a --><other/><instance_light url="#no"/><scale>-1 1 1</scale>'
+    content = dae().replace(instance, more + instance).replace("</asset>", effects)
+    surface = read_mesh(stored(tmp_path, "a.dae", content), ROBOT)
+    (corners,) = surface.vertices[surface.triangles]
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    assert corners[:, 0].min() == -0.25 and normal[2] > 0.0
+
+
+def test_instances_of_instances_in_a_dae_file(tmp_path: Path) -> None:
+    """A small file that would make 10 ** 12 triangles."""
+    geometry, nodes = '<instance_geometry url="#g"/>', ""
+    for k in range(9):
+        nodes += f'<node id="n{k}">{geometry * 10}</node>'
+        geometry = f'<instance_node url="#n{k}"/>'
+    library = f"<library_nodes>{nodes}</library_nodes><library_visual_scenes>"
+    content = dae("0 1 2 " * 1000).replace('<instance_geometry url="#g"/>', geometry)
+    content = content.replace("<library_visual_scenes>", library)
+    with pytest.raises(InputError, match="has 1001000 triangles"):
+        read_mesh(stored(tmp_path, "a.dae", content), ROBOT)
+
+
+def zipped(content: str) -> bytes:
+    stream = BytesIO()
+    with ZipFile(stream, "w") as archive:
+        archive.writestr("a.dae", content)
+    return stream.getvalue()
+
+
 BAD = [
     ("a.ply", ply("0 1 -1")),
     ("a.ply", ply("0 1 200000000")),
@@ -190,6 +225,7 @@ BAD = [
     ("a.stl", "no mesh"),
     ("a.dae", f'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]>&x;{dae()}'),
     ("a.dae", dae() + "<x>" * 100_000),
+    ("a.dae", zipped(dae())),
     ("a.3mf", b"PK"),
 ]
 

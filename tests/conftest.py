@@ -349,9 +349,17 @@ def independent_poses() -> Callable[..., Any]:
     return poses
 
 
+@pytest.fixture
+def browser(chromium: Any) -> Iterator[Any]:
+    """Chromium without a window; pages that were opened draw no longer than a test."""
+    yield chromium
+    for context in chromium.contexts:
+        context.close()
+
+
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    """Chromium without a window."""
+def chromium() -> Iterator[Any]:
+    """Chromium, started once."""
     names = ("chromium", "chromium-browser", "google-chrome")
     path = next(filter(None, map(shutil.which, names)), None)
     if path is None:

@@ -301,7 +301,6 @@ def test_nothing_sticks_out_of_the_page(visits, run, browser, width):
     page.goto(Path("out/acceptance.html").resolve().as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert page.locator("#figure-poses-tested svg").bounding_box()["width"] > 300
-    page.close()
 
 
 # --- from the plan through the measured visits to the test ------------------------

@@ -642,6 +642,8 @@ class Case:
         fit, names = self.fit, self.setup.parameters
         if self.fitted is None or not names or fit.rms <= EXACT:
             return (), 1.0
+        if not self.errors_left <= FOREIGN:
+            return (), 1.0  # No gear and no link is so far off.
         families = [PARAMETERIZATIONS[name] for name in names]
         placed = any(f.geometric and f.name != JointOffset.name for f in families)
         effects = candidates(fit.problem, () if placed else (Placement.name,))

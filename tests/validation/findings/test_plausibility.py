@@ -143,6 +143,18 @@ def test_errors_of_the_gears_move_no_joint_by_centimeters() -> None:
     assert float(finding.evidence["errors_without"]) < 4.0
 
 
+def test_no_gear_leaves_half_a_meter() -> None:
+    """Waves of gears fit into errors of any cause, and leave 0.46 of 0.73 m here."""
+    chain, setup = calib_pin.load_chain("space6"), Setup(parameters=("joint-offset",))
+    problem, rng = nominal_problem(chain, "position", setup), np.random.default_rng(0)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    block = simulate(problem, truth, rng, count=30, noise=1e-3).only
+    wrong = replace(block, q=0.65 * block.q + 0.3 * np.sin(3.0 * block.q))
+    result = calib_pin.calibrate(chain, wrong, setup)
+    assert result.verdict == "untrusted"
+    assert "model-lacks" not in [finding.code for finding in result.findings]
+
+
 def test_zeros_of_servos_are_no_wonder() -> None:
     """Eight degrees are what is looked for, if the zeros are all that is."""
     rng = np.random.default_rng(0)

@@ -266,7 +266,7 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
     if (bound := workspace.bound.position) > UNCERTAIN * calibrated:
         expected += f" (95 %: below {shown(bound, 'm', 3)})"
     expected += f" instead of {shown(nominal, 'm', 3)} are expected"
-    expected = f"over the workspace{chain} {expected}"
+    expected = f"over the workspace{chain} {expected}{_if_noise(grounds, calibrated)}"
     if workspace.better >= SURE:
         if better:
             yield "good", f"{gain} on {held}; {expected}"
@@ -333,6 +333,17 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         f"{quantity.name} errors of {last} rms remain (nominal robot: {first}){times}: "
         f"nothing that was estimated explains them; {advice}"
     )
+
+
+def _if_noise(grounds: Judgement, promised: float) -> str:
+    """The condition of a promise, where far more is left and nobody knows the noise."""
+    quantity = grounds.errors[0]
+    left = quantity.shown[1].rms
+    unknown = quantity.unit == "m" and _noise(grounds, quantity) is None
+    if not (unknown and left > NOISY * max(promised, expected_size("m"))):
+        return ""
+    size = shown(left, "m", 3)
+    return f" if the {size} that are left are noise; state it, or repeat measurements"
 
 
 def _noise(grounds: Judgement, quantity: QuantityErrors) -> float | None:

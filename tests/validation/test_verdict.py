@@ -55,6 +55,19 @@ def test_five_poses_many_times_are_unchecked() -> None:
     assert result.verdict == "unchecked", result.reason
 
 
+def test_a_promise_is_made_on_condition_where_errors_may_be_noise() -> None:
+    """Offsets alone leave 19 mm of a robot whose links are off, and promise 3 mm."""
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(4)
+    problem = nominal_problem(chain, "pose", Setup(parameters=("placement",)))
+    truth = 8.0 * calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=26, noise=1e-4).only
+    offsets = Setup(parameters=("joint-offset",))
+    unknown = calib_pin.calibrate(chain, replace(rows, sigma=None), offsets)
+    assert "that are left are noise; state it" in unknown.reason
+    known = calib_pin.calibrate(chain, rows, offsets)
+    assert "are noise" not in known.reason and "times the noise" in known.reason
+
+
 def test_pixels_that_no_robot_explains_are_untrusted() -> None:
     """No corner of a board is found so badly, whatever the noise that is assumed."""
     job = tracked(2, model="camera", noise=12.0, stated=False)

@@ -109,6 +109,11 @@ class VarianceComponent:
     lack_of_fit: float | None = None
     pure_test: float | None = None
 
+    @property
+    def as_stated(self) -> bool:
+        """Whether it is stated, and the measurements do not contradict that."""
+        return self.stated and not self.contradicted
+
 
 @dataclass(frozen=True)
 class Gain:

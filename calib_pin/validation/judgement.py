@@ -266,10 +266,11 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
     if (bound := workspace.bound.position) > UNCERTAIN * calibrated:
         expected += f" (95 %: below {shown(bound, 'm', 3)})"
     expected += f" instead of {shown(nominal, 'm', 3)} are expected"
-    expected = f"over the workspace{chain} {expected}{_if_noise(grounds, calibrated)}"
+    expected = f"over the workspace{chain} {expected}"
     if workspace.better >= SURE:
         if better:
-            yield "good", f"{gain} on {held}; {expected}"
+            condition = _if_noise(grounds, calibrated)
+            yield "good", f"{gain} on {held}; {expected}{condition}"
         if calibrated < 0.5 * nominal:
             reason = f"{held} do not confirm the correction: {gain}"
             yield "unchecked", f"{reason}; measure more configurations"
@@ -367,7 +368,7 @@ def _unchecked(grounds: Judgement) -> str:
     known = "values and priors" if len(fitted.problem.further.priors) else "values"
     prior = fitted.problem.setup.prior
     sure = isinstance(prior, JointPrior) and bool(prior.noise)
-    sure |= all(noise.stated and not noise.contradicted for noise in fitted.noise)
+    sure |= all(noise.as_stated for noise in fitted.noise)
     left = sum(v.redundancy * v.values for v in fitted.noise)
     held = grounds.gains[0].configurations if grounds.gains else 0
     distinct = data.rows(data.weight > 0.0).configurations

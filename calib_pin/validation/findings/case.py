@@ -596,14 +596,14 @@ class Case:
         Without a whole fit nobody judges corrections that are as large as a robot. With
         one, it may have been fitted to measurements as small as the errors of a robot.
         """
-        usual = self.errors_left <= (DOUBTFUL if self.informed else FOREIGN)
-        noise = self.fitted.noise if self.fitted is not None else ()
-        if noise and all(n.stated and not n.contradicted for n in noise):
-            usual = True
+        fitted, left = self.fitted, self.errors_left
+        usual = left <= (DOUBTFUL if self.informed else FOREIGN)
+        if fitted is not None and fitted.noise:
+            usual |= all(noise.as_stated for noise in fitted.noise)
         # What the model lacks may be all that is left.
-        if not (usual or self.errors_left * np.sqrt(self.lacking[1]) <= DOUBTFUL):
+        if not (usual or left * np.sqrt(self.lacking[1]) <= DOUBTFUL):
             return True
-        known = self.fitted is not None and self.fit.largest_correction <= REBUILT
+        known = fitted is not None and self.fit.largest_correction <= REBUILT
         return self.errors_nominal > (ABSURD if known else FOREIGN)
 
     @cached_property

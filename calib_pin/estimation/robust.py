@@ -271,8 +271,10 @@ class Studentized:
 
     def statistic(self, scale: Floats) -> Floats:
         """z^2 of each configuration at a scale by quantity, shape (G,)."""
-        with np.errstate(over="ignore"):
+        # Infinite errors do not fit, even where most are.
+        with np.errstate(over="ignore", invalid="ignore"):
             squares = self.squares / scale[self.quantity] ** 2
+        squares[~np.isfinite(self.squares)] = np.inf
         return np.asarray(np.bincount(self.configuration, squares), float)
 
     def sizes(self, scale: Floats) -> Floats:

@@ -30,7 +30,7 @@ from calib_pin.progress import Progress
 from calib_pin.setup import JointPrior
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings import find
-from calib_pin.validation.findings.case import Case, Others
+from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.held_out import ALL, PRESS, HeldOut
 from calib_pin.validation.model_errors import ModelErrors, quantity_errors
@@ -341,7 +341,8 @@ def _if_noise(grounds: Judgement, promised: float) -> str:
     quantity = grounds.errors[0]
     left = quantity.shown[1].rms
     unknown = quantity.unit == "m" and _noise(grounds, quantity) is None
-    if not (unknown and left > NOISY * max(promised, expected_size("m"))):
+    much = max(NOISY * promised, DOUBTFUL * expected_size("m"))
+    if not (unknown and left > much):
         return ""
     size = shown(left, "m", 3)
     return f" if the {size} that are left are noise; state it, or repeat measurements"

@@ -50,6 +50,7 @@ FOLLOW = (
     ("joint-columns", "backlash"),  # Commanded positions are off by the side.
     ("lag", "backlash"),  # So are those that were read too early.
     ("model-lacks", "scale"),  # A robot grows to explain what it lacks.
+    ("model-lacks", "gear-ripple"),  # Large errors of gears alias to ripples.
     # What no parameter describes leaves more than noise.
     *((code, "noise") for code in ("model-lacks", "backlash", "lag", "coarse-steps")),
     ("instrument-drift", "noise"),
@@ -97,8 +98,8 @@ def find(case: Case, seek: bool = True) -> Found:
     wrong = {f.evidence["between"] for f in others if f.code == "known-distance"}
     distances = [d.between for d in case.setup.known]
     ends = {end for both in distances if " - ".join(both) in wrong for end in both}
-    # The measurements of an end do not fit a wrong distance.
-    others = [found for found in others if found.evidence.get("target") not in ends]
+    # The measurements of its ends do not fit a wrong distance.
+    others = [f for f in others if not _targets(f) or not _targets(f) <= ends]
     return Found(causes, tuple(others))
 
 
@@ -150,7 +151,8 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     if sure is not None and sure.fitted:
         # What bends follows joints as well, and the position of one most of all.
         _, left = _tried(lambda case: case.lacking, case) or ((), 1.0)
-        sure = None if case.fit.errors * np.sqrt(left) < CLEARER * sure.after else sure
+        of_motion = np.exp(-sure.ratio / case.fit.left)
+        sure = None if np.sqrt(left) < CLEARER * of_motion else sure
     turned = [found for found in in_time if found.code == "joint-rehomed"]
     if sure is not None and not _left(turned) < CLEARER * sure.after:
         # A nominal robot that is read wrong makes plateaus of its own.
@@ -192,6 +194,12 @@ def _told(
 ) -> tuple[Finding, ...]:
     """The findings of a kind, none of measurements too absurd to compute with."""
     return _tried(lambda given: tuple(kind(given)), given) or ()
+
+
+def _targets(found: Finding) -> set[str]:
+    """The targets of a finding; none where it has no such."""
+    targets = str(found.evidence.get("target", ""))
+    return {*targets.split(", ")} if targets else set()
 
 
 def _left(causes: Iterable[Finding], part: bool = False) -> float:

@@ -19,10 +19,17 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import column_space, nuisance_basis
 from calib_pin.estimation.nominal import registered
-from calib_pin.estimation.problem import EXACT, Problem, error_table, measured_count
+from calib_pin.estimation.problem import (
+    EXACT,
+    Problem,
+    current_units,
+    error_table,
+    measured_count,
+)
 from calib_pin.estimation.solve import refine
-from calib_pin.estimation.statistics.distributions import f_tail
-from calib_pin.estimation.statistics.variance_components import candidates
+from calib_pin.estimation.statistics.distributions import chi_square_tail, f_tail
+from calib_pin.estimation.statistics.variance_components import REJECTED, candidates
+from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
@@ -62,8 +69,9 @@ the robot has settled, too."""
 ROUGH = 1e-3
 """Part of the cost that a step must promise where frames are fitted in a trial."""
 
-LOCATING = 10
-"""Most steps in which frames are fitted in a trial: of a robot six are enough."""
+LOCATING, ROUGHLY = 10, 4
+"""Most steps in which frames are fitted in a trial: of a robot six are enough. And in
+which those are that only tell which trials are worth more of them."""
 
 KEPT, FEW = 0.75, 12
 """Part of the measurements that counts, as outliers may stand beside another fault, and
@@ -117,7 +125,7 @@ def unlikely(tried: int = 1) -> float:
     return float(np.log(max(tried, 1) / CHANCE))
 
 
-def by_chance(before: float, after: float, count: int, dof: int) -> float:
+def by_chance(before: float, after: float, count: int, dof: float) -> float:
     """Probability that chance explains as much (F test).
 
     Args:
@@ -134,12 +142,12 @@ def located(problem: Problem, thorough: bool = False) -> Problem:
     """A problem about roughly registered frames and references.
 
     The closed form is enough to tell a robot from none; without a measurement frame
-    there may be nothing in closed form, and it is fitted.
+    there may be nothing in closed form, and it is fitted in a few steps.
 
     Args:
         problem: The problem.
-        thorough: Whether they are fitted in any case: of a camera the closed form is
-            off by dozens of pixels where there are few images.
+        thorough: Whether they are fitted in any case, and in more steps: of a camera
+            the closed form is off by dozens of pixels where there are few images.
     """
     zero = np.zeros(len(problem.parameters))
     terms, problem = problem.terms.values(), registered(problem, zero)
@@ -147,7 +155,8 @@ def located(problem: Problem, thorough: bool = False) -> Problem:
     if external and not thorough:
         return problem
     basis = nuisance_basis(problem.parameters)
-    return problem.rebased(refine(problem, zero, basis, ROUGH, LOCATING).x)[0]
+    steps = LOCATING if thorough else ROUGHLY
+    return problem.rebased(refine(problem, zero, basis, ROUGH, steps).x)[0]
 
 
 def below_sheet(problem: Problem) -> bool:
@@ -185,28 +194,31 @@ def mean_squares(problem: Problem, theta: Floats, scale: float = 1.0) -> Floats:
 
 
 def trimmed(
-    problem: Problem, bound: float = np.inf, scale: float = 1.0
+    problem: Problem, bound: float = np.inf, scale: float = 1.0, thorough: bool = False
 ) -> tuple[float, Floats]:
     """Errors of the nominal robot where the best part of the measurements has it.
 
     They locate the robot once more without the others, which outliers are among, if
-    they leave less than a bound; see `mean_squares` for the scale.
+    they leave less than a bound; see `mean_squares` for the scale and `located`.
 
     Returns:
         Errors of that part, rms in standard deviations, and mean squares of all, (N,).
     """
-    size = np.inf
-    zero, squares = np.zeros(len(problem.parameters)), np.zeros(len(problem.data))
+    size, squares = np.inf, np.zeros(len(problem.data))
+    zero = np.zeros(len(problem.parameters))
     for again in (False, True):
-        problem = located(problem)
+        problem = located(problem, thorough)
         if below_sheet(problem):
             return np.inf, squares
-        squares = mean_squares(problem, zero, scale)
-        limit = np.quantile(squares, counted(problem))
-        size = float(np.sqrt(np.mean(squares[squares <= limit])))
-        if size >= bound or again:
+        there = mean_squares(problem, zero, scale)
+        limit = np.quantile(there, counted(problem))
+        left = float(np.sqrt(np.mean(there[there <= limit])))
+        # A board that has lost some of its corners may be located worse.
+        if not again or left < size:
+            size, squares = left, there
+        if left >= bound:
             break
-        weight = (squares <= limit).astype(float)
+        weight = (there <= limit).astype(float)
         problem = replace(problem, data=problem.data.weighted(weight))
     return size if np.isfinite(size) else np.inf, squares
 
@@ -269,7 +281,7 @@ class QuickFit:
         """
         problem = located(problem, thorough)
         best = trial = cls(problem, np.zeros(len(problem.parameters)), **more)
-        for step in range(steps if trial.redundant else 0):
+        for step in range(steps if trial.counts else 0):
             there = stepped(trial)
             if not np.isfinite(there.linear[0]).all():
                 break  # A point came to lie behind the camera, say.
@@ -285,6 +297,11 @@ class QuickFit:
         free = int(self.problem.parameters.free.sum())
         return measured_count(self.problem) >= REDUNDANCY * free
 
+    @property
+    def counts(self) -> bool:
+        """Whether the robot's errors are fitted."""
+        return self.robot and (self.whole or self.redundant)
+
     @cached_property
     def linear(self) -> tuple[Floats, Floats]:
         """Whitened residual (M,), and its Jacobian by scaled parameters, (M, P)."""
@@ -297,8 +314,7 @@ class QuickFit:
         """Columns of what is free, and residuals, above known distances and sizes."""
         r, J = self.linear
         parameters, known = self.problem.parameters, self.problem.further.distances
-        counts = self.robot and (self.redundant or self.whole)
-        free = parameters.free & (parameters.nuisance | counts)
+        free = parameters.free & (parameters.nuisance | self.counts)
         robot = ~parameters.nuisance & free
         prior = np.diag(np.where(robot, 1.0 / SIZE, 0.0))[robot]
         # Without them contacts draw a robot together.
@@ -317,20 +333,19 @@ class QuickFit:
         return Q, b - Q @ (Q.T @ b)
 
     @cached_property
-    def left(self) -> int:
-        """Number of values that unknowns do not use up."""
-        (A, _), rows = self.system, len(self.problem.layout.row)
-        if not rows:
-            return 0
-        R, rounding = np.linalg.qr(A[:rows], mode="r"), rows * np.finfo(float).eps
-        rank = np.linalg.matrix_rank(R, rtol=rounding)
-        return measured_count(self.problem) - int(rank)
+    def left(self) -> float:
+        """Number of values that unknowns do not use up.
+
+        Of the robot's errors each uses that part of one which the measurements tell.
+        """
+        of_values = self.unexplained[0][: len(self.problem.layout.row)]
+        return measured_count(self.problem) - float(np.sum(of_values**2))
 
     @cached_property
     def rms(self) -> float:
         """Errors left, in standard deviations, of what unknowns do not use up."""
         r, _ = self.linear
-        return float(np.sqrt(r @ r / self.left)) if self.left > 0 else np.inf
+        return float(np.sqrt(r @ r / self.left)) if self.left >= 1 else np.inf
 
     @property
     def largest_correction(self) -> float:
@@ -428,7 +443,7 @@ class QuickFit:
         U, inverse = U[:, kept], Vt[kept].T / s[kept]
         along, total, k = U.T @ r, float(r @ r), int(kept.sum())
         dof = self.left - k
-        if not k or dof <= 0 or total <= 0.0:
+        if not k or dof < 1 or total <= 0.0:
             return Score(1.0, 1.0, np.zeros(count), np.full(count, np.inf))
         rest = max(total - float(along @ along), 1e-300)
         chance = by_chance(total, rest, k, dof)
@@ -606,6 +621,16 @@ class Case:
         known = fitted is not None and self.fit.largest_correction <= REBUILT
         return self.errors_nominal > (ABSURD if known else FOREIGN)
 
+    def as_stated(self, fit: QuickFit) -> bool:
+        """Whether a fit leaves no more than noise that the rows or the setup state."""
+        noise = self.fitted.noise if self.fitted is not None else ()
+        if not noise or not all(component.stated for component in noise):
+            return False
+        layout = fit.problem.layout
+        units = current_units(fit.problem)[layout.component]
+        r = fit.unexplained[1][: len(units)] * units
+        return chi_square_tail(float(r @ r), fit.left) > REJECTED
+
     @cached_property
     def errors_left(self) -> float:
         """Remaining errors, rms in expected sizes of an error, of the worst quantity.
@@ -646,22 +671,28 @@ class Case:
             return (), 1.0  # No gear and no link is so far off.
         families = [PARAMETERIZATIONS[name] for name in names]
         placed = any(f.geometric and f.name != JointOffset.name for f in families)
-        effects = candidates(fit.problem, () if placed else (Placement.name,))
+        others = [
+            n for n, f in PARAMETERIZATIONS.items() if f.effects and n not in names
+        ]
+        effects = candidates(fit.problem, others + [Placement.name] * (not placed))
         if effects is None:
             return (), 1.0
         X, kinds = effects.rows(fit.problem, fit.theta), np.array(effects.kinds)
         if not np.isfinite(X).all():
             return (), 1.0
+        # All points of a configuration share the errors of its pose.
+        poses = FRAME * fit.problem.data.configurations
+        dof = fit.left - max(measured_count(fit.problem) - poses, 0)
         each, found = dict.fromkeys(effects.kinds), []
         for some in (*((kind,) for kind in each), *combinations(each, 2)):
             own = np.isin(kinds, some)
-            if own.sum() >= fit.problem.data.configurations:
+            count, left = int(own.sum()), fit.score(X[:, own]).left
+            if count >= dof:
                 continue  # They explain whatever a configuration errs by.
-            score = fit.score(X[:, own])
-            if score.chance < CHANCE and score.left < LACKING:
+            if left < LACKING and by_chance(1.0, left, count, dof - count) < CHANCE:
                 # By Schwarz's criterion: two families explain more than one anyway.
-                cost = fit.left * np.log(max(score.left, 1e-300))
-                found.append((cost + own.sum() * np.log(fit.left), some, score.left))
+                cost = fit.left * np.log(max(left, 1e-300))
+                found.append((cost + count * np.log(fit.left), some, left))
         return min(found)[1:] if found else ((), 1.0)
 
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -24,7 +23,7 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import EXACT, Problem, measured_count
+from calib_pin.estimation.problem import EXACT, Problem
 from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
@@ -97,9 +96,10 @@ UNKNOWNS = 500
 """Most parameters of a job that is looked at."""
 
 LASTING, LARGE = 0.85, 0.3
-"""Part of the errors that a drift leaves at most: what bends in real robots leaves 0.88
-and more, drifts that cost twice the noise less than 0.8. And errors that it causes, in
-expected sizes, from which it takes the trust, if it leaves half of them at most."""
+"""Part of the errors that a drift leaves at most if more than stated noise is left:
+what bends in real robots leaves 0.88 and more, drifts that cost twice the noise less
+than 0.8. And errors that it causes, in expected sizes, from which it takes the trust,
+if it leaves half of them at most."""
 
 WAVES = range(2, 10)
 """Half waves of the curves that it is compared with."""
@@ -203,7 +203,9 @@ class Trial(QuickFit):
         """
         data, index = changed(plain.data, rank, changes)
         problem = make_problem(plain.chains, data, plain.setup)
-        trial = Trial.of(problem, plain=plain, rank=rank, changes=changes, index=index)
+        own: dict[str, Any] = {"plain": plain, "rank": rank}
+        own |= {"changes": changes, "index": index}
+        trial = Trial.of(problem, whole=True, **own)
         zeros = [k for k, change in enumerate(changes) if change.kind == "joint"]
 
         def of(sizes: Floats) -> tuple[Change, ...]:
@@ -237,12 +239,6 @@ class Trial(QuickFit):
             return trial
         except (CalibPinError, np.linalg.LinAlgError):
             return None
-
-    @cached_property
-    def redundant(self) -> bool:
-        """Whether errors of the robot are fitted: steps stand out of fewer values."""
-        free = int(self.problem.parameters.free.sum())
-        return measured_count(self.problem) > free
 
     def columns(self, change: Change) -> Floats:
         """Whitened residual by what changes, if it does so everywhere, shape (M, k)."""
@@ -381,7 +377,8 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
         return None
     data, rank = problem.data.weighted(np.ones(len(case.rank))), case.rank
     plain = replace(problem, data=data, units=np.zeros(0))
-    seen = Trial(plain, fit.theta, plain, rank, (), np.arange(len(rank)))
+    index = np.arange(len(rank))
+    seen = Trial(plain, fit.theta, plain, rank, (), index, whole=True)
     if all(left > LOOKED_AT for _, left, _ in seen.candidates):
         return None
     trials, more = list[Trial](), seen.settled(())
@@ -511,9 +508,10 @@ def drift(case: Case) -> Iterator[Finding]:
         return
     _, words, score, ramp, names = min(found, key=lambda one: one[0])
     first = np.flatnonzero(fit.problem.layout.component == 0)
-    left, now = (f.unexplained[1][first] for f in (fit.explaining(ramp), fit))
+    without = fit.explaining(ramp)
+    left, now = (f.unexplained[1][first] for f in (without, fit))
     before, part = fit.errors, float(np.linalg.norm(left) / np.linalg.norm(now))
-    if part > LASTING:
+    if part > LASTING and not case.as_stated(without):
         return
     caused = before * np.sqrt(max(1.0 - part**2, 0.0))
     large = caused > LARGE * expected_size(fit.quantity.unit) and part < FITTED

@@ -71,8 +71,9 @@ ALIKE = 30
 """Sets of faults that leave about the least, of which fits are asked; of true faults
 there are few, and where there are more, none explains anything."""
 
-WIDTH = 3
-"""Explanations that are kept to be combined with others."""
+WIDTH, LIKELY = 3, 10
+"""Explanations that are kept to be combined with others, and those of which frames are
+fitted well, which the roughly fitted ones come before."""
 
 TOGETHER = 500
 """Most combinations of faults of a joint that are tried: a few seconds."""
@@ -87,7 +88,7 @@ DECISIVE = 0.2
 CALM = 0.3
 """Part of the robot's largest correction that a frame which is fitted may leave."""
 
-EXPLAINED, USUAL = 0.02, 4.0
+EXPLAINED, USUAL = 0.05, 4.0
 """Part of the errors, and expected sizes of an error, with either of which nothing more
 is sought: nominal robots of which we have measurements leave 2 to 5 mm."""
 
@@ -325,9 +326,10 @@ def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
     """
     search = _Search(case, [h for family in families for h in family(case)])
     found = search.combined() or search.of_one_joint() or search.fitted()
-    if found is None or not any(h.reading.without for h in found.faults):
-        return found
-    return search.of_all(found)
+    if found is None:
+        return None
+    aside = [h for h in found.faults if h.reading.without and not h.gross]
+    return search.of_all(found) if aside else found
 
 
 _Tried = tuple[float, tuple[Hypothesis, ...]]
@@ -366,16 +368,20 @@ class _Search:
             if self.case.progress is not None:
                 self.case.progress(k / MOST)
             found: dict[frozenset[int], _Tried] = {}
+            most: dict[frozenset[int], float] = {}
             for (left, kept), hypothesis in product(beam, self.known):
                 trial = (*kept, hypothesis)
                 key = frozenset(map(id, trial))
-                if key in found or any(h.of == hypothesis.of for h in kept):
-                    continue
-                misfit = self._nominal(trial)
-                if hypothesis.absorbs * misfit < CLEARER * left:
-                    found[key] = misfit, trial
+                if key not in found and all(h.of != hypothesis.of for h in kept):
+                    found[key] = self._nominal(trial), trial
+                    most[key] = CLEARER * left / hypothesis.absorbs
+            ranked = sorted(found, key=lambda key: _rank(found[key]))
+            for key in ranked[:LIKELY]:
+                faults = found[key][1]
+                found[key] = self._nominal(faults, thorough=True), faults
             # Of those that leave the same, the likelier kind comes first.
-            beam = sorted(found.values(), key=_rank)[:WIDTH]
+            clear = [found[key] for key in ranked if found[key][0] < most[key]]
+            beam = sorted(clear, key=_rank)[:WIDTH]
             every = sorted(every + beam, key=_rank)
             left, faults = every[0]
             # Each of as many again may join those that are ahead.
@@ -538,7 +544,7 @@ class _Search:
         count = least * len(data.blocks) // len(self.data.blocks)
         return make_problem(chains, data.sample(count), setup)
 
-    def _nominal(self, faults: Sequence[Hypothesis]) -> float:
+    def _nominal(self, faults: Sequence[Hypothesis], thorough: bool = False) -> float:
         """Error of the registered nominal robot, rms in standard deviations."""
         self.tried += 1
         try:
@@ -546,7 +552,7 @@ class _Search:
             if _redundancy(problem) < LEAST:
                 return np.inf
             scale = merged(fault.reading for fault in faults).scale
-            return trimmed(problem, self.first, scale)[0]
+            return trimmed(problem, self.first, scale, thorough)[0]
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf  # No beam meets its plane, say.
 

@@ -93,6 +93,10 @@ ROUND, NEARBY = (45.0, 15.0, 10.0, 5.0, 1.0), 0.6
 """Round angles [deg], and the largest distance from one of them [deg], three times a
 usual error of a robot."""
 
+BACKLASH = 1e-3
+"""Most lost motion that joints have [rad]. Joints that were read as little before they
+arrived err by the side from which they come, as those that lose motion do."""
+
 REST = "measure again at rest: the joints must stand still when they are read"
 
 
@@ -280,6 +284,8 @@ def _small(case: Case) -> Explanation | None:
     # A robot of other lengths explains a prismatic joint that goes farther.
     possible = small and fit.largest_correction <= IMPLAUSIBLE
     if not (possible and fit.rms**2 < LEFT * first.rms**2):
+        return None
+    if motion.of == "early-each" and size <= BACKLASH:
         return None
     ratio, tried = fit.left * float(np.log(first.rms / fit.rms)), len(motions.every)
     faults, sizes = (motion.hypothesis(case, size),), (first.errors, fit.errors)

@@ -50,7 +50,7 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.case import CHANCE, Case, mean_squares, unlikely
 from calib_pin.validation.findings.explanations import FITTED
-from calib_pin.validation.findings.readings import FACTORS
+from calib_pin.validation.findings.readings import FACTORS, STRETCH
 from calib_pin.validation.findings.sentences import (
     NAMED,
     estimating,
@@ -63,9 +63,9 @@ from calib_pin.validation.findings.sentences import (
 )
 from calib_pin.validation.tip_drift import tip_drift
 
-STRETCH, FULL, CONFIGURATIONS = 0.1, 0.9, 6
-"""Part of all measurements, part of a stretch of the files, and configurations from
-which outliers are one that was measured with something else."""
+FULL, CONFIGURATIONS = 0.9, 6
+"""Part of a stretch of the files, and configurations, from which outliers are one that
+was measured with something else."""
 
 FITS, LISTED = 4.0, 200
 """Errors, by those of the others, with which a measurement fits in another unit, and
@@ -101,7 +101,7 @@ joint that is mounted askew grows them at least tenfold; where unmodeled errors 
 10 mrad, seen by a draw-wire encoder from few configurations, had moved joints by 22 to
 46 expected sizes, they grew 1.6 to 3.3 times."""
 
-SIZES = np.geomspace(1.0, 100.0, 41)
+SIZES = np.geomspace(0.1, 100.0, 61)
 """Sizes of the robot's errors among which the likeliest is taken, in expected ones."""
 
 CONTRADICTED, MISSED, BEYOND = 2e-3, 3e-4, 3.0
@@ -152,8 +152,8 @@ def outliers(case: Case) -> Iterator[Finding]:
     rows = rest[np.argsort(np.argsort(data.in_order)[rest])].tolist()
     code, together = _together(data, rest)
     targets = {data.target[row] for row in rows}
-    if len(targets) == 1 and any(targets):
-        numbers["target"] = targets.pop()
+    if len(targets) <= NAMED and all(targets):
+        numbers["target"] = ", ".join(sorted(targets))
     causes = [*dict.fromkeys(o.cause for o in alone if o.cause)][:NAMED]
     shared = f" ({', '.join(causes)})" if causes else ""
     why = f" excluded as outliers{shared}{together}{keeping}"
@@ -450,22 +450,23 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     said = f"the origin of {name} came out moved by {1e3 * move:.1f} mm and "
     said += f"{np.degrees(turn):.2f} deg"
     numbers: dict[str, Any] = {"joint": name, "move": move, "turn": turn}
+    frames = [case.setup.base_frame, *case.setup.stations.values()]
+    frames += [case.setup.tool_frame, *case.setup.tools.values()]
+    # Frames at an origin, or one away, share its errors.
+    ends = {name for of in names for name in (*of[:2], *of[-2:])}
+    at_frame = name in ends and any(frame.estimate is False for frame in frames)
     if factor < BOUGHT:
         said += f", although with no more than {shown(LARGE * LENGTH_SCALE, 'm')} and "
         said += f"{shown(LARGE * turn_of_one, 'rad')} the remaining errors are only "
         said += f"{max(factor, 1.0):.2f} times as large"
         numbers["errors_without"] = factor
         remedy = "measure more configurations, or estimate fewer parameters"
+        remedy += "; check the frames that the setup states" if at_frame else ""
         error = sizes.max() > IMPLAUSIBLE
         yield told("implausible-correction", said, numbers, remedy, error=error)
         return
     remedy = "check this origin in the URDF, and how the joint is mounted"
-    frames = [case.setup.base_frame, *case.setup.stations.values()]
-    frames += [case.setup.tool_frame, *case.setup.tools.values()]
-    # Frames at an origin, or one away, share its errors.
-    ends = {name for of in names for name in (*of[:2], *of[-2:])}
-    if name in ends and any(frame.estimate is False for frame in frames):
-        remedy += ", and the frames that the setup states"
+    remedy += ", and the frames that the setup states" if at_frame else ""
     left, joint, offset = _offset_within(case, fitted, x)
     if left < LARGE:
         unit = case.unit(joint)

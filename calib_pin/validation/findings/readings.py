@@ -36,6 +36,7 @@ from calib_pin.observations import (
     FRAMES,
     BlockKey,
     Frame,
+    Labels,
     Measurements,
     Observations,
     apart,
@@ -94,6 +95,9 @@ FARTHEST = 10
 SEVERAL, NEAREST = 2, 3
 """Lines of a configuration from which these may stand elsewhere together, and how many
 of them."""
+
+STRETCH = 0.1
+"""Part of all measurements from which some in a row were measured otherwise."""
 
 FACTORS = {
     1e-3: "mm read as m",
@@ -383,6 +387,42 @@ def targets(case: Case) -> Iterator[Hypothesis]:
         yield replace(found, figure="over-order")
 
 
+def standing(case: Case) -> Iterator[Hypothesis]:
+    """A stretch of the files in which the reading of a joint stands still, left out."""
+    data, order = case.data, case.data.in_order
+    for joint, q in zip(data.joints, data.q[order].T, strict=True):
+        run = np.cumsum(np.diff(q, prepend=q[:1]) != 0.0)
+        rows = order[run == np.argmax(np.bincount(run))]
+        few = len(np.unique(data.groups()[rows])) < FEWEST
+        if few or not STRETCH * len(data) <= len(rows) < len(data) / 2:
+            continue
+        words = f"the reading of joint '{joint}' does not change in "
+        reading = ReadingSetup(without=places_of(data, rows.tolist()))
+        words += f"{len(rows)} measurements from line {reading.without[0]} on"
+        found = Hypothesis("stuck-encoder", words, "stretch", reading, gross=True)
+        yield replace(found, figure="over-order")
+
+
+def target_names(case: Case) -> Iterator[Hypothesis]:
+    """Two of few targets that have the name of each other."""
+    names = case.data.target.distinct
+    for first, second in combinations(names, 2) if len(names) <= TARGETS else ():
+        words = f"the targets '{first}' and '{second}' have the name of each other"
+        change = partial(_renamed, names={first: second, second: first})
+        found = Hypothesis("targets-exchanged", words, "target", change=change)
+        yield replace(found, advice="exchange the two names", figure="over-order")
+
+
+def _renamed(data: Observations, names: Mapping[str, str]) -> Observations:
+    """Measurements whose targets have other names."""
+
+    def renamed(block: Measurements) -> Measurements:
+        target = Labels.of([names.get(name, name) for name in block.target])
+        return replace(block, target=target)
+
+    return Observations(tuple(map(renamed, data.blocks)))
+
+
 def target_frames(case: Case) -> Iterator[Hypothesis]:
     """Groups of targets each of which has a frame of its own: boards at places, say."""
     for group in _groups(case.data):
@@ -560,5 +600,15 @@ def _exchanged(columns: Mapping[str, str], maps: _Maps) -> dict[str, dict[str, A
     return found
 
 
-FAMILIES = (joint_columns, line_order, orientations, axes, units, robots, targets)
+FAMILIES = (
+    joint_columns,
+    line_order,
+    standing,
+    orientations,
+    axes,
+    units,
+    robots,
+    targets,
+    target_names,
+)
 """Explanations of errors that no robot explains."""

@@ -25,8 +25,8 @@ WORSE = 1.5
 KEPT = 1.5
 """How many times as far off as the sentence promises it may be then."""
 
-SIZED = re.compile(r"times the noise")
-"""Words of a sentence that tells that more than noise is left."""
+SIZED = re.compile(r"times the noise|that are left are noise")
+"""Words of a sentence that tells that more than noise is left, or may be."""
 
 CLAIM = "looks like"
 """Words of a refusal that says what is wrong; others only say that something is."""

@@ -355,7 +355,7 @@ class _Search:
         own = problem.given_sigma[problem.layout.component == 0]
         self.unit = float(np.sqrt(np.mean(own**2)))
         self.one = expected_size(case.fit.quantity.unit) / self.unit
-        self.first = self._nominal(())
+        self.first = self._nominal((), thorough=True)
 
     def combined(self) -> Explanation | None:
         """Faults with which the nominal robot fits far better."""

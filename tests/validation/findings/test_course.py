@@ -119,6 +119,15 @@ def test_a_joint_that_was_homed_anew(moved_job, count: int, first: int) -> None:
     assert finding.evidence["rms_after"] < 2e-4 < finding.evidence["rms_before"]
 
 
+def test_of_few_rows_as_well(moved_job) -> None:
+    """Fifteen positions have as many values as there are unknowns."""
+    job = moved_job((), (), 15)
+    block = turned(job.plain.only, 2, 0.02 * (np.arange(15) >= 8))
+    (finding,) = (f for f in findings(job, block) if f.severity == "error")
+    assert (finding.code, finding.evidence["joint"]) == ("joint-rehomed", "joint_3")
+    assert finding.evidence["offset"] == pytest.approx(-0.02, rel=0.2)
+
+
 def test_a_robot_that_grows_warm_was_not_homed_anew(moved_job) -> None:
     job = moved_job((), (), 60)
     block = turned(job.plain.only, 2, np.linspace(0.0, 0.01, 60))
@@ -137,6 +146,16 @@ def test_a_drift_and_its_size(moved_job) -> None:
     (x, y, z) = finding.setup["reading"]["drift"]
     back = read_otherwise(Observations.of(block), ReadingSetup(drift=(x, y, z)))
     assert drifts(job, back.only) == []
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_drift_beside_noise_is_told_where_that_is_known(moved_job, stated) -> None:
+    """It leaves 0.9 of the errors, as what bends in a robot may."""
+    job = moved_job((), (), 300)
+    block = displaced(job.plain.only, np.linspace(0.0, 1.5e-4, 300))
+    sigma = np.full(block.values.shape, 5e-5) if stated else None
+    found = drifts(job, replace(block, sigma=sigma))
+    assert [one.code for one in found] == ["instrument-drift"] * stated
 
 
 def test_a_bent_path_is_no_drift(moved_job) -> None:

@@ -190,6 +190,13 @@ def test_lost_motion_is_told_by_joint(loose) -> None:
         assert abs(found.evidence[name] - size) < 1e-4
 
 
+def test_lost_motion_of_all_joints_is_no_early_reading(loose) -> None:
+    """As if each was read a quarter of a milliradian before it arrived."""
+    rows = loose(dict.fromkeys(range(7), 5e-4))
+    assert joint_motion(case_of(rows, PLACEMENT, PA10)) is None
+    assert len(lost_in(rows).evidence["joints"].split(", ")) > 3
+
+
 def test_lost_motion_that_is_estimated_is_not_sought(loose) -> None:
     rows = loose({1: 2e-3, 2: 1e-3})
     setup = replace(PLACEMENT, parameters=("placement", "hysteresis"))

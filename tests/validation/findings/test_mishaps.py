@@ -35,6 +35,9 @@ HELD = Setup(parameters=("joint-offset",), tool_frame=replace(TOOL, estimate=Fal
 KNOWN = replace(HELD, base_frame=replace(BASE, estimate=False))
 TARGETS = {n: PointSetup((0.1 * k, 0.05, 0.2)) for k, n in enumerate("abc")}
 NOISE, COUNT = 1e-4, 42
+GEARS = {f"{name}.transmission.gain": 2e-3 for name in ARM.joints} | {
+    f"{name}.transmission.cos2": 3e-4 for name in (J2, J3)
+}
 
 Spoil = Callable[[Measurements], Measurements]
 
@@ -213,6 +216,12 @@ MISHAPS = [
         "model-lacks",
         lines={"parameters": ["placement"]},
         setup=Setup(parameters=("joint-offset",)),
+        severity="warning",
+    ),
+    Mishap(
+        "model-lacks",
+        lines={"parameters": ["placement", "transmission"]},
+        job={"count": 60, "effects": ("transmission",), "changes": GEARS},
         severity="warning",
     ),
     Mishap("stuck-encoder", positions(stuck)),
@@ -405,8 +414,8 @@ def test_a_clean_job_is_not_accused(job: str) -> None:
 
 ELSEWHERE = {
     "test_explanations": "joint-coupled joint-degrees",
-    "test_readings": "joint-columns target target-frames robot tip-link base-link "
-    "tool-frame base-frame camera-mount",
+    "test_readings": "joint-columns target targets-exchanged target-frames robot "
+    "tip-link base-link tool-frame base-frame camera-mount",
     "test_facts": "gauge-sign",
     "test_course": "instrument-moved tool-remounted joint-rehomed instrument-drift "
     "robot-drift",

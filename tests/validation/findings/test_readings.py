@@ -24,12 +24,19 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.setup import STATED, CameraSetup, FrameSetup, JointMap, PointSetup, Setup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.explanations import explain, finding
+from calib_pin.validation.findings.explanations import (
+    Explanation,
+    Family,
+    explain,
+    finding,
+)
 from calib_pin.validation.findings.readings import (
     line_order,
     orientations,
     robots,
+    standing,
     target_frames,
+    target_names,
     targets,
 )
 from calib_pin.validation.findings.sentences import written
@@ -209,33 +216,63 @@ def test_groups_with_a_tool_of_their_own() -> None:
     assert fault.advice == "give each a tool of its own (a column 'tool')"
 
 
+PLACES = ((0.1, 0.0), (0.15, 0.0), (0.1, 0.05), (0.19, 0.05))
+BOARD = {n: PointSetup((*at, 0.15)) for n, at in zip("abcd", PLACES, strict=True)}
+CAMERA = CameraSetup("world", (900.0, 910.0), (640.0, 500.0))
+SEEN = Setup(camera=CAMERA, targets=BOARD)
+
+
+def images(count: int) -> calib_pin.Measurements:
+    """Corners of a board in so many images."""
+    away = FrameSetup((0.1, -0.2, 6.0), (0.3, -0.2, 0.4))
+    problem = nominal_problem(ARM, "camera", replace(SEEN, base_frame=away))
+    rng = np.random.default_rng(2)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    q, names = ARM.random_configurations(count, rng), tuple("abcd" * count)
+    q = np.repeat(q, 4, axis=0)
+    rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2).only
+    lines = np.arange(2, len(rows) + 2)
+    return replace(rows, lines=lines, files=("m.csv",) * len(rows))
+
+
+def explained(rows: calib_pin.Measurements, *families: Family) -> Explanation:
+    case = Case.of_none(Chains.of(ARM), Observations.of(rows), SEEN)
+    found = explain(case, families)
+    assert found is not None
+    return found
+
+
 @pytest.mark.slow
 def test_a_board_whose_lines_are_shifted_has_no_wrong_corner() -> None:
     """Three of four corners keep their joints if the lines are shifted by one."""
-    board = {
-        name: PointSetup((0.1 + 0.05 * (k % 2), 0.05 * (k // 2), 0.15))
-        for k, name in enumerate("abcd")
-    }
-    camera = CameraSetup("world", (900.0, 910.0), (640.0, 500.0))
-    setup = Setup(camera=camera, targets=board)
-    away = FrameSetup((0.1, -0.2, 6.0), (0.3, -0.2, 0.4))
-    problem = nominal_problem(ARM, "camera", replace(setup, base_frame=away))
-    rng = np.random.default_rng(2)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    q = np.repeat(ARM.random_configurations(60, rng), 4, axis=0)
-    names = tuple("abcd" * 60)
-    rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2).only
-    below = replace(
-        rows.rows(np.arange(1, 240)),
-        q=rows.q[:-1],
-        lines=np.arange(2, 241),
-        files=("m.csv",) * 239,
-    )
-    case = Case.of_robot(Chains.of(ARM), Observations.of(below), setup)
-    found = explain(case, (line_order, targets))
-    assert found is not None
+    rows = images(60)
+    below = replace(rows.rows(np.arange(1, 240)), q=rows.q[:-1])
+    found = explained(below, line_order, targets)
     assert [fault.reading.shift for fault in found.faults] == [1]
     assert found.after < 0.4
+
+
+def test_corners_that_have_the_name_of_each_other() -> None:
+    """Of twelve images the closed form is farther off than by two corners."""
+    rows = images(12)
+    target = tuple({"a": "c", "c": "a"}.get(name, name) for name in rows.target)
+    found = explained(replace(rows, target=target), targets, target_names)
+    (fault,) = found.faults
+    assert fault.code == "targets-exchanged"
+    assert "'a' and 'c'" in fault.words or "'c' and 'a'" in fault.words
+    assert found.after < 1.0 < found.before
+
+
+def test_images_during_which_an_encoder_stood_still() -> None:
+    """The last five of twelve; of fewer the others tell where the robot is."""
+    rows = images(12)
+    q = rows.q.copy()
+    q[28:, 2] = q[28, 2]
+    found = explained(replace(rows, q=q), standing, targets)
+    (fault,) = found.faults
+    assert fault.code == "stuck-encoder" and "joint_3" in fault.words
+    assert fault.reading.without == tuple(map(str, range(30, 50)))
+    assert found.after < 1.0 < found.before
 
 
 Job = Callable[..., Any]

@@ -264,14 +264,14 @@ def test_corners_that_have_the_name_of_each_other() -> None:
 
 
 def test_images_during_which_an_encoder_stood_still() -> None:
-    """The last five of twelve; of fewer the others tell where the robot is."""
-    rows = images(12)
+    """The last nine of twenty; of fewer the others tell where the robot is."""
+    rows = images(20)
     q = rows.q.copy()
-    q[28:, 2] = q[28, 2]
+    q[44:, 2] = q[44, 2]
     found = explained(replace(rows, q=q), standing, targets)
     (fault,) = found.faults
     assert fault.code == "stuck-encoder" and "joint_3" in fault.words
-    assert fault.reading.without == tuple(map(str, range(30, 50)))
+    assert fault.reading.without == tuple(map(str, range(46, 82)))
     assert found.after < 1.0 < found.before
 
 

@@ -686,10 +686,13 @@ class Case:
         each, found = dict.fromkeys(effects.kinds), []
         for some in (*((kind,) for kind in each), *combinations(each, 2)):
             own = np.isin(kinds, some)
-            count, left = int(own.sum()), fit.score(X[:, own]).left
+            count, score = int(own.sum()), fit.score(X[:, own])
             if count >= dof:
                 continue  # They explain whatever a configuration errs by.
-            if left < LACKING and by_chance(1.0, left, count, dof - count) < CHANCE:
+            left, chance = score.left, score.chance
+            if dof < fit.left:
+                chance = by_chance(1.0, left, count, dof - count)
+            if left < LACKING and chance < CHANCE:
                 # By Schwarz's criterion: two families explain more than one anyway.
                 cost = fit.left * np.log(max(left, 1e-300))
                 found.append((cost + count * np.log(fit.left), some, left))

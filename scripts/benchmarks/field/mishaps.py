@@ -291,6 +291,9 @@ def _effect(name: str, **keys: Any) -> dict[str, Any]:
 
 INCH, Y_FIRST = 0.0254, ("y", "x", "z")
 
+STATED = ("frames that the setup states",)
+CORRECTIONS = ("large-correction", "implausible-correction")
+
 NONE = "none"
 """A day on which nothing goes wrong."""
 
@@ -403,8 +406,9 @@ MISHAPS: Mapping[str, Mishap] = {
         changes={"parameters": ("placement",)},
     ),
     "wrong tip": Mishap(ALL, ("tip-link", "refused"), _wrong_tip),
-    "wrong tool": _graded("other-tool", 0.02, PLACES),
-    "wrong base": _graded("other-base", 0.02, PLACES),
+    # An origin beside a stated frame takes over its error, and its remedy names both.
+    "wrong tool": _graded("other-tool", 0.02, PLACES, words=STATED, also=CORRECTIONS),
+    "wrong base": _graded("other-base", 0.02, PLACES, words=STATED, also=CORRECTIONS),
     "wrong mount": Mishap(
         ("camera",), ("camera-mount", "mount", "refused"), _mount, words=("mount",)
     ),

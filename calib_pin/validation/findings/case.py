@@ -150,13 +150,18 @@ def located(problem: Problem, thorough: bool = False) -> Problem:
             the closed form is off by dozens of pixels where there are few images.
     """
     zero = np.zeros(len(problem.parameters))
-    terms, problem = problem.terms.values(), registered(problem, zero)
-    external = any(term.measurement.declaration.external for term in terms)
-    if external and not thorough:
+    problem = registered(problem, zero)
+    if _in_closed_form(problem) and not thorough:
         return problem
     basis = nuisance_basis(problem.parameters)
     steps = LOCATING if thorough else ROUGHLY
     return problem.rebased(refine(problem, zero, basis, ROUGH, steps).x)[0]
+
+
+def _in_closed_form(problem: Problem) -> bool:
+    """Whether there is a measurement frame, which a closed form locates."""
+    terms = problem.terms.values()
+    return any(term.measurement.declaration.external for term in terms)
 
 
 def below_sheet(problem: Problem) -> bool:
@@ -199,7 +204,8 @@ def trimmed(
     """Errors of the nominal robot where the best part of the measurements has it.
 
     They locate the robot once more without the others, which outliers are among, if
-    they leave less than a bound; see `mean_squares` for the scale and `located`.
+    they leave less than a bound, and where that takes no time or it should be thorough;
+    see `mean_squares` for the scale, and `located`.
 
     Returns:
         Errors of that part, rms in standard deviations, and mean squares of all, (N,).
@@ -216,7 +222,7 @@ def trimmed(
         # A board that has lost some of its corners may be located worse.
         if not again or left < size:
             size, squares = left, there
-        if left >= bound:
+        if left >= bound or not (thorough or _in_closed_form(problem)):
             break
         weight = (there <= limit).astype(float)
         problem = replace(problem, data=problem.data.weighted(weight))
@@ -701,7 +707,7 @@ class Case:
 
 def _without_outliers(problem: Problem) -> Observations:
     """Measurements, without weight where the nominal robot fits them far worse."""
-    size = np.sqrt(trimmed(problem)[1])
+    size = np.sqrt(trimmed(problem, thorough=True)[1])
     out = size > FAR * max(float(np.median(size)), 1.0)
     few = out.mean() <= SOME
     return problem.data.weighted(np.where(out & few, 0.0, 1.0))

@@ -93,9 +93,9 @@ ROUND, NEARBY = (45.0, 15.0, 10.0, 5.0, 1.0), 0.6
 """Round angles [deg], and the largest distance from one of them [deg], three times a
 usual error of a robot."""
 
-BACKLASH = 1e-3
-"""Most lost motion that joints have [rad]. Joints that were read as little before they
-arrived err by the side from which they come, as those that lose motion do."""
+BACKLASH = 3e-3
+"""Most lost motion that joints of arms have [rad]. Joints that were read as little
+before they arrived err by the side from which they come, as those that lose motion."""
 
 REST = "measure again at rest: the joints must stand still when they are read"
 
@@ -312,8 +312,10 @@ def _large(case: Case) -> Explanation | None:
     ratio = first.left * float(np.log(before / fit.errors))
     decisive = fit.errors < DECISIVE * before
     # One that goes backwards is reversed, if anything.
-    reversed_gear = motion.of == "gear" and not 1.0 + size > 0.0
-    if not decisive or ratio < unlikely(len(motions.every)) or reversed_gear:
+    backwards = motion.of == "gear" and not 1.0 + size > 0.0
+    # A lag of a whole motion is a shift by a line.
+    whole = motion.of == "lag" and not abs(size) < LARGEST
+    if not decisive or ratio < unlikely(len(motions.every)) or backwards or whole:
         return None
     if motion.of == "zero":
         name = joints[motion.joints[0]]

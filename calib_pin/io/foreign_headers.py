@@ -15,23 +15,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib_pin.errors import InputError
-from calib_pin.io.columns import ANGLE, LENGTH, Column, Floats, split_header
+from calib_pin.io.columns import (
+    ANGLE,
+    LENGTH,
+    UNITS,
+    Column,
+    Floats,
+    split_header,
+    unit_called,
+)
 from calib_pin.io.measured_columns import NAMES, POSITION, optional, reserved
 from calib_pin.io.measured_columns import measured as measured_kinds
 from calib_pin.io.table import Table
 from calib_pin.setup import STATED
-
-UNITS = {
-    "m": ("m", "meter", "meters", "metre", "metres"),
-    "mm": ("mm", "millimeter", "millimeters", "millimetre", "millimetres"),
-    "um": ("um", "µm", "μm", "micrometer", "micron"),
-    "in": ("in", "inch", "inches"),
-    "rad": ("rad", "radian", "radians"),
-    "deg": ("deg", "degree", "degrees", "grad", "°"),
-    "px": ("px", "pixel", "pixels"),
-    "s": ("s", "sec", "second", "seconds"),
-}
-"""Ways of writing units; *Grad* is German for degrees. Others of angles have one."""
 
 GAUGES = {
     "deviation": "deviation|abweichung",
@@ -55,7 +51,7 @@ MEANINGS: Mapping[str, str] = {
     **{axis: rf"(?:pixel|px|p)?{axis}" for axis in "uv"},
     "target": "target|point|punkt|ziel|socket|pfanne|marker|corner|ecke|feature|ball|"
     "kugel",
-    "station": "station|standpunkt|setup",
+    "station": "station|standpunkt|setup|instrument|tracker",
     "tool": "tool|werkzeug",
     "chain": "chain|arm|kette|limb|side",
     "payload": "payload|nutzlast",
@@ -199,11 +195,11 @@ def _with_axes(columns: Sequence[Foreign]) -> list[Foreign]:
 
 def _split(name: str, column: Column) -> Foreign:
     """A column, with the unit in any brackets or at the end of its name."""
-    words, stated = split_header(column.header)[0], _unit(column.unit or "")
+    words, stated = split_header(column.header)[0], unit_called(column.unit or "")
     endings = (r"\(([^()]*)\)$", r"[ _/](?:in )?([^\W\d_]+|°)$")
     for ending in endings if stated is None else ():
         found = re.search(ending, words)
-        if found and (stated := _unit(found[1])) is not None:
+        if found and (stated := unit_called(found[1])) is not None:
             words = words[: found.start()]
             break
     return Foreign(name, _spaced(words).strip(" _-/"), stated, column)
@@ -212,13 +208,6 @@ def _split(name: str, column: Column) -> Foreign:
 def _spaced(text: str) -> str:
     """Words that capitals tell apart with spaces between them, in lower case."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower()
-
-
-def _unit(text: str) -> str | None:
-    text = text.strip().lower()
-    if text in ANGLE.units:
-        return text
-    return next((unit for unit, ways in UNITS.items() if text in ways), None)
 
 
 def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:

@@ -76,11 +76,11 @@ UNITS = {
     "um": ("um", "µm", "μm", "micrometer", "micron"),
     "in": ("in", "inch", "inches"),
     "rad": ("rad", "radian", "radians"),
-    "deg": ("deg", "degree", "degrees", "grad", "°"),
+    "deg": ("deg", "degree", "degrees", "°"),
     "px": ("px", "pixel", "pixels"),
     "s": ("s", "sec", "second", "seconds"),
 }
-"""Ways of writing units; *Grad* is German for degrees. Others of angles have one."""
+"""Ways of writing units. Others of angles have one."""
 
 
 def unit_called(text: str) -> str | None:
@@ -243,12 +243,16 @@ def closest(name: str, candidates: Collection[str]) -> str:
 def split_header(cell: str) -> tuple[str, str | None]:
     """Split a header cell into name and unit; None where no unit is stated.
 
+    Units are spelled as calib-pin does, where it has them.
+
     Examples:
-        >>> split_header("x [mm]"), split_header("q[0] [deg]"), split_header("q[0]")
+        >>> split_header("x [mm]"), split_header("q[0] [°]"), split_header("q[0]")
         (('x', 'mm'), ('q[0]', 'deg'), ('q[0]', None))
     """
     text = cell.strip()
     name, mark, unit = text.removesuffix("]").rpartition("[")
     # A number in brackets counts the elements of a list.
     stated = mark and text.endswith("]") and "]" not in unit and not unit.isdecimal()
-    return (name.rstrip(), unit.strip() or None) if stated else (text, None)
+    if not stated:
+        return text, None
+    return name.rstrip(), unit_called(unit) or unit.strip() or None

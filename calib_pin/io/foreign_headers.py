@@ -195,11 +195,11 @@ def _with_axes(columns: Sequence[Foreign]) -> list[Foreign]:
 
 def _split(name: str, column: Column) -> Foreign:
     """A column, with the unit in any brackets or at the end of its name."""
-    words, stated = split_header(column.header)[0], unit_called(column.unit or "")
+    words, stated = split_header(column.header)[0], _unit(column.unit or "")
     endings = (r"\(([^()]*)\)$", r"[ _/](?:in )?([^\W\d_]+|°)$")
     for ending in endings if stated is None else ():
         found = re.search(ending, words)
-        if found and (stated := unit_called(found[1])) is not None:
+        if found and (stated := _unit(found[1])) is not None:
             words = words[: found.start()]
             break
     return Foreign(name, _spaced(words).strip(" _-/"), stated, column)
@@ -208,6 +208,11 @@ def _split(name: str, column: Column) -> Foreign:
 def _spaced(text: str) -> str:
     """Words that capitals tell apart with spaces between them, in lower case."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower()
+
+
+def _unit(text: str) -> str | None:
+    """The unit that is meant: *Grad* is German for degrees, elsewhere gon is meant."""
+    return "deg" if text.strip().lower() == "grad" else unit_called(text)
 
 
 def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:

@@ -79,6 +79,7 @@ UNITS = {
     "deg": ("deg", "degree", "degrees", "°"),
     "px": ("px", "pixel", "pixels"),
     "s": ("s", "sec", "second", "seconds"),
+    "degC": ("degc", "°c", "celsius"),
 }
 """Ways of writing units. Others of angles have one."""
 

@@ -28,6 +28,7 @@ from calib_pin.estimation.problem import distinct_values
 from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
+from calib_pin.io.measurement_errors import SETS
 from calib_pin.io.measurements import read_measurements
 from calib_pin.io.setup import setup_document, yaml_text
 from calib_pin.io.table import read_table
@@ -200,7 +201,7 @@ def first_look(
         tries = [looked(way, robot, files, apart) for way in ways]
         better = best(tries)
         # Joints are exchanged where that fits, not where nothing does.
-        if found is None or better.fits or found.share == inf:
+        if found is None or better.fits or better.share < found.share == inf:
             looks, found = tries, better
         if found.fits:
             break
@@ -208,6 +209,8 @@ def first_look(
     question, models = "of which kind is the distance", _answers("model", looks, found)
     if found.setup.model in TOUCHES:
         question = "did the tool rest in sockets or touch planes or spheres"
+        if not headers.measured(columns).keys() & measured_columns.optional():
+            question = f"no measured values are found: {question}"
         models = [] if found.share < AT_REST or setup.model else [*TOUCHES]
     # What cannot be read as any distance is not asked about.
     asked = TOUCHES if found.fault is not None else (*TOUCHES, *DISTANCES)
@@ -435,6 +438,8 @@ def readings(own: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[Lo
         for ours, (one, *_) in headers.measured(rest).items()
         if ours not in others or ours in gauges
         if ours != "time" or (one.column.numeric and one.largest < DATE)
+        # Other words divide a file in other ways.
+        if ours != "set" or one.name == "set" or {*one.column.words} <= {*SETS}
     }
     setups = [setup]
     if (camera := setup.camera) is not None:
@@ -546,7 +551,9 @@ def best(looks: Sequence[Look]) -> Look:
         raise InputError(reason)
     turned = [k for k in seen if k.errors.get("orientation", 0.0) <= DROPPED] or seen
     least = min((look.share for look in turned), default=inf)
-    chosen = next((k for k in turned if CLEAR * k.share <= least), looks[0])
+    # Where none is read, the one with the most small units fails for no unit.
+    read = (k for k in turned if CLEAR * k.share <= least)
+    chosen = next(read, max(looks, key=lambda look: len(look.units)))
     off = [k.errors["orientation"] for k in seen if "orientation" in k.errors]
     remarks = [*chosen.remarks]
     if off and chosen.fits and "orientation" not in chosen.errors:

@@ -318,6 +318,20 @@ def test_cells_that_are_no_numbers_are_shown(measured, fails):
     assert read_setup("setup.yaml").model == "position"
 
 
+def test_faults_of_a_file_are_told_and_not_those_of_a_unit(measured, fails, run):
+    """Where no reading can be used; other words of a set are none of ours."""
+    rows = measured * [*[180.0 / np.pi] * 6, *[1e3] * 3]
+    for count in (1, 4):
+        foreign(["J1", "J2", "J3", "J4", "J5", "J6", *"XYZ"], rows[:count])
+        fails(INIT, "too few")
+    cells = [[f"{k:.6f}" for k in row] for row in rows.tolist()]
+    write("foreign.csv", "J1,J2,J3,J4,J5,J6,Hz,V,D", cells)
+    fails(INIT, "no measured values are found")
+    cells = [[*row, ("new", "old")[k % 2]] for k, row in enumerate(cells)]
+    write("foreign.csv", "J1,J2,J3,J4,J5,J6,X,Y,Z,Set", cells)
+    assert "columns ignored: Set" in run(INIT).err
+
+
 def test_joints_are_exchanged_only_where_that_fits(measured, run):
     """Of a frame that is left-handed nothing fits, and columns keep their order."""
     names = [f"J{k}" for k in range(1, 7)]

@@ -299,12 +299,10 @@ def _joints(
     if not found:
         reason = "joint positions are needed (the controller's pose hides the branch), "
         reason += "and no columns are found for them; state 'columns' in a setup file"
-        called = (
-            k for k in columns if headers.NUMBERED.match(k.words) or k.name in every
-        )
-        for one in (one for one in called if not one.column.numeric):
-            reason += f"; '{one.name}' has no numbers, but '{one.column.text(0)}'"
-            break
+        numbered = [one for one in columns if headers.NUMBERED.match(one.words)]
+        if texts := [one for one in numbered if not one.column.numeric]:
+            cell = texts[0].column.text(0)
+            reason += f"; '{texts[0].name}' has no numbers, but '{cell}'"
         raise InputError(f"{reason} (joints: {enumerated(every)})")
     yield found
     # Joints at the end of a chain that stand still may be in units of their own, such

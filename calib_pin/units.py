@@ -19,7 +19,10 @@ DISPLAY = {
 
 _STEPS = re.compile(r"steps/(\d+\.?\d*)(?:@([-+]?\d+\.?\d*))?", re.ASCII)
 
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+MINUS = "\u2212"
+"""The minus of typesetting, which spreadsheets of some countries write."""
+
+_NUMBER = re.compile(rf"[-+{MINUS}]?(\d+\.?\d*|\.\d+)([eE][-+{MINUS}]?\d+)?", re.ASCII)
 _NOT_FINITE = re.compile(r"[-+]?\.?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
 
@@ -33,7 +36,7 @@ def as_number(text: str) -> float | None:
             point of YAML, are numbers that are not finite.
     """
     if _NUMBER.fullmatch(text):
-        return float(text)
+        return float(text.replace(MINUS, "-"))
     return float(text.replace(".", "")) if _NOT_FINITE.fullmatch(text) else None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
-from itertools import product
+from itertools import compress, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +35,9 @@ exists = os.path.exists  # False also where that cannot be determined.
 
 FLAGS = ("base", "tip", "model", "parameters", "solver", "loss", "learned")
 """Settings that flags may state in place of a setup file."""
+
+MANY_TURNS = 60.0
+"""Range from which the limits of a joint look like degrees, ten turns [rad]."""
 
 
 def open_setup(file: Path | None, **flags: Any) -> Setup:
@@ -128,7 +131,14 @@ def open_chains(
 
 
 def tell_limits(chains: Chains) -> None:
-    """Remark on joints whose range is only assumed."""
+    """Remark on joints whose range is only assumed, or many turns."""
+    far = (chains.upper - chains.lower > MANY_TURNS) & chains.revolute
+    if far.any():
+        joints = enumerated(compress(chains.joints, far))
+        notice(
+            f"{chains.robot.file}: limits of {joints} are many turns; a URDF states "
+            "them in rad, not in degrees"
+        )
     if chains.unlimited:
         notice(
             f"{chains.robot.file}: limits missing, inverted or endless: "

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import nearest
 from calib_pin.observations.labels import Labels
 from calib_pin.setup.values import LARGEST_ANGLE, LARGEST_LENGTH
-from calib_pin.units import steps_of
+from calib_pin.units import MINUS, steps_of
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +51,8 @@ class _Angles(dict[str, float]):
         return 2.0 * np.pi / steps[0]
 
 
-LENGTH = Kind("m", {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254}, LARGEST_LENGTH)
+_LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "cm": 0.01}
+LENGTH = Kind("m", _LENGTHS, LARGEST_LENGTH)
 STEPS = "steps/4096"
 """The usual steps of a servo."""
 
@@ -66,6 +67,29 @@ PURE = Kind("", {}, np.inf)
 
 KINDS: Mapping[str, Kind] = {kind.si: kind for kind in (LENGTH, ANGLE, PIXEL)}
 """How numbers of a unit may be written."""
+
+
+UNITS = {
+    "m": ("m", "meter", "meters", "metre", "metres"),
+    "mm": ("mm", "millimeter", "millimeters", "millimetre", "millimetres"),
+    "cm": ("cm", "centimeter", "centimeters", "centimetre", "centimetres"),
+    "um": ("um", "µm", "μm", "micrometer", "micron"),
+    "in": ("in", "inch", "inches"),
+    "rad": ("rad", "radian", "radians"),
+    "deg": ("deg", "degree", "degrees", "°"),
+    "px": ("px", "pixel", "pixels"),
+    "s": ("s", "sec", "second", "seconds"),
+    "degC": ("degc", "°c", "celsius"),
+}
+"""Ways of writing units. Others of angles have one."""
+
+
+def unit_called(text: str) -> str | None:
+    """The unit of ours that is written so; None for other texts."""
+    text = text.strip().lower()
+    if text in ANGLE.units:
+        return text
+    return next((unit for unit, ways in UNITS.items() if text in ways), None)
 
 
 def kind_of_unit(unit: str | None) -> Kind:
@@ -100,10 +124,12 @@ MISSING = frozenset(
 )
 """Texts of cells that have no reading, in any case."""
 
-THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d*)?")
+THOUSANDS = re.compile(
+    rf"[-+{MINUS}]?\d{{1,3}}(?:([.,'\u2019_\s])\d{{3}})(?:\1\d{{3}})*(?:[.,]\d*)?"
+)
 """Numbers that may have signs between thousands."""
 
-COMMA = re.compile(r"\s*[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?\s*")
+COMMA = re.compile(rf"\s*[-+{MINUS}]?(\d+,\d*|,\d+)([eE][-+{MINUS}]?\d+)?\s*")
 """Numbers with a decimal comma."""
 
 
@@ -218,12 +244,16 @@ def closest(name: str, candidates: Collection[str]) -> str:
 def split_header(cell: str) -> tuple[str, str | None]:
     """Split a header cell into name and unit; None where no unit is stated.
 
+    Units are spelled as calib-pin does, where it has them.
+
     Examples:
-        >>> split_header("x [mm]"), split_header("q[0] [deg]"), split_header("q[0]")
+        >>> split_header("x [mm]"), split_header("q[0] [°]"), split_header("q[0]")
         (('x', 'mm'), ('q[0]', 'deg'), ('q[0]', None))
     """
     text = cell.strip()
     name, mark, unit = text.removesuffix("]").rpartition("[")
     # A number in brackets counts the elements of a list.
     stated = mark and text.endswith("]") and "]" not in unit and not unit.isdecimal()
-    return (name.rstrip(), unit.strip() or None) if stated else (text, None)
+    if not stated:
+        return text, None
+    return name.rstrip(), unit_called(unit) or unit.strip() or None

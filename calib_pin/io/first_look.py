@@ -28,6 +28,7 @@ from calib_pin.estimation.problem import distinct_values
 from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
+from calib_pin.io.measurement_errors import SETS
 from calib_pin.io.measurements import read_measurements
 from calib_pin.io.setup import setup_document, yaml_text
 from calib_pin.io.table import read_table
@@ -199,7 +200,8 @@ def first_look(
         ways = (way for own in joints for way in readings(own, robot, columns))
         tries = [looked(way, robot, files, apart) for way in ways]
         better = best(tries)
-        if found is None or better.share < found.share:
+        # Joints are exchanged where that fits, not where nothing does.
+        if found is None or better.fits or better.share < found.share == inf:
             looks, found = tries, better
         if found.fits:
             break
@@ -207,6 +209,8 @@ def first_look(
     question, models = "of which kind is the distance", _answers("model", looks, found)
     if found.setup.model in TOUCHES:
         question = "did the tool rest in sockets or touch planes or spheres"
+        if not headers.measured(columns).keys() & measured_columns.optional():
+            question = f"no measured values are found: {question}"
         models = [] if found.share < AT_REST or setup.model else [*TOUCHES]
     # What cannot be read as any distance is not asked about.
     asked = TOUCHES if found.fault is not None else (*TOUCHES, *DISTANCES)
@@ -250,7 +254,9 @@ def _with_camera(setup: Setup, columns: Sequence[Foreign]) -> Setup:
         OptionError: If nothing says which board it saw.
     """
     found = headers.measured(columns)
-    if not {"u", "v"} <= found.keys() or setup.model not in (None, "camera"):
+    # Of u, v and w others write the orientation.
+    pixels = {"u", "v"} <= found.keys() and all(one.words != "w" for one in columns)
+    if not pixels or setup.model not in (None, "camera"):
         return setup
     if setup.board is None:
         reason = "the points that the camera saw must be known: state --board, or "
@@ -293,6 +299,10 @@ def _joints(
     if not found:
         reason = "joint positions are needed (the controller's pose hides the branch), "
         reason += "and no columns are found for them; state 'columns' in a setup file"
+        numbered = [one for one in columns if headers.NUMBERED.match(one.words)]
+        if texts := [one for one in numbered if not one.column.numeric]:
+            cell = texts[0].column.text(0)
+            reason += f"; '{texts[0].name}' has no numbers, but '{cell}'"
         raise InputError(f"{reason} (joints: {enumerated(every)})")
     yield found
     # Joints at the end of a chain that stand still may be in units of their own, such
@@ -425,7 +435,9 @@ def readings(own: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[Lo
         ours: one
         for ours, (one, *_) in headers.measured(rest).items()
         if ours not in others or ours in gauges
-        if ours != "time" or one.largest < DATE
+        if ours != "time" or (one.column.numeric and one.largest < DATE)
+        # Other words divide a file in other ways.
+        if ours != "set" or one.name == "set" or {*one.column.words} <= {*SETS}
     }
     setups = [setup]
     if (camera := setup.camera) is not None:
@@ -465,10 +477,13 @@ def _units(
     far = {j: "deg" for j, one in turning.items() if one.moves and one.largest > TURNED}
     slides = dict.fromkeys(free.keys() - turning.keys(), "mm")
     kinds = {f"{p}{n}": k for n, k in measured().items() for p in ("", "sigma_")}
-    lengths = [n for n, one in way.items() if one.unit is None and n in kinds]
-    lengths = [name for name in lengths if kinds[name].si == LENGTH.si]
+    plain = [n for n, one in way.items() if one.unit is None and n in kinds]
+    angles = {name: way[name] for name in plain if kinds[name].si == ANGLE.si}
+    lengths = [name for name in plain if kinds[name].si == LENGTH.si]
+    degrees = any(one.largest > TURNED for one in angles.values())
+    oriented = dict.fromkeys(angles if degrees else (), "deg")
     turned = [every] if steps else [every, far] if far else [far, every]
-    metric = [{}, dict.fromkeys(lengths, "mm")]
+    metric = [oriented, oriented | dict.fromkeys(lengths, "mm")]
     found = [{**a, **b, **c} for a, b, c in product(turned, [{}, slides], metric)]
     return [one for k, one in enumerate(found) if one not in found[:k]]
 
@@ -534,8 +549,18 @@ def best(looks: Sequence[Look]) -> Look:
         raise InputError(reason)
     turned = [k for k in seen if k.errors.get("orientation", 0.0) <= DROPPED] or seen
     least = min((look.share for look in turned), default=inf)
-    chosen = (look for look in turned if CLEAR * look.share <= least)
-    return replace(next(chosen, looks[0]), computed=sorted(computed))
+    # Where none is read, the one with the most small units fails for no unit.
+    read = (k for k in turned if CLEAR * k.share <= least)
+    chosen = next(read, max(looks, key=lambda look: len(look.units)))
+    off = [k.errors["orientation"] for k in seen if "orientation" in k.errors]
+    remarks = [*chosen.remarks]
+    if off and chosen.fits and "orientation" not in chosen.errors:
+        size = shown(min(off), "rad")
+        remarks.append(
+            f"the orientation is not used: it fits the robot to {size} only, as one of "
+            "another convention or order of columns"
+        )
+    return replace(chosen, remarks=remarks, computed=sorted(computed))
 
 
 def draft(robot: Robot, look: Look, command: str) -> str:

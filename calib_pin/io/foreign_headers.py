@@ -15,23 +15,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib_pin.errors import InputError
-from calib_pin.io.columns import ANGLE, LENGTH, Column, Floats, split_header
+from calib_pin.io.columns import (
+    ANGLE,
+    LENGTH,
+    UNITS,
+    Column,
+    Floats,
+    split_header,
+    unit_called,
+)
 from calib_pin.io.measured_columns import NAMES, POSITION, optional, reserved
 from calib_pin.io.measured_columns import measured as measured_kinds
 from calib_pin.io.table import Table
 from calib_pin.setup import STATED
-
-UNITS = {
-    "m": ("m", "meter", "meters", "metre", "metres"),
-    "mm": ("mm", "millimeter", "millimeters", "millimetre", "millimetres"),
-    "um": ("um", "µm", "μm", "micrometer", "micron"),
-    "in": ("in", "inch", "inches"),
-    "rad": ("rad", "radian", "radians"),
-    "deg": ("deg", "degree", "degrees", "grad", "°"),
-    "px": ("px", "pixel", "pixels"),
-    "s": ("s", "sec", "second", "seconds"),
-}
-"""Ways of writing units; *Grad* is German for degrees. Others of angles have one."""
 
 GAUGES = {
     "deviation": "deviation|abweichung",
@@ -55,7 +51,7 @@ MEANINGS: Mapping[str, str] = {
     **{axis: rf"(?:pixel|px|p)?{axis}" for axis in "uv"},
     "target": "target|point|punkt|ziel|socket|pfanne|marker|corner|ecke|feature|ball|"
     "kugel",
-    "station": "station|standpunkt|setup",
+    "station": "station|standpunkt|setup|instrument|tracker",
     "tool": "tool|werkzeug",
     "chain": "chain|arm|kette|limb|side",
     "payload": "payload|nutzlast",
@@ -215,10 +211,8 @@ def _spaced(text: str) -> str:
 
 
 def _unit(text: str) -> str | None:
-    text = text.strip().lower()
-    if text in ANGLE.units:
-        return text
-    return next((unit for unit, ways in UNITS.items() if text in ways), None)
+    """The unit that is meant: *Grad* is German for degrees, elsewhere gon is meant."""
+    return "deg" if text.strip().lower() == "grad" else unit_called(text)
 
 
 def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:

@@ -39,13 +39,14 @@ from calib_pin.io.columns import (
     counted,
     kind_of_unit,
     split_header,
+    unit_called,
 )
 from calib_pin.io.dialects import Heading, heading, reading, side_by_side
 from calib_pin.io.dialects.base import cells_of
 from calib_pin.io.files import read_bytes
 from calib_pin.observations import Booleans, Indices, Labels
 from calib_pin.progress import Progress
-from calib_pin.units import as_number, steps_of
+from calib_pin.units import MINUS, as_number, steps_of
 
 Notice = Callable[[str], None]
 """Called with sentences about a file."""
@@ -655,10 +656,25 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     longest = max(above, key=lambda one: len(one[1]), default=(0, []))
     number, names = next(own, longest)
     if 2 * len(names) >= width:
+        below = next((one for one in above if one[0] > number), (number, []))
+        if units := _units(below[1]):
+            number, names = below[0], [*map(_with_unit, names, units)]
         return Heading(mark, names, number, "")
     reason = "the first row holds numbers, a header with the names of the columns is "
     allowed = f"{width} names above it, such as {mark.join(_names(width))}"
     raise InputError(reason + "missing", file=file, line=top, allowed=allowed)
+
+
+def _units(cells: Sequence[str]) -> list[str | None]:
+    """The units in a line that holds nothing else, as some write below the header."""
+    texts = [cell.strip(" []()") for cell in cells]
+    units = [*map(unit_called, texts)]
+    others = [text for text, unit in zip(texts, units, strict=True) if unit is None]
+    return units if any(units) and not any(others) else []
+
+
+def _with_unit(name: str, unit: str | None) -> str:
+    return name if unit is None or split_header(name)[1] else f"{name} [{unit}]"
 
 
 def _is_comment(line: str) -> bool:
@@ -680,7 +696,7 @@ def _separator(lines: Sequence[str]) -> str:
 def _is_row(cells: Sequence[str], separator: str) -> bool:
     """Whether a line is one of numbers; columns may be called 1, 2, 3 but not 0.25."""
     mark = r"\." if separator == "," else "[.,]"
-    number = re.compile(rf"[+-]?\d*{mark}\d+([eE][+-]?\d+)?", re.ASCII)
+    number = re.compile(rf"[-+{MINUS}]?\d*{mark}\d+([eE][+-]?\d+)?", re.ASCII)
     return any(number.fullmatch(cell.strip()) for cell in cells)
 
 

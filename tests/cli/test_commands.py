@@ -443,6 +443,16 @@ def test_a_model_ladder(here, run, monkeypatch):
 # --- identify ----------------------------------------------------------------------
 
 
+def test_limits_in_degrees_are_told(here, run):
+    text = (here / "arm.urdf").read_text()
+    (here / "far.urdf").write_text(
+        text.replace('"-2.5" upper="2.5"', '"-145" upper="145"')
+    )
+    told = run("identify far.urdf --model pose").err
+    assert "limits of joint1" in told and "are many turns" in told
+    assert "many turns" not in run("identify arm.urdf --model pose").err
+
+
 def test_structure_as_json(here, run):
     result = run("identify arm.urdf --model pose --json")
     found = json.loads(result.out)

@@ -196,8 +196,8 @@ REFUSED: Mapping[str, tuple[Callable[[Job], str], Sequence[str]]] = {
         ("computed from the joints by the controller",),
     ),
     "an unknown unit": (
-        lambda job: text({OWN: job.q, "x[cm] y[cm] z[cm]": 1e2 * job.points}),
-        ("rows.csv: ", "'cm'", "column 'x'", "mm"),
+        lambda job: text({OWN: job.q, "x[ft] y[ft] z[ft]": 1e2 * job.points}),
+        ("rows.csv: ", "'ft'", "column 'x'", "mm"),
     ),
     "no header": (
         lambda job: text({OWN: job.q, XYZ: job.points}).partition("\n")[2],

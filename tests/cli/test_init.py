@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib_pin
 from calib_pin.cli import init as module
@@ -287,6 +288,57 @@ def test_what_fits_no_robot_is_said(run):
         result = run("init space6 foreign.csv")
         assert result.status == 0 and "NO fit" in " ".join(result.out.split())
         assert result.err.startswith("calib-pin: note: ")
+
+
+def test_orientations_in_degrees_and_of_other_conventions(run):
+    """Those of the URDF are read, others are said not to be used."""
+    chain = calib_pin.load_chain("space6")
+    q = chain.random_configurations(40, np.random.default_rng(0))
+    poses = chain.poses(q)
+    names = [*JOINTS, "X", "Y", "Z", "Roll", "Pitch", "Yaw"]
+    for order, used in (("xyz", True), ("zyz", False)):
+        turns = Rotation.from_matrix(poses[:, :3, :3]).as_euler(order, degrees=True)
+        points = 1e3 * poses[:, :3, 3] + np.sin(np.arange(120.0)).reshape(40, 3)
+        foreign(names, np.hstack([np.degrees(q), points, turns]))
+        result = run(f"{INIT} --force")
+        setup = read_setup("setup.yaml")
+        assert setup.model == ("pose" if used else "position")
+        assert setup.columns.get("roll") == ("Roll [deg]" if used else None)
+        assert ("the orientation is not used" in result.err) == (not used)
+
+
+def test_cells_that_are_no_numbers_are_shown(measured, fails):
+    """And u, v, w beside a position are no pixels."""
+    cells = [[f"{value:.3f}" for value in row] for row in measured.tolist()]
+    marked = [[f"{cell} deg" for cell in row[:6]] + row[6:] for row in cells]
+    write("foreign.csv", "J1,J2,J3,J4,J5,J6,x,y,z", marked)
+    fails(INIT, f"'J1' has no numbers, but '{marked[0][0]}'")
+    foreign([*JOINTS, *"xyzUVW"], measured[:, [*range(9), 0, 1, 2]])
+    assert main(INIT.split()) == 0
+    assert read_setup("setup.yaml").model == "position"
+
+
+def test_faults_of_a_file_are_told_and_not_those_of_a_unit(measured, fails, run):
+    """Where no reading can be used; other words of a set are none of ours."""
+    rows = measured * [*[180.0 / np.pi] * 6, *[1e3] * 3]
+    for count in (1, 4):
+        foreign(["J1", "J2", "J3", "J4", "J5", "J6", *"XYZ"], rows[:count])
+        fails(INIT, "too few")
+    cells = [[f"{k:.6f}" for k in row] for row in rows.tolist()]
+    write("foreign.csv", "J1,J2,J3,J4,J5,J6,Hz,V,D", cells)
+    fails(INIT, "no measured values are found")
+    cells = [[*row, ("new", "old")[k % 2]] for k, row in enumerate(cells)]
+    write("foreign.csv", "J1,J2,J3,J4,J5,J6,X,Y,Z,Set", cells)
+    assert "columns ignored: Set" in run(INIT).err
+
+
+def test_joints_are_exchanged_only_where_that_fits(measured, run):
+    """Of a frame that is left-handed nothing fits, and columns keep their order."""
+    names = [f"J{k}" for k in range(1, 7)]
+    foreign([*names, *"xyz"], measured * [*[1.0] * 8, -1.0])
+    assert "NO fit" in " ".join(run(INIT).out.split())
+    columns = read_setup("setup.yaml").columns
+    assert [columns[joint] for joint in JOINTS] == names
 
 
 def test_the_draft_of_a_reversed_joint_leads_to_its_name(measured, run):

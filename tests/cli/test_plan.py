@@ -438,7 +438,7 @@ def test_several_words_and_none(chain: Chain) -> None:
     assert parse_limits(["a=0:1", "a=0:2"], chain) == {"a": (0.0, 2.0)}
 
 
-MALFORMED = "|elbow|elbow=|=0:1|elbow=1|elbow=0:1:2|elbow=a:b|0:1|elbow=0:1 [cm]"
+MALFORMED = "|elbow|elbow=|=0:1|elbow=1|elbow=0:1:2|elbow=a:b|0:1|elbow=0:1 [ft]"
 MALFORMED += "|elbow=0:1 [deg|elbow=:|elbow=0:|elbow:0=1"
 ABSURD = "elbow=1:-1|elbow=nan:1|elbow=0:nan|elbow=-inf:inf|elbow=0:1e9|elbow=-120:120"
 

@@ -33,6 +33,7 @@ def columns(header: str) -> tuple[headers.Foreign, ...]:
         ("sigma_x,vel_y,x_std", {}),
         ("Messuhr (um)", {"dial": "Messuhr (um) [um]"}),
         ("Abstand [mm],Zeit", {"distance": "Abstand", "time": "Zeit"}),
+        ("Seil (cm)", {"distance": "Seil (cm) [cm]"}),
         ("x,y", {"x": "x", "y": "y"}),
         ("u,x", {}),
     ],

@@ -160,7 +160,13 @@ def test_wrong_columns_are_told(table, refused, columns, names):
         ("a;b\n1.000;2,5\n2.500;1,5\n", 2, "a"),
         *(
             (f"a\tb\n1\t{cell}\n", 2, "b")
-            for cell in ("2.168,00", '"2,168.00"', "2'168.00", '"1,145,240"')
+            for cell in (
+                "2.168,00",
+                '"2,168.00"',
+                "2'168.00",
+                '"1,145,240"',
+                "2\u202f168",
+            )
         ),
     ],
 )
@@ -211,19 +217,21 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
         # Below lines about the recording.
         ("Robot: R1\nDate;2026\n\na;b;c\n1;0,5;2\n", "a b c", 4, None),
         ("Take,1\na,b,c\n1,0.5,2\n", "a b c", 2, None),
+        # Units below the names, and the minus of typesetting.
+        ("a;b;c\n;\u00b0;[mm]\n1;0,5;2\n", "a b~[deg] c~[mm]", 2, None),
+        ("a,b\nm,s\n\u22121.5,2\n", "a~[m] b~[s]", 2, [("\u22121.5", "2")]),
         # Blank cells behind the last column.
         ("a,b\n1.5,2,\n3.5,4, ,\n", "a b", 1, [("1.5", "2"), ("3.5", "4")]),
         # Numbers may name columns, and texts alone are rows, too.
         ("1,2\n0.5,0.25\n", "1 2", 1, [("0.5", "0.25")]),
         ("robot,file\nr1,a.csv\n", "robot file", 1, [("r1", "a.csv")]),
-        ("a b\n0.5\n", "a b", 1, [("0.5",)]),
+        ("a b\n0.5\n", "a~b", 1, [("0.5",)]),
     ],
 )
 def test_headers(text, header, line, rows):
     found = read_cells(text.encode(), "a.csv")
-    assert list(found.heading.names) == (
-        header.split() if "," in text + ";" else [header]
-    )
+    names = [name.replace("~", " ") for name in header.split()]
+    assert list(found.heading.names) == names
     assert found.heading.line == line
     assert not found.remarks
     assert rows is None or rows_of(found) == rows

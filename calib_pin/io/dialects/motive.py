@@ -59,12 +59,9 @@ class Motive(base.Dialect):
 
 
 def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:
-    """Centimeters as millimeters, Euler angles as quaternions."""
+    """Euler angles as quaternions."""
     from scipy.spatial.transform import Rotation
 
-    for axis in {*"xyz"} & columns.keys():
-        if columns[axis].unit == "cm":
-            columns[axis] = base.computed(axis, 10.0 * columns[axis].numbers, "mm")
     if "turn x" in columns and sorted(order) == [*"xyz"]:
         angles = np.column_stack([columns.pop(f"turn {a}").numbers for a in order])
         # Capitals stand for turned axes.

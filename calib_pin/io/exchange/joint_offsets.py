@@ -176,7 +176,8 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
     and all else in it, stay as they are.
 
     Raises:
-        InputError: If that is no XML, or has a transmission of another kind.
+        InputError: If that is no XML, is of another robot, or has a transmission of
+            another kind.
     """
     found = exported.joint_errors({}, gains=True)
     both = zip(found.gains.tolist(), found.offsets.tolist(), strict=True)
@@ -186,6 +187,9 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
         source, about = read_bytes(template, TEXT), str(template)
     document = parse_document(source, about)
     root, joints = document.root, {*errors}
+    theirs = {joint.get("name", "") for joint in root.findall("joint")}
+    reason, allowed = "is of another robot", f"one with the joints {enumerated(errors)}"
+    base.require(not theirs or bool(theirs & joints), reason, template, None, allowed)
     for element in root.findall(".//transmission"):
         moved = {joint.get("name", "") for joint in element.iter("joint")}
         if not moved or moved & joints:

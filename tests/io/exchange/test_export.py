@@ -202,6 +202,9 @@ def test_other_transmissions_are_refused(
     template.write_text(TRANSMISSION.format(**about))
     with refused(InputError, reason="transmission 't'", file=str(template)):
         FORMATS["ros2-control"].encode(offsets, template)
+    template.write_text('<robot name="b"><joint name="b_1" type="fixed"/></robot>')
+    with refused(InputError, reason="another robot"):
+        FORMATS["ros2-control"].encode(offsets, template)
 
 
 def test_without_a_gain_it_is_the_nominal_robot(exported):

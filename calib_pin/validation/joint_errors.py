@@ -15,6 +15,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import owner
 from calib_pin.parameters import by_joint
 from calib_pin.setup import JointMap, Setup
+from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedChain
 from calib_pin.validation.result import CalibrationResult
 
@@ -164,12 +165,14 @@ def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
 
 def told_reversed(columns: JointColumns) -> dict[str, str]:
     """A sentence by joint that turns back as its column goes on."""
-    return {
-        joint: f"{joint} is reversed: q = -{f'{-factor:g} '.removeprefix('1 ')}"
-        "(reading + offset)"
-        for joint, (_, given) in columns.maps.items()
-        if (factor := given.sign * given.gear) < 0.0
-    }
+    found = {}
+    for joint, (column, given) in columns.maps.items():
+        if (factor := given.sign * given.gear) < 0.0:
+            unit, display = DISPLAY["rad" if columns.angular[column] else "m"]
+            times = "" if factor == -1.0 else f"{-factor:g} "
+            zero = f" {display * given.offset:+.6g} {unit}" if given.offset else ""
+            found[joint] = f"{joint} is reversed: q = -{times}(reading + offset){zero}"
+    return found
 
 
 def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:

@@ -90,7 +90,10 @@ def offsets(calibrated_robot: Callable[..., CalibrationResult]) -> Exported:
         parameters=("joint-offset",),
         base_frame=FrameSetup(estimate=False),
         tool_frame=FrameSetup(estimate=False),
-        joints={f"m{k}": JointMap(n, sign=-1) for k, n in enumerate(JOINTS)},
+        joints={
+            f"m{k}": JointMap(n, -1, offset=0.5 * np.pi * (k == 1))
+            for k, n in enumerate(JOINTS)
+        },
     )
     chain = calib_pin.load_chain("example:so101", tip="gripper_frame_link")
     return of(calibrated_robot("pose", setup, 40, robot=chain, noise=1e-6))
@@ -103,8 +106,9 @@ def test_reversed_joints_are_told_by_every_export(offsets, tmp_path):
     assert [row["sign"] for row in csv.DictReader(lines)] == ["-1"] * 5
     told = format_report(offsets.result)
     for joint in JOINTS:
-        assert f"# {joint} is reversed: q = -(reading + offset)" in text
-        assert f"{joint} is reversed: q = -(reading + offset)." in told
+        zero = " +90 deg" * (joint == JOINTS[1])
+        assert f"# {joint} is reversed: q = -(reading + offset){zero}\n" in text
+        assert f"{joint} is reversed: q = -(reading + offset){zero}." in told
     # Last, where people look for what is to be typed in.
     assert told.index("Joint offsets") > told.index("Identifiability")
     (tmp_path / "own.json").write_text(motors())

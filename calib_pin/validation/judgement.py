@@ -337,12 +337,11 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
 
 
 def _if_noise(grounds: Judgement, promised: float) -> str:
-    """The condition of a promise, where far more is left and nobody knows the noise."""
+    """The condition of a promise, where more is left and nobody knows the noise."""
     quantity = grounds.errors[0]
     left = quantity.shown[1].rms
     unknown = quantity.unit == "m" and _noise(grounds, quantity) is None
-    much = max(NOISY * promised, DOUBTFUL * expected_size("m"))
-    if not (unknown and left > much):
+    if not (unknown and left > max(promised, DOUBTFUL * expected_size("m"))):
         return ""
     size = shown(left, "m", 3)
     return f" if the {size} that are left are noise; state it, or repeat measurements"

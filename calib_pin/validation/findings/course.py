@@ -104,6 +104,9 @@ if it leaves half of them at most."""
 WAVES = range(2, 10)
 """Half waves of the curves that it is compared with."""
 
+TENTHS = np.linspace(0.1, 0.9, 9)
+"""Places in the files at which what drifts may as well change at once."""
+
 PARTS = (
     "measure the job in parts, each with an entry of its own in a column 'station', or "
     "when everything is warm"
@@ -500,7 +503,11 @@ def drift(case: Case) -> Iterator[Finding]:
     for words, columns, names in _drifts(case):
         score, count = fit.score(columns * time), columns.shape[1]
         waves = np.hstack([columns * np.cos(np.pi * k * time) for k in WAVES])
-        if surpasses(fit, squares(fit) * score.left, count, waves):
+        if not surpasses(fit, squares(fit) * score.left, count, waves):
+            continue
+        # What comes at once is no drift.
+        at_once = min(fit.score(columns * (time >= at)).left for at in TENTHS)
+        if score.left < at_once:
             # One of more parts takes a part of what a simpler one explains.
             cost = fit.left * np.log(score.left) + count * unlikely()
             found.append((cost, words, score, columns * time, names))

@@ -13,6 +13,7 @@ from calib_pin.io.urdf import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.setup import ChainSetup
+from tests.shared import chain_of, urdf_of
 
 
 def joint(
@@ -25,7 +26,7 @@ def joint(
 
 
 @pytest.fixture(scope="session")
-def tree(urdf_of: Callable[..., str]) -> Chains:
+def tree() -> Chains:
     """Two hands of one body; the finger of the right one follows its arm."""
     follows = '<mimic joint="right" multiplier="-0.5" offset="0.1"/>'
     text = urdf_of(
@@ -41,9 +42,7 @@ def tree(urdf_of: Callable[..., str]) -> Chains:
 
 
 @pytest.fixture(scope="session")
-def arm(
-    urdf_of: Callable[..., str], chain_of: Callable[..., Chain]
-) -> Callable[..., Chain]:
+def arm() -> Callable[..., Chain]:
     """A chain of a lift, an elbow and a wrist, before a gripper."""
 
     def arm(lift: str = "lift", **elbow: Any) -> Chain:

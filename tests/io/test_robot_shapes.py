@@ -19,6 +19,7 @@ from calib_pin.io.urdf import load_robot, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.stand_ins import JOINT
 from tests.io.robots import TETRAHEDRON, joint, robot
+from tests.shared import refused
 
 RED = '<material name="red"><color rgba="1 0 0 1"/></material>'
 
@@ -231,7 +232,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("name", "content"), BAD)
-def test_files_that_could_hurt(tmp_path, refused, capfd, name, content):
+def test_files_that_could_hurt(tmp_path, capfd, name, content):
     path = stored(tmp_path, name, content)
     with refused(InputError, file=str(path)):
         read_mesh(path, ROBOT)

@@ -13,8 +13,7 @@ from calib_pin.errors import InputError, RobotError
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.urdf import load_chain
 from calib_pin.setup import Obstacle
-from tests.io.robots import TETRAHEDRON, joint, robot
-from tests.shared import refused
+from tests.shared import TETRAHEDRON, joint, refused, urdf_of
 
 BALL = Obstacle(sphere=0.1, xyz=(0.0, 0.0, 0.5))
 
@@ -30,7 +29,7 @@ def urdf(*shapes: str, name: str = "arm") -> str:
         joint(f"joint_{k}", f"link_{k - 1} link_{k}", "0.3 0 0", inside=other)
         for k, other in enumerate(others, start=1)
     )
-    return robot(*joints, root="link_0", name=name, inside=first)
+    return urdf_of(*joints, name=name, inside=first)
 
 
 def sphere(radius: float) -> str:

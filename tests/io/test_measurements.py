@@ -548,7 +548,7 @@ def test_plausible_values_pass(write, chain, text, joints):
 
 def test_limits_of_many_turns_are_believed(write, arm):
     file = write("lift,elbow,wrist,distance\n0,59,0,1\n")
-    assert read(file, arm(limits=(-60.0, 60.0))).q[0, 1] == 59.0
+    assert read(file, arm(limits="-60 60")).q[0, 1] == 59.0
 
 
 @pytest.mark.parametrize("model", ["position+camra", "position+", "camera+camera"])

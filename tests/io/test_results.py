@@ -37,24 +37,24 @@ from calib_pin.setup import ChainSetup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult, Provenance
-from tests.io.robots import joint, robot
-from tests.shared import refused
+from tests.shared import joint, refused, urdf_of
 
 EPS = float(np.finfo(float).eps)
 
 
-ARM = robot(
+ARM = urdf_of(
     joint("j.1", "base a", "0 0 0.4", limits="-2.5 2.5"),
     joint("j.2", "a b", "0.1 0 0;0.1 0 0", "0 1 0", limits="-2 2"),
     joint("plane", "b c", "0.5 0 0.05", "0 1 0", limits="-2.5 2.5"),
     joint("tool", "c d", "0.4 0 0;0.3 0.2 0", "0 0 -1", "prismatic", "0 0.4"),
     joint("flange", "d tool", "0.1 0.02 0.05;0 1.4 0", kind="fixed"),
+    name="arm",
 )
 
 LIMB = (("0 0 1", "torso", "_0"), ("0 1 0", "_0", "_1"), ("1 0 0", "_1", "_hand"))
 """Three joints and a hand on the torso; the hand is the last joint's own link."""
 
-PAIR = robot(
+PAIR = urdf_of(
     joint("waist", "base torso", "0 0 0.8", "0 0.6 0.8", limits="-1 1"),
     *(
         joint(

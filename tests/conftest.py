@@ -186,27 +186,6 @@ def special_chain(request: pytest.FixtureRequest) -> Chain:
     return load_chain(request.param, base=base, tip=tip)
 
 
-@pytest.fixture(scope="session", name="refused")
-def _refused() -> Callable[..., Any]:
-    """These four are for folders that ask for them as fixtures."""
-    return shared.refused
-
-
-@pytest.fixture(scope="session", name="urdf_of")
-def _urdf_of() -> Callable[..., Any]:
-    return shared.urdf_of
-
-
-@pytest.fixture(scope="session", name="chain_of")
-def _chain_of() -> Callable[..., Any]:
-    return shared.chain_of
-
-
-@pytest.fixture(scope="session", name="simulated")
-def _simulated() -> Callable[..., Any]:
-    return shared.simulated
-
-
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """Folder of the real measurements, which are not in the repository."""

@@ -114,28 +114,54 @@ def refused(
         assert equal, (name, found, expected)
 
 
-def urdf_of(*joints: Mapping[str, Any]) -> str:
+TETRAHEDRON = """v 0 0 0\nv 0.2 0 0\nv 0 0.2 0\nv 0 0 0.2
+f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
+"""An OBJ file: its edges are of 0.2 m, in the positive octant."""
+
+
+def joint(
+    name: str,
+    ends: str,
+    place: str = "0 0 0",
+    axis: str = "0 0 1",
+    kind: str = "revolute",
+    limits: str = "",
+    **more: Any,
+) -> dict[str, Any]:
+    """A joint of `urdf_of` in words: `joint("j", "parent child", "0 0 0.4;0 1.5 0")`.
+
+    The place is its xyz and, behind a semicolon, its rpy. Limits are +-2.9 rad, or 0
+    and 0.5 m where it slides.
+    """
+    parent, child = ends.split()
+    limits = limits or ("0 0.5" if kind == "prismatic" else "-2.9 2.9")
+    given = {"placement": place, "axis": axis.split(), "limits": limits.split()}
+    return {"name": name, "parent": parent, "child": child, "type": kind} | given | more
+
+
+def urdf_of(*joints: Mapping[str, Any], name: str = "test", inside: str = "") -> str:
     """Text of a URDF: `urdf_of({"name": "j", "parent": "a", "child": "b", ...}, ...)`.
 
-    Further keys of a joint: `type` (revolute), `placement` (SE3), `axis` (0 0 1),
-    `limits` (lower, upper), `more` (XML inside the joint), `mass` (kg and center of
-    the child). Joints to come later in the tree may come first.
+    Further keys of a joint: `type` (revolute), `placement` (SE3, or xyz;rpy), `axis`
+    (0 0 1), `limits` (lower, upper), `more` (XML inside the joint), `mass` (kg and
+    center of the child), `inside` (XML inside the child). Joints to come later in the
+    tree may come first. `inside` is XML of the first link.
     """
 
     links = dict.fromkeys(
         link for joint in joints for link in (joint["parent"], joint["child"])
     )
-    masses = {j["child"]: _inertial(*j["mass"]) for j in joints if "mass" in j}
-    lines = [f'<link name="{link}">{masses.get(link, "")}</link>' for link in links]
+    links[joints[0]["parent"]] = inside
+    for joint in joints:
+        mass = _inertial(*joint["mass"]) if "mass" in joint else ""
+        links[joint["child"]] = joint.get("inside", "") + mass
+    lines = [f'<link name="{link}">{held or ""}</link>' for link, held in links.items()]
     for joint in joints:
         kind = joint.get("type", "revolute")
-        placement = joint.get("placement", pin.SE3.Identity())
-        angles = pin.rpy.matrixToRpy(placement.rotation)
         axis = joint.get("axis", (0, 0, 1))
         lines += [
             f'<joint name="{joint["name"]}" type="{kind}">',
-            f'  <origin xyz="{_numbers(placement.translation)}" '
-            f'rpy="{_numbers(angles)}"/>',
+            _origin(joint.get("placement", "0 0 0")),
             f'  <parent link="{joint["parent"]}"/>',
             f'  <child link="{joint["child"]}"/>',
         ]
@@ -146,7 +172,7 @@ def urdf_of(*joints: Mapping[str, Any]) -> str:
             bounds = f'lower="{lower}" upper="{upper}"'
             lines.append(f'  <limit {bounds} effort="1" velocity="1"/>')
         lines += [joint.get("more", ""), "</joint>"]
-    return "\n".join(['<robot name="test">', *lines, "</robot>"])
+    return "\n".join([f'<robot name="{name}">', *lines, "</robot>"])
 
 
 def chain_of(urdf: str, base: str | None = None, tip: str | None = None) -> Chain:
@@ -292,6 +318,15 @@ def _instrument(model: str, points: Floats) -> dict[str, Any]:
             "bar": AnchorSetup(tuple(points[1] - 1.0)),
         },
     }
+
+
+def _origin(place: pin.SE3 | str) -> str:
+    if isinstance(place, str):
+        xyz, _, rpy = place.partition(";")
+    else:
+        xyz = _numbers(place.translation)
+        rpy = _numbers(pin.rpy.matrixToRpy(place.rotation))
+    return f'  <origin xyz="{xyz}" rpy="{rpy or "0 0 0"}"/>'
 
 
 def _inertial(mass: float, center: Sequence[float]) -> str:

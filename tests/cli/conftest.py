@@ -20,6 +20,7 @@ from calib_pin.cli import main
 from calib_pin.cli.options import asked_workers
 from calib_pin.errors import InputError, OutputError
 from calib_pin.viewer.scene import Scene
+from tests.shared import refused
 
 ARM = Path(__file__).with_name("arm.urdf").read_text()
 
@@ -169,9 +170,7 @@ def fails(
 
 
 @pytest.fixture
-def refuses(
-    fails: Callable[..., Run], refused: Callable[..., Any]
-) -> Callable[..., None]:
+def refuses(fails: Callable[..., Run]) -> Callable[..., None]:
     """A command that refuses its input: `refuses(words, line=3, ...)`, see `refused`.
 
     It prints one line, which is that of the error, and touches no file of the working

@@ -12,6 +12,7 @@ import yaml
 from calib_pin.io.results import read_calibration
 from calib_pin.kinematics.joint_columns import JointColumns
 from tests.cli.files import numbers, table, write
+from tests.shared import chain_of, urdf_of
 
 RUN = "compensate done/calibration.json"
 CALIBRATE = "calibrate lift.urdf rows.csv --tip tool --parameters joint-offset -o done"
@@ -19,7 +20,7 @@ COLUMNS = ["lift", "turn", "Elbow [wrist]", "last"]
 
 
 @pytest.fixture
-def lift(urdf_of):
+def lift():
     """Two stages that follow a drive outside the chain, and three joints behind."""
 
     def joint(name, parent, child, kind="revolute", *, at=(0.0, 0.0, 0.0), **more):
@@ -44,7 +45,7 @@ def lift(urdf_of):
 
 
 @pytest.fixture
-def job(lift, chain_of, alone, run):
+def job(lift, alone, run):
     """Files of the robot, with measurements of what its controller shows."""
     Path("lift.urdf").write_text(lift)
     kinds = "--model position --parameters joint-offset --noise 1e-5 --count 40"

@@ -6,7 +6,6 @@ import json
 import math
 import os
 import signal
-from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from calib_pin.io.setup import read_setup
 from calib_pin.kinematics.chain import Chain
 from calib_pin.planning.search import Search
 from tests.cli.files import column, marked, numbers, table
+from tests.shared import chain_of, refused, urdf_of
 
 QUICK = "--method greedy --candidates 100 --ignore-collisions"
 PLAN = f"plan arm.urdf --model position --setup setup.yaml {QUICK}"
@@ -380,7 +380,7 @@ JOINTS = {
 
 
 @pytest.fixture(scope="module")
-def chain(urdf_of, chain_of) -> Chain:
+def chain() -> Chain:
     return chain_of(
         urdf_of(
             *(
@@ -417,9 +417,7 @@ def test_words(word: str, name: str, limits: tuple[float, float], chain: Chain) 
     assert found[name] == pytest.approx(limits, rel=1e-12)
 
 
-def test_units_of_another_kind_of_joint(
-    chain: Chain, refused: Callable[..., Any]
-) -> None:
+def test_units_of_another_kind_of_joint(chain: Chain) -> None:
     for word, joint in (
         ("wrist_*=0:1 [in]", "'wrist_1'"),
         ("wrist_2=0:1 [m]", "'wrist_2'"),
@@ -446,9 +444,7 @@ ABSURD = "elbow=1:-1|elbow=nan:1|elbow=0:nan|elbow=-inf:inf|elbow=0:1e9|elbow=-1
 @pytest.mark.parametrize(
     ("words", "allowed"), [(MALFORMED, "JOINT=LOWER:UPPER"), (ABSURD, "LOWER up to")]
 )
-def test_words_that_cannot_be_meant(
-    words: str, allowed: str, chain: Chain, refused: Callable[..., Any]
-) -> None:
+def test_words_that_cannot_be_meant(words: str, allowed: str, chain: Chain) -> None:
     for word in words.split("|"):
         with refused(OptionError, reason=repr(word), allowed=allowed):
             parse_limits([word], chain)

@@ -13,27 +13,19 @@ from calib_pin.io.urdf import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.setup import ChainSetup
-
-
-def joint(
-    name: str, parent: str, child: str, kind: str = "revolute", **more: Any
-) -> dict[str, Any]:
-    """A joint, as `urdf_of` takes it; a prismatic one moves by half a meter."""
-    limits = (0.0, 0.5) if kind == "prismatic" else (-2.9, 2.9)
-    about = {"name": name, "parent": parent, "child": child, "type": kind}
-    return {**about, "limits": limits, **more}
+from tests.shared import chain_of, joint, urdf_of
 
 
 @pytest.fixture(scope="session")
-def tree(urdf_of: Callable[..., str]) -> Chains:
+def tree() -> Chains:
     """Two hands of one body; the finger of the right one follows its arm."""
     follows = '<mimic joint="right" multiplier="-0.5" offset="0.1"/>'
     text = urdf_of(
-        joint("torso", "base", "body", "prismatic"),
-        joint("left", "body", "left_hand"),
-        joint("right", "body", "upper", "continuous"),
-        joint("finger", "upper", "lower", "continuous", more=follows),
-        joint("slide", "lower", "right_hand", "prismatic"),
+        joint("torso", "base body", kind="prismatic"),
+        joint("left", "body left_hand"),
+        joint("right", "body upper", kind="continuous"),
+        joint("finger", "upper lower", kind="continuous", more=follows),
+        joint("slide", "lower right_hand", kind="prismatic"),
     )
     touch = ChainSetup(base="left_hand", tip="right_hand")
     robot = parse_robot(text.encode(), "tree.urdf")
@@ -41,17 +33,15 @@ def tree(urdf_of: Callable[..., str]) -> Chains:
 
 
 @pytest.fixture(scope="session")
-def arm(
-    urdf_of: Callable[..., str], chain_of: Callable[..., Chain]
-) -> Callable[..., Chain]:
+def arm() -> Callable[..., Chain]:
     """A chain of a lift, an elbow and a wrist, before a gripper."""
 
     def arm(lift: str = "lift", **elbow: Any) -> Chain:
         joints = (
-            joint(lift, "base", "a", "prismatic"),
-            joint("elbow", "a", "b", **elbow),
-            joint("wrist", "b", "c", "continuous"),
-            joint("gripper", "c", "d", "prismatic", limits=(0.0, 0.05)),
+            joint(lift, "base a", kind="prismatic"),
+            joint("elbow", "a b", **elbow),
+            joint("wrist", "b c", kind="continuous"),
+            joint("gripper", "c d", kind="prismatic", limits="0 0.05"),
         )
         return chain_of(urdf_of(*joints), tip="c")
 

@@ -12,6 +12,7 @@ import pytest
 from calib_pin.errors import OptionError, RobotError
 from calib_pin.io import children
 from calib_pin.io.children import converted
+from tests.shared import refused
 
 ANSWERS = [
     ("import os; os.abort()", "crashes"),
@@ -21,7 +22,7 @@ ANSWERS = [
 
 
 @pytest.mark.parametrize(("program", "said"), ANSWERS)
-def test_no_urdf(tmp_path, refused, monkeypatch, program, said):
+def test_no_urdf(tmp_path, monkeypatch, program, said):
     script, file = tmp_path / "script.py", tmp_path / "arm.xml"
     script.write_text(program)
     monkeypatch.setattr(children, "__file__", str(script))
@@ -29,7 +30,7 @@ def test_no_urdf(tmp_path, refused, monkeypatch, program, said):
         converted("MJCF", file)
 
 
-def test_an_extra_that_is_missing(refused, monkeypatch):
+def test_an_extra_that_is_missing(monkeypatch):
     monkeypatch.setattr(children, "find_spec", lambda _: None)
     for kind, extra in (("MJCF", "mujoco"), ("xacro", "ros")):
         with refused(OptionError, f"calib-pin[{extra}]"):

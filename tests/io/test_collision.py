@@ -13,7 +13,7 @@ from calib_pin.errors import InputError, RobotError
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.urdf import load_chain
 from calib_pin.setup import Obstacle
-from tests.io.robots import TETRAHEDRON, joint, robot
+from tests.shared import TETRAHEDRON, joint, refused, urdf_of
 
 BALL = Obstacle(sphere=0.1, xyz=(0.0, 0.0, 0.5))
 
@@ -29,7 +29,7 @@ def urdf(*shapes: str, name: str = "arm") -> str:
         joint(f"joint_{k}", f"link_{k - 1} link_{k}", "0.3 0 0", inside=other)
         for k, other in enumerate(others, start=1)
     )
-    return robot(*joints, root="link_0", name=name, inside=first)
+    return urdf_of(*joints, name=name, inside=first)
 
 
 def sphere(radius: float) -> str:
@@ -143,7 +143,7 @@ def test_meshes_are_found(
     assert len(collisions.pairs) == 1
 
 
-def test_meshes_that_cannot_be_used(loaded, write, refused, tmp_path, capfd):
+def test_meshes_that_cannot_be_used(loaded, write, tmp_path, capfd):
     """Missing, no mesh, or with numbers of which no solid can be built."""
     bad = write("no mesh", "ws/src/arm/urdf/a.stl")
     write(TETRAHEDRON, "ws/src/arm/urdf/a.obj")
@@ -217,9 +217,7 @@ def test_with_an_srdf_nothing_else_is_left_out(loaded, write):
         (None, {}),
     ],
 )
-def test_what_is_not_the_srdf_of_the_robot(
-    loaded, write, refused, tmp_path, text, fields
-):
+def test_what_is_not_the_srdf_of_the_robot(loaded, write, tmp_path, text, fields):
     srdf = tmp_path / "missing.srdf" if text is None else write(text, "a.srdf")
     with refused(InputError, file=str(srdf), **fields):
         loaded(["", sphere(0.1)], [BALL], srdf=srdf)

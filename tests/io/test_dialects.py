@@ -20,6 +20,7 @@ from calib_pin.io.foreign_headers import foreign, measured, understood
 from calib_pin.io.measured_columns import TIME, read_quaternions
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.spatial import from_quaternion, so3_exp, to_quaternion
+from tests.shared import refused
 
 
 def test_whole_seconds_and_the_rest(table):
@@ -170,7 +171,7 @@ def test_each_layout_is_tested():
     assert WRITERS.keys() == {*READINGS, *JOINTS, *WHOLE}
 
 
-def test_objects_side_by_side(table, refused):
+def test_objects_side_by_side(table):
     """Angles of a segment are left out; a number is blamed on its line."""
     found = table(
         "Segments\n100\n,,Arm:Tool,,,,,,Arm:Hand\n"
@@ -207,12 +208,12 @@ def test_points_have_up_to_three_names(table, text, names, unit):
     "row",
     ["P1,0.1,0.2,0.3,0.4,0.5", "1,0.5,0.5,0.5", "2026-01-31T12:00:00,0.1,0.2,0.3"],
 )
-def test_other_rows_without_a_header_are_no_points(table, row, refused):
+def test_other_rows_without_a_header_are_no_points(table, row):
     with refused(InputError, "the first row holds numbers", line=1):
         table(f"{row}\n{row}\n")
 
 
-def test_a_motor_is_in_degrees_or_in_parts_of_its_range(table, tmp_path, refused):
+def test_a_motor_is_in_degrees_or_in_parts_of_its_range(table, tmp_path):
     head = "timestamp,shoulder_pan.pos,elbow_flex.pos,gripper.pos\n"
     degrees, parts = (f"{head}0,50,20,40\n1,-30,{k},40\n" for k in (-90, -100))
     found = table(degrees)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from calib_pin.io.measurements import encode_configurations, read_configurations
 from calib_pin.io.table import read_table
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.setup import JointMap
+from tests.shared import chain_of, urdf_of
 
 CHAIN = calib_pin.load_chain("space6")
 Q = CHAIN.random_configurations(7, np.random.default_rng(0))
@@ -68,9 +68,7 @@ def test_a_map_of_one_joint_leaves_the_others_bit_by_bit() -> None:
     assert found[:, others].tobytes() == Q[:, others].tobytes()
 
 
-def test_a_mimic_joint_that_stands_still_needs_no_leader(
-    urdf_of: Callable[..., str], chain_of: Callable[..., Any]
-) -> None:
+def test_a_mimic_joint_that_stands_still_needs_no_leader() -> None:
     still = '<mimic joint="side" multiplier="0" offset="0.2"/>'
     joints = (
         {"name": "side", "parent": "base", "child": "beside"},

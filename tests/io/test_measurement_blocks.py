@@ -8,6 +8,7 @@ import pytest
 from calib_pin.errors import InputError, RobotError
 from calib_pin.io.measurements import read_configurations, read_measurements
 from calib_pin.observations import BlockKey
+from tests.shared import refused
 
 ARMS = "torso,left,right,slide,chain,station,tool,x,y,z,target,set,payload\n"
 """Header of a file of both arms; the finger follows the right one."""
@@ -74,7 +75,7 @@ def test_what_stands_still_needs_no_joints(write, tree):
     assert [key.station for key in data.keys] == ["a", "b"]
 
 
-def test_every_file_is_a_station(write, tree, refused):
+def test_every_file_is_a_station(write, tree):
     text = "torso,left,x,y,z,chain\n0.1,0.2,1,2,3,left_hand\n"
     names = ("m.csv", "a/m.csv", "b/m.csv", "m-2.csv")
     files = [write(text, name) for name in names]
@@ -100,7 +101,7 @@ def test_blocks_state_their_own_sigmas_and_starts(write, tree):
     assert (a.values.tolist(), b.values.tolist()) == ([[0.1]], [[0.2]])
 
 
-def test_sockets_of_a_station_are_those_of_all_tools_and_chains(write, tree, refused):
+def test_sockets_of_a_station_are_those_of_all_tools_and_chains(write, tree):
     text = "torso,left,right,slide,chain,station,tool,target\n"
     text += "0,0,,,left_hand,a,t,s\n0,,0.5,0,,a,u,s\n"
     assert len(read_measurements(write(text), tree, model="fixed-point").blocks) == 2
@@ -109,7 +110,7 @@ def test_sockets_of_a_station_are_those_of_all_tools_and_chains(write, tree, ref
         read_measurements(file, tree, model="fixed-point")
 
 
-def test_a_mimic_joint_follows_its_leader(write, tree, refused):
+def test_a_mimic_joint_follows_its_leader(write, tree):
     header = "torso,right,slide,finger [deg],distance\n"
     file = write(f"{header}0,0.2,0,0.05,1\n0,-0.2,0,{np.rad2deg(0.2):.3f},2\n")
     q = read_measurements(file, tree).q
@@ -139,7 +140,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_refused(write, tree, refused, case):
+def test_what_is_refused(write, tree, case):
     text, line, column, value, *words = case
     file = write(text)
     where = {"file": str(file), "line": line, "column": column, "value": value}
@@ -147,7 +148,7 @@ def test_what_is_refused(write, tree, refused, case):
         read_measurements(file, tree)
 
 
-def test_a_chain_that_the_robot_leaves_open(write, tree, refused):
+def test_a_chain_that_the_robot_leaves_open(write, tree):
     """Cells that are blank mean the default chain, which has to be one."""
     chains = type(tree)(tree.robot, names=("left_hand", "right_hand"))
     file = write("torso,left,x,y,z,chain\n0,0,1,2,3,left_hand\n0,0,1,2,3,\n")

@@ -28,6 +28,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.setup import JointMap, ReadingSetup
+from tests.shared import refused
 
 J = "lift,elbow,wrist"
 STEPS = "lift,elbow [steps/4096],wrist,distance\n"
@@ -51,7 +52,7 @@ def chain(arm) -> Chain:
 
 
 @pytest.fixture
-def bad(write, chain, refused):
+def bad(write, chain):
     """A file that cannot be used: `bad(text, line=3, reason="...")`, see `refused`.
 
     Options of the reader may stand beside the fields of the error.
@@ -334,7 +335,7 @@ def test_written_files_read_back_bit_by_bit(tmp_path, tree, drawn, comments):
     assert b"\r" not in first
 
 
-def test_what_is_written(tmp_path, chain, refused):
+def test_what_is_written(tmp_path, chain):
     file, q = tmp_path / "out.csv", np.array([[0.1, -0.0, 1e-7], [0.25, 2.0, 3.0]])
     about = {"values": q[:, :1], "sigma": np.array(1e-4), "target": ("ball", 'a, "b"')}
     data = Measurements(
@@ -547,16 +548,16 @@ def test_plausible_values_pass(write, chain, text, joints):
 
 def test_limits_of_many_turns_are_believed(write, arm):
     file = write("lift,elbow,wrist,distance\n0,59,0,1\n")
-    assert read(file, arm(limits=(-60.0, 60.0))).q[0, 1] == 59.0
+    assert read(file, arm(limits="-60 60")).q[0, 1] == 59.0
 
 
 @pytest.mark.parametrize("model", ["position+camra", "position+", "camera+camera"])
-def test_model_names(write, chain, refused, model):
+def test_model_names(write, chain, model):
     with refused(OptionError, "'camera'" if "camra" in model else ()):
         read(write("lift\n0\n"), chain, model=model)
 
 
-def test_files_that_are_not_there(write, chain, refused, tmp_path):
+def test_files_that_are_not_there(write, chain, tmp_path):
     distance = write(f"{J},distance\n0,0,0,1\n", "d.csv")
     with refused(InputError, file=None):
         read([], chain)
@@ -773,7 +774,7 @@ def test_a_file_of_several_models(tmp_path, write, chain):
     assert read(file, chain).model == "position"
 
 
-def test_several_files_of_different_models(write, chain, refused):
+def test_several_files_of_different_models(write, chain):
     header = "# c\ndistance [mm],wrist,elbow,lift,target"
     distance = write(f"{header}\n1000,3,2,0.1,wall\n2000,0,0,0,\n", "d.csv")
     position = write(f"{J},x,y,z,sigma\n0,0,0,1,2,3,0.1\n", "p.csv")
@@ -795,7 +796,7 @@ def test_several_files_of_different_models(write, chain, refused):
         read_measurements([mixed, position], chain)
 
 
-def test_each_file_is_the_one_model_that_its_columns_allow(write, chain, refused):
+def test_each_file_is_the_one_model_that_its_columns_allow(write, chain):
     sockets = write(f"{J},target\n0,0,0,a\n1,0,0,a\n".replace("1,0", "0.1,0"), "s.csv")
     position = write(f"{J},x,y,z,target\n0,0,0,1,2,3,a\n", "p.csv")
     pose = write(f"{J},x,y,z,rx,ry,rz\n0,0,0,1,2,3,0,0,0\n", "o.csv")
@@ -827,7 +828,7 @@ def test_each_file_is_the_one_model_that_its_columns_allow(write, chain, refused
 # --- what rows have to name --------------------------------------------------------
 
 
-def test_sockets_count_over_all_files(write, chain, refused):
+def test_sockets_count_over_all_files(write, chain):
     files = [
         write(f"{J},target,set\n{row}\n", f"{name}.csv")
         for name, row in (("a", "0,0,0,s,train"), ("b", "0.1,0,0,s,validate"))
@@ -852,7 +853,7 @@ def test_touches_beside_readings_are_exact(write, chain, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["x", "u", "model", "payload", "sigma_contact"])
-def test_joints_with_reserved_names(write, name, refused, arm):
+def test_joints_with_reserved_names(write, name, arm):
     chain = arm(name)
     file = write(f"{name},elbow,wrist,distance\n0,0,0,1\n")
     with refused(InputError, reason=f"'{name}'"):

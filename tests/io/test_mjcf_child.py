@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,6 +12,7 @@ from calib_pin.errors import RobotError
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot
+from tests.shared import refused
 
 REMARK = "read from MJCF: bodies and sites are links, shapes are not taken over"
 
@@ -73,7 +72,7 @@ def test_what_stands_in_the_file(plain: Robot) -> None:
     assert robot.source.startswith(b'<robot name="arm">')
 
 
-def test_a_free_body_is_carried_but_no_chain_contains_it(tmp_path, refused):
+def test_a_free_body_is_carried_but_no_chain_contains_it(tmp_path):
     free = f'<body name="torso" pos="0 0 1"><freejoint name="fly"/>{BODIES}</body>'
     robot = load_robot(written(tmp_path, free))
     assert len(Chain(robot, "torso", "tool").joints) == 4
@@ -128,7 +127,7 @@ UNSTATED = HEAD.replace('angle="degree" ', "")
 
 
 @pytest.mark.parametrize("stated", ["", 'angle="degree"', 'angle="radian"'])
-def test_radians_that_nothing_states(tmp_path, refused, stated):
+def test_radians_that_nothing_states(tmp_path, stated):
     head = UNSTATED.replace("100", "3").replace("<compiler", f"<compiler {stated}")
     file = written(tmp_path, BASE, head.replace("10", "1"))
     if stated:
@@ -163,7 +162,7 @@ def test_couplings_are_those_of_mujoco(tmp_path: Path) -> None:
     assert np.allclose(j3, 0.1 - 2.0 * j1, atol=1e-12)
 
 
-def test_warnings_leave_no_file(tmp_path, monkeypatch, refused):
+def test_warnings_leave_no_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     file = written(tmp_path, BASE.replace('pos="0 0 0.3"', 'pos="nan 0 0.3"'))
     with refused(RobotError, file=str(file)):
@@ -179,13 +178,13 @@ WRONG = [
 
 
 @pytest.mark.parametrize("bodies", WRONG)
-def test_wrong_files(tmp_path: Path, refused: Callable[..., Any], bodies: str) -> None:
+def test_wrong_files(tmp_path: Path, bodies: str) -> None:
     file = written(tmp_path, bodies)
     with refused(RobotError, file=str(file)):
         load_chain(file)
 
 
-def test_other_xml_files(tmp_path: Path, refused: Callable[..., Any]) -> None:
+def test_other_xml_files(tmp_path: Path) -> None:
     file = tmp_path / "arm.xml"
     file.write_text('<robot name="arm"><link name="a"/></robot>')
     assert load_robot(file).name == "arm" and load_robot(file).remarks == ()

@@ -37,23 +37,24 @@ from calib_pin.setup import ChainSetup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult, Provenance
-from tests.io.robots import joint, robot
+from tests.shared import joint, refused, urdf_of
 
 EPS = float(np.finfo(float).eps)
 
 
-ARM = robot(
+ARM = urdf_of(
     joint("j.1", "base a", "0 0 0.4", limits="-2.5 2.5"),
     joint("j.2", "a b", "0.1 0 0;0.1 0 0", "0 1 0", limits="-2 2"),
     joint("plane", "b c", "0.5 0 0.05", "0 1 0", limits="-2.5 2.5"),
     joint("tool", "c d", "0.4 0 0;0.3 0.2 0", "0 0 -1", "prismatic", "0 0.4"),
     joint("flange", "d tool", "0.1 0.02 0.05;0 1.4 0", kind="fixed"),
+    name="arm",
 )
 
 LIMB = (("0 0 1", "torso", "_0"), ("0 1 0", "_0", "_1"), ("1 0 0", "_1", "_hand"))
 """Three joints and a hand on the torso; the hand is the last joint's own link."""
 
-PAIR = robot(
+PAIR = urdf_of(
     joint("waist", "base torso", "0 0 0.8", "0 0.6 0.8", limits="-1 1"),
     *(
         joint(
@@ -389,7 +390,7 @@ def test_the_robot_is_found(
 
 
 def test_a_robot_that_is_another_one_is_refused(
-    simple: tuple[CalibrationResult, Path], refused: Callable[..., Any]
+    simple: tuple[CalibrationResult, Path],
 ) -> None:
     (result, file), given, beside = simple, Path("arm.urdf"), Path("out/arm.urdf")
     # Both have the same name, as the commands write them.
@@ -409,7 +410,7 @@ def test_a_robot_that_is_another_one_is_refused(
         given.unlink(missing_ok=True)
 
 
-def test_what_is_written_is_the_robot(simple, monkeypatch, refused) -> None:
+def test_what_is_written_is_the_robot(simple, monkeypatch) -> None:
     """Never over the own file, and read again before it is written."""
     model, source = simple[0].model, Path("arm.urdf").read_bytes()
     with refused(OptionError, file="arm.urdf"):
@@ -484,9 +485,7 @@ def test_a_checked_result_comes_back(checked: CalibrationResult) -> None:
     assert found.accuracy.tip is found.errors[0].validation_before is None
 
 
-def test_damaged_parts_are_refused(
-    checked: CalibrationResult, refused: Callable[..., Any]
-) -> None:
+def test_damaged_parts_are_refused(checked: CalibrationResult) -> None:
     whole = encode(calibration_document(checked, PROVENANCE))
     for case, path, to in DAMAGE:
         edit(document := document_of(case) if case else json.loads(whole), path, to)
@@ -494,9 +493,7 @@ def test_damaged_parts_are_refused(
             read_result(stored(document))
 
 
-def test_files_that_are_no_calibration(
-    simple: tuple[CalibrationResult, Path], refused: Callable[..., Any]
-) -> None:
+def test_files_that_are_no_calibration(simple: tuple[CalibrationResult, Path]) -> None:
     file = simple[1]
     good = file.read_bytes().rstrip()
     head = b'{"format": "calib-pin/calibration"'

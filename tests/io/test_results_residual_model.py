@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,12 +20,13 @@ from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult, Provenance
+from tests.shared import refused, simulated
 
 TOOL = FrameSetup((0.05, 0.02, 0.1), (0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="module")
-def learned(simulated: Callable[..., Any]) -> CalibrationResult:
+def learned() -> CalibrationResult:
     """A calibration of space6 with harmonics that only a network can describe."""
     truth = Setup(parameters=("joint-offset", "transmission"), tool_frame=TOOL)
     problem, _ = simulated("position", truth, 30, 1.0, seed=2, noise=2e-5)
@@ -49,9 +48,7 @@ def network_of(result: CalibrationResult) -> LearnedCorrection:
     return network
 
 
-def test_it_predicts_as_before(
-    learned: CalibrationResult, file: Path, refused: Callable[..., Any]
-) -> None:
+def test_it_predicts_as_before(learned: CalibrationResult, file: Path) -> None:
     model = results.read_calibration(file)
     q = model.chains.random_configurations(50, np.random.default_rng(0))
     assert model.setup.learned == "network"
@@ -87,7 +84,7 @@ def test_it_belongs_to_all_tools_of_a_chain(learned: CalibrationResult) -> None:
         np.testing.assert_array_equal(found.of(key).poses(q), model.of(key).poses(q))
 
 
-def test_what_was_edited_is_refused(file: Path, refused: Callable[..., Any]) -> None:
+def test_what_was_edited_is_refused(file: Path) -> None:
     """Nobody can see from its numbers that one of them is another."""
     good = json.loads(file.read_text())
     there = good["residual_model"]

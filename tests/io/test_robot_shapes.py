@@ -18,7 +18,7 @@ from calib_pin.io.robot_shapes import read_mesh, robot_shapes
 from calib_pin.io.urdf import load_robot, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.stand_ins import JOINT
-from tests.io.robots import TETRAHEDRON, joint, robot
+from tests.shared import TETRAHEDRON, joint, refused, urdf_of
 
 RED = '<material name="red"><color rgba="1 0 0 1"/></material>'
 
@@ -30,7 +30,7 @@ def visual(geometry: str, more: str = "", kind: str = "visual") -> str:
 def arm(base: str = "", upper: str = "", tool: str = "") -> str:
     shoulder = joint("shoulder", "base upper", "0 0 0.2", "0 1 0", inside=upper)
     flange = joint("flange", "upper tool", "0.3 0 0", kind="fixed", inside=tool)
-    return robot(RED, shoulder, flange, inside=base)
+    return urdf_of(shoulder, flange, inside=base).replace("<link", f"{RED}<link", 1)
 
 
 def test_visuals_come_before_collisions(write: Callable[..., Path]) -> None:
@@ -231,7 +231,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("name", "content"), BAD)
-def test_files_that_could_hurt(tmp_path, refused, capfd, name, content):
+def test_files_that_could_hurt(tmp_path, capfd, name, content):
     path = stored(tmp_path, name, content)
     with refused(InputError, file=str(path)):
         read_mesh(path, ROBOT)

@@ -28,6 +28,7 @@ from calib_pin.setup import JointMap, PopulationPrior, Setup
 from calib_pin.setup.population import JointType, ParameterPrior, RobotType
 from calib_pin.solvers import DifferentialEvolution
 from documentation.setup_reference import json_schema
+from tests.shared import refused
 
 Keys = tuple[str | int, ...]
 Schema = dict[str, Any]
@@ -39,7 +40,7 @@ def write(write):
 
 
 @pytest.fixture
-def bad(write, refused):
+def bad(write):
     """A file that cannot be used: `bad(text, line=3, value="x")`, see `refused`."""
 
     def bad(text: str | bytes, words="", **fields) -> None:
@@ -455,7 +456,7 @@ def test_mistakes(bad, case):
     bad(text, words, line=line)
 
 
-def test_the_path_is_named_as_given(tmp_path, monkeypatch, refused):
+def test_the_path_is_named_as_given(tmp_path, monkeypatch):
     with refused(InputError, file=str(tmp_path / "s.yaml"), line=None):
         read_setup(tmp_path / "s.yaml")  # It is not there.
     (tmp_path / "s.yaml").write_text("tip: 1")
@@ -517,7 +518,7 @@ DAMAGED: list[dict[str, Any]] = [
 ]
 
 
-def test_files_that_are_no_priors(tmp_path, bad, refused) -> None:
+def test_files_that_are_no_priors(tmp_path, bad) -> None:
     file, whole = tmp_path / "fleet.json", setup_files.prior_document(PRIOR)
     lacking = {k: v for k, v in whole.items() if k != "covariance"}
     wrong = [{"format": "calib-pin/plan"}, lacking, *(whole | one for one in DAMAGED)]

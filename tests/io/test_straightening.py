@@ -10,7 +10,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import tests.io.robots as robots
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import calibration_document, read_calibration
 from calib_pin.io.straightening import straightened
@@ -19,6 +18,7 @@ from calib_pin.io.urdf_tree import origin_of, parse_robot, placed, words
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot
 from tests.io.exchange.test_export import UR10
+from tests.shared import joint, urdf_of
 
 NAMES = [*UR10]
 SLIDES = {"upper_arm": 300.0, "forearm": -98.7}
@@ -41,14 +41,13 @@ def origins(slides: Mapping[str, float]) -> list[pin.SE3]:
 
 def urdf(places: list[pin.SE3], inside: Mapping[int, str] | None = None) -> bytes:
     """An arm whose joints turn about z, with a camera on the forearm."""
-    joints = [robots.joint("mount", "link3 camera", kind="fixed")]
+    joints = []
     for k, place in enumerate(places, start=1):
         six, held = origin_of(place), (inside or {}).get(k, "")
         at = f"{words(six[:3])};{words(six[3:])}"
-        joints.append(
-            robots.joint(f"joint{k}", f"link{k - 1} link{k}", at, inside=held)
-        )
-    return robots.robot(*joints, root="link0").encode()
+        joints.append(joint(f"joint{k}", f"link{k - 1} link{k}", at, inside=held))
+    joints.append(joint("mount", "link3 camera", kind="fixed"))
+    return urdf_of(*joints, name="arm").encode()
 
 
 def arm(slides: Mapping[str, float], **about: Mapping[int, str]) -> Robot:

@@ -15,6 +15,7 @@ from calib_pin.io import table as table_module
 from calib_pin.io.columns import LENGTH, MISSING, PURE
 from calib_pin.io.table import Cells, read_cells, read_table, require_columns
 from calib_pin.units import as_number
+from tests.shared import refused
 
 ODD = [
     *("1_000", "inf", "nan", "+1", "-0", "1e5", ".5", "5.", "0x1p3", "1j", "1#2", ""),
@@ -140,7 +141,7 @@ def test_a_column_that_has_the_name_of_another_meaning_keeps_its_place(table):
         ({"y": "Y [m]"}, ("[mm]", "[m]")),
     ],
 )
-def test_wrong_columns_are_told(table, refused, columns, names):
+def test_wrong_columns_are_told(table, columns, names):
     with pytest.raises(InputError) as caught:
         require_columns([table(LOG, columns)])
     assert all(name in str(caught.value) for name in names)

@@ -22,6 +22,7 @@ from calib_pin.io.urdf import is_source, load_robot, locate_robot
 from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import Mimic
+from tests.shared import refused, urdf_of
 
 ARM = b"""<?xml version="1.0"?>
 <robot name="arm">
@@ -70,9 +71,7 @@ def changed_lines(old: bytes, new: bytes) -> tuple[list[bytes], list[bytes]]:
 
 
 @pytest.fixture
-def bad(
-    refused: Callable[..., Any], capfd: pytest.CaptureFixture[str]
-) -> Callable[..., None]:
+def bad(capfd: pytest.CaptureFixture[str]) -> Callable[..., None]:
     """A robot that cannot be used: `bad(source, line=3, ...)`, see `refused`.
 
     Nothing is printed, not even by Pinocchio.
@@ -307,7 +306,7 @@ def test_any_origin_and_correction(xyz, rpy, seed):
     assert np.abs(difference[:3, 3]).max() < 1e-13
 
 
-def test_corrections_that_cannot_be_made(refused: Callable[..., Any]) -> None:
+def test_corrections_that_cannot_be_made() -> None:
     with refused(RobotError):
         edit_origins(ARM, {"elbow": SHIFT})
     bad = pin.SE3(np.eye(3), np.array([np.nan, 0.0, 0.0]))
@@ -318,7 +317,7 @@ def test_corrections_that_cannot_be_made(refused: Callable[..., Any]) -> None:
 # What the loader fills in.
 
 
-def test_robot_fields(refused: Callable[..., Any]) -> None:
+def test_robot_fields() -> None:
     more = b"""<link name="w"/><link name="p"/>
   <joint name="free" type="floating"><parent link="b"/><child link="w"/></joint>
   <joint name="flat" type="planar"><parent link="c"/><child link="p"/></joint>
@@ -333,7 +332,7 @@ def test_robot_fields(refused: Callable[..., Any]) -> None:
         Chain(robot, tip="w")
 
 
-def test_mimic_joints(urdf_of: Callable[..., str]) -> None:
+def test_mimic_joints() -> None:
     mimics = {
         "third": 'second" multiplier="-0.5" offset="1',
         "second": 'first" multiplier="2" offset="0.25',
@@ -375,7 +374,7 @@ def test_resolution(tmp_path, monkeypatch):
     assert load_robot(ambiguous).name == "anymal"
 
 
-def test_robots_that_are_not_there(tmp_path, monkeypatch, refused):
+def test_robots_that_are_not_there(tmp_path, monkeypatch):
     Path(tmp_path, "arm.urdf").write_bytes(ARM)
     monkeypatch.setattr(urdf, "bundled_robots", lambda: {"threelink": tmp_path})
     monkeypatch.chdir(tmp_path)
@@ -534,7 +533,7 @@ def test_limits(bad: Callable[..., None]) -> None:
 # Writing.
 
 
-def test_never_over_the_source(tmp_path, monkeypatch, refused):
+def test_never_over_the_source(tmp_path, monkeypatch):
     source, link = tmp_path / "arm.urdf", tmp_path / "link.urdf"
     source.write_bytes(ARM)
     link.symlink_to(source)

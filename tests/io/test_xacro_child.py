@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import struct
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from calib_pin.io.packages import locate_mesh
 from calib_pin.io.robot_shapes import STL, robot_shapes
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.xacro_child import FUNCTIONS, Refused, evaluate
+from tests.shared import refused
 
 HEAD = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">'
 
@@ -122,7 +122,7 @@ def test_a_package_as_ros_has_it(package, monkeypatch):
     assert load_robot(file).links == again.links
 
 
-def test_packages_are_where_one_says(package, tmp_path, monkeypatch, refused):
+def test_packages_are_where_one_says(package, tmp_path, monkeypatch):
     file = tmp_path / "own.xacro"
     file.write_text(TOP)
     package.joinpath("package.xml").unlink()
@@ -161,14 +161,14 @@ WRONG = [
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_wrong_files(tmp_path: Path, refused: Callable[..., Any], text: str) -> None:
+def test_wrong_files(tmp_path: Path, text: str) -> None:
     file = tmp_path / "arm.xacro"
     file.write_text(text)
     with refused(RobotError, file=str(file), line=None):
         load_robot(str(file))
 
 
-def test_the_place_that_is_wrong_is_named(package, refused):
+def test_the_place_that_is_wrong_is_named(package):
     folder = package / "urdf"
     file, macro = folder / "arm.urdf.xacro", folder / "macro.xacro"
     for words, said in (("sise:=10", ["'sise'", "'size'"]), ("size:=7", "arm7.yaml")):
@@ -202,14 +202,14 @@ GROWING = [
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of memory")
 @pytest.mark.parametrize("text", GROWING)
-def test_what_grows_without_end(tmp_path, refused, text):
+def test_what_grows_without_end(tmp_path, text):
     file = tmp_path / "arm.xacro"
     file.write_text(f"{HEAD}{text}</robot>")
     with refused(RobotError, file=str(file)):
         load_robot(str(file))
 
 
-def test_nothing_is_executed(tmp_path: Path, refused: Callable[..., Any]) -> None:
+def test_nothing_is_executed(tmp_path: Path) -> None:
     file, proof = tmp_path / "arm.xacro", tmp_path / "proof"
     escape = (
         "(x for x in [1]).gi_frame.f_back.f_back.f_builtins['__imp' + 'ort__']('os')"

@@ -21,6 +21,7 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
+from tests.shared import simulated
 
 BASE = FrameSetup((0.3, -0.2, 0.1), (0.1, 0.2, 0.7))
 TOOL = FrameSetup((0.01, 0.02, 0.1), (0.0, 0.3, 0.0))
@@ -29,7 +30,7 @@ BOARD = {f"m{k}": PointSetup((0.04 * (k % 4), 0.03 * (k // 4), 0.0)) for k in ra
 
 
 @pytest.fixture
-def around(simulated: Callable[..., Any]) -> Callable[..., dict[str, Thing]]:
+def around() -> Callable[..., dict[str, Thing]]:
     """Things by kind and name: `around(model, touched points, **setup)`."""
 
     def make(model: str, near: Any = None, **settings: Any) -> dict[str, Thing]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, cast
@@ -43,6 +43,7 @@ from calib_pin.validation.model_errors import (
     predicted_variance,
 )
 from calib_pin.validation.splits import Grouping, folds
+from tests.shared import simulated
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 LEARNED = replace(SETUP, parameters=("placement",), learned="gaussian-process")
@@ -299,9 +300,7 @@ def test_press_is_exact_where_the_problem_is_linear() -> None:
 # Where something was learned.
 
 
-def test_parts_promise_what_new_measurements_have(
-    simulated: Callable[..., Any],
-) -> None:
+def test_parts_promise_what_new_measurements_have() -> None:
     waves = replace(LEARNED, parameters=("placement", "transmission"), learned=None)
     problem, truth = simulated("position", waves, 80, 0.5, seed=3, noise=1e-5)
     chain, rows = problem.chains[""], problem.data
@@ -325,7 +324,7 @@ def test_parts_promise_what_new_measurements_have(
     assert 0.9 < found / new < 1.5 and new < 0.5 * without
 
 
-def test_a_part_with_all_of_a_target_takes_a_fit(simulated: Callable[..., Any]) -> None:
+def test_a_part_with_all_of_a_target_takes_a_fit() -> None:
     sockets = {"a": PointSetup((0.4, 0.1, 0.2)), "b": PointSetup((0.3, -0.2, 0.3))}
     kinds = ("joint-offset", "transmission")
     truth = replace(LEARNED, parameters=kinds, sockets=sockets, learned=None)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -29,6 +28,7 @@ from calib_pin.validation.model_selection import (
 from calib_pin.validation.result import Candidate
 from calib_pin.validation.splits import FOLDS
 from tests.residual_models.corrections import Everywhere
+from tests.shared import chain_of, refused, urdf_of
 
 NOISE = 2e-5
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -52,7 +52,7 @@ def no_residual_models(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def chain(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chain:
+def chain() -> Chain:
     """A quick arm of three joints, which are not neatly at right angles."""
     rng = np.random.default_rng(2)
     axes = [(0, 0, 1), (0, 1, 0.1), (0.1, 1, 0)]
@@ -220,7 +220,7 @@ def test_few_rows_leave_the_upper_rungs_untried(chain: Chain) -> None:
         assert not rung.helps
 
 
-def test_too_few_rows_for_any_rung(chain: Chain, refused: Callable[..., Any]) -> None:
+def test_too_few_rows_for_any_rung(chain: Chain) -> None:
     rows = simulated(chain, ["joint-offset"], count=4)
     # However often they were read.
     for often in (1, 20):
@@ -243,7 +243,7 @@ def test_without_masses_or_with_an_unknown_payload(chain: Chain) -> None:
 # Names and globs.
 
 
-def test_a_pattern_of_no_rung(chain: Chain, refused: Callable[..., Any]) -> None:
+def test_a_pattern_of_no_rung(chain: Chain) -> None:
     rows = simulated(chain, ["placement"], Setup())
     setup = Setup(file="s.yaml", fixed=("joint_3.placment.x",))
     reason = "'joint_3.placment.x'", "'joint_3.placement.x'"

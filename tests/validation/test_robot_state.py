@@ -17,6 +17,7 @@ from calib_pin.simulation import simulate
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.robot_state import changes, drifts, robot_evidence
 from calib_pin.validation.tip_drift import absorbed
+from tests.shared import refused
 
 
 @pytest.mark.parametrize("name", ["placement", "dh", "joint-offset", "link-transform"])
@@ -111,7 +112,7 @@ def test_a_prior_does_not_count_twice(fleet) -> None:
     np.testing.assert_allclose(other[1], b, atol=5e-3 * np.abs(b).max())
 
 
-def test_what_tells_nothing(fleet, refused) -> None:
+def test_what_tells_nothing(fleet) -> None:
     result = fleet.results[0]
     quiet = replace(result, statistics=replace(result.statistics, noise=()))
     with refused(InputError, reason="noise"):

@@ -11,6 +11,7 @@ from calib_pin.kinematics.spatial import invert, se3_exp, so3_log
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.tip_drift import absorbed, tip_drift
+from tests.shared import chain_of, urdf_of
 
 LEFT = se3_exp(np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.2]))
 RIGHT = se3_exp(np.array([0.02, 0.03, -0.05, 0.2, 0.1, -0.3]))
@@ -53,7 +54,7 @@ def test_displacements_are_found(L, R, left, right, poses):
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_single_joint_leaves_frames_that_do_alike(kind, urdf_of, chain_of):
+def test_a_single_joint_leaves_frames_that_do_alike(kind):
     joint = {"name": "j", "type": kind, "parent": "a", "child": "b"}
     chain = chain_of(urdf_of(joint))
     T = chain.poses(np.linspace(-1.0, 1.0, 20)[:, None])

@@ -55,7 +55,7 @@ def test_five_poses_many_times_are_unchecked() -> None:
     assert result.verdict == "unchecked", result.reason
 
 
-def test_a_promise_is_made_on_condition_where_errors_may_be_noise() -> None:
+def test_a_promise_is_made_on_condition_where_errors_may_be_noise(unsought) -> None:
     """Offsets alone leave 19 mm of a robot whose links are off, and promise 3 mm."""
     chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(4)
     problem = nominal_problem(chain, "pose", Setup(parameters=("placement",)))
@@ -68,9 +68,12 @@ def test_a_promise_is_made_on_condition_where_errors_may_be_noise() -> None:
     assert "are noise" not in known.reason and "times the noise" in known.reason
 
 
-def test_pixels_that_no_robot_explains_are_untrusted() -> None:
+@pytest.mark.parametrize("sought", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_pixels_that_no_robot_explains_are_untrusted(request, sought) -> None:
     """No corner of a board is found so badly, whatever the noise that is assumed."""
-    job = tracked(2, model="camera", noise=12.0, stated=False)
+    if not sought:
+        request.getfixturevalue("unsought")
+    job = tracked(2, model="camera", least=30, noise=12.0, stated=False)
     rows = job.measured(stream(2, 1))
     result = calib_pin.calibrate(job.chain, rows, job.setup, validate=False)
     assert result.verdict == "untrusted"

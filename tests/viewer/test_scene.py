@@ -35,6 +35,7 @@ from calib_pin.viewer.scene import (
     tip_paths,
 )
 from calib_pin.viewer.stage import sight
+from tests.shared import urdf_of
 
 MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}
 """Of the robots below; each moves like the other."""
@@ -152,7 +153,7 @@ def test_the_measured_chain_is_highlighted():
     assert own.isdisjoint({"arm_right_1_link", "leg_left_3_link", "head_2_link"})
 
 
-def test_fingers_follow_those_that_they_mimic(urdf_of):
+def test_fingers_follow_those_that_they_mimic():
     text = urdf_of(
         {"name": "a", "parent": "base", "child": "left"},
         {

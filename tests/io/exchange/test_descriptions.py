@@ -24,6 +24,7 @@ from calib_pin.observations import BlockKey
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup, ToolSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult
+from tests.shared import refused
 
 FRAMES = Setup(
     base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4)),
@@ -116,7 +117,7 @@ def test_the_position_of_a_point_is_enough(posed):
     assert [*transforms(FORMATS["tf"].encode(of(station), None))] == ["measured_point"]
 
 
-def test_nothing_known_is_refused(scara, calibrated_robot, refused):
+def test_nothing_known_is_refused(scara, calibrated_robot):
     """Base and tool along parallel axes: only what they add up to is known."""
     found = calibrated_robot("pose", FRAMES, 40, 1.0, 1, robot=scara, noise=5e-5)
     reason = "z of tool -> measured_point", "fixed:", "only base.frame.z + "
@@ -181,7 +182,7 @@ def test_a_camera_stands_in_the_description(mount, form, tmp_path):
 
 
 @pytest.mark.parametrize("mount", ["hand", "world"])
-def test_a_camera_is_told_with_its_place(mount, refused):
+def test_a_camera_is_told_with_its_place(mount):
     model = looking(mount)
 
     def encoded(**unknown: Any) -> Encoded:

@@ -21,6 +21,7 @@ from calib_pin.setup import FrameSetup, JointMap, Setup
 from calib_pin.validation.joint_errors import configurations
 from calib_pin.validation.result import CalibrationResult
 from tests.io.exchange.test_descriptions import of
+from tests.shared import refused
 
 EXACT = 1e-9
 
@@ -67,7 +68,7 @@ def test_a_vendor_loads_its_kinematics(exported, tmp_path):
     assert entries["forearm"]["z"] == pytest.approx(12.5, abs=0.01)
 
 
-def test_templates_of_others_are_refused(exported, tmp_path, refused):
+def test_templates_of_others_are_refused(exported, tmp_path):
     template, forearm, wrist = tmp_path / "own.yaml", UR10["forearm"], UR10["wrist_2"]
     for entries in (
         UR10 | {"forearm": (-0.425, *forearm[1:])},
@@ -141,7 +142,7 @@ def motors(**changes: dict[str, int]) -> str:
         motors(**{f"m{k}": {"range_max": 701} for k in range(5)}),
     ],
 )
-def test_other_motors_are_refused(offsets, tmp_path, refused, content):
+def test_other_motors_are_refused(offsets, tmp_path, content):
     """And those without room for the steps by which theirs change."""
     template = tmp_path / "so101.json"
     template.write_text(content)
@@ -198,9 +199,7 @@ def test_a_reduction_is_kept_however_it_is_spelled(
         ("type", "a/SimpleTransmission", '</joint><joint name="elbow_flex">', ""),
     ],
 )
-def test_other_transmissions_are_refused(
-    offsets, tmp_path, refused, tag, kind, joint, actuator
-):
+def test_other_transmissions_are_refused(offsets, tmp_path, tag, kind, joint, actuator):
     template = tmp_path / "own.xml"
     about = {"tag": tag, "kind": kind, "joint": joint, "actuator": actuator}
     template.write_text(TRANSMISSION.format(**about))

@@ -27,7 +27,6 @@ import xacro
 import yaml
 import yourdfpy
 
-import tests.io.robots as robots
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Encoded, Exported
@@ -41,6 +40,7 @@ from calib_pin.simulation import draw_errors
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import NamedArray, ParameterEstimate
 from tests.io.exchange.test_descriptions import of_model, transforms
+from tests.shared import joint, urdf_of
 
 COUNT = 100
 """Random configurations."""
@@ -58,12 +58,12 @@ MASS = '<inertial><mass value="2"/><origin xyz="0.1 0 0.1"/><inertia ixx="0.1" '
 MASS += 'ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
 
 
-massive = partial(robots.joint, limits="-1.5 1.4", inside=MASS)
+massive = partial(joint, limits="-1.5 1.4", inside=MASS)
 
 
-def urdf(*joints: str, name: str = "arm") -> bytes:
+def urdf(*joints: Mapping[str, Any], name: str = "arm") -> bytes:
     """Of a world with a mass, which that of MuJoCo cannot have."""
-    return robots.robot(*joints, root="world", name=name, inside=MASS).encode()
+    return urdf_of(*joints, name=name, inside=MASS).encode()
 
 
 def follow(leader: str, factor: float, offset: float) -> str:
@@ -75,7 +75,7 @@ MOUNT = massive("mount", "world base", "0.2 -0.1 0.8;0 0.1 1.5", kind="fixed")
 
 def arm(
     prefix: str = "", base: str = "base", names: str = "J{}", **more: dict[str, str]
-) -> str:
+) -> list[dict[str, Any]]:
     """Six joints behind a mount, and two fixed ones before the tip."""
     places = [
         ("0 0 1", "0.05 0.02 0.3;0.01 0 0.2"),
@@ -86,17 +86,17 @@ def arm(
         ("1 0 0", "0.1 0 0.02;0 0 0.1"),
     ]
     links = [base, *(f"{prefix}l{k}" for k in range(1, 7))]
-    text, flange = "", f"{prefix}flange"
+    joints, flange = [], f"{prefix}flange"
     for k, (axis, place) in enumerate(places, start=1):
         name, ends = prefix + names.format(k), f"{links[k - 1]} {links[k]}"
-        text += massive(name, ends, place, axis, **more.get(f"j{k}", {}))
+        joints.append(massive(name, ends, place, axis, **more.get(f"j{k}", {})))
     ends = f"{links[6]} {flange}"
-    text += massive(f"{prefix}f1", ends, "0.05 0 0;0 1.5 0", kind="fixed")
+    joints.append(massive(f"{prefix}f1", ends, "0.05 0 0;0 1.5 0", kind="fixed"))
     ends = f"{flange} {prefix}tool"
-    return text + massive(f"{prefix}f2", ends, "0 0 0.1", kind="fixed")
+    return [*joints, massive(f"{prefix}f2", ends, "0 0 0.1", kind="fixed")]
 
 
-PLAIN = urdf(MOUNT, arm())
+PLAIN = urdf(MOUNT, *arm())
 INSIDE = {"j3": {"more": follow("J2", -1.5, 0.1)}}
 KNOB = massive("knob", "base dial")
 SLIDES = {"j1": {"kind": "continuous"}, "j2": {"kind": "prismatic"}}
@@ -110,7 +110,8 @@ FOLLOWED = {name: of for name, of in JOINTS.items() if of.joint != "J3"}
 TWO = urdf(
     MOUNT,
     massive("torso", "base chest", "0 0 0.4"),
-    *(arm(side, "chest") for side in "LR"),
+    *arm("L", "chest"),
+    *arm("R", "chest"),
 )
 SIDES = (BlockKey("pose", chain="left"), BlockKey("pose", chain="right"))
 OFFSETS = ("joint-offset",)
@@ -137,18 +138,18 @@ GAINS = ("joint-offset", "transmission")
 CASES = {
     "plain": Case(),
     "offsets": Case(parameters=OFFSETS, setup=KNOWN),
-    "brackets": Case(urdf(MOUNT, arm(names="joint [{}] a b"), name="a--b"), OFFSETS),
-    "alike": Case(urdf(MOUNT, arm(names="J {}", j4={}).replace("J 4", "J_3"))),
-    "inside": Case(urdf(MOUNT, arm(**INSIDE)), (*OFFSETS, "placement")),
+    "brackets": Case(urdf(MOUNT, *arm(names="joint [{}] a b"), name="a--b"), OFFSETS),
+    "alike": Case(urdf(MOUNT, *arm(names="J {}")).replace(b"J 4", b"J_3")),
+    "inside": Case(urdf(MOUNT, *arm(**INSIDE)), (*OFFSETS, "placement")),
     "outside": Case(
-        urdf(MOUNT, KNOB, arm(j3={"more": follow("knob", 2.0, -0.2)})), OFFSETS
+        urdf(MOUNT, KNOB, *arm(j3={"more": follow("knob", 2.0, -0.2)})), OFFSETS
     ),
-    "slides": Case(urdf(MOUNT, arm(**SLIDES)), OFFSETS),
+    "slides": Case(urdf(MOUNT, *arm(**SLIDES)), OFFSETS),
     "reversed": Case(base="tool", tip="world"),
     "hands": Case(TWO, base="Ltool", tip="Rtool"),
     "columns": Case(parameters=OFFSETS, setup={"joints": JOINTS}),
     "columns-inside": Case(
-        urdf(MOUNT, arm(**INSIDE)), OFFSETS, setup={"joints": FOLLOWED}
+        urdf(MOUNT, *arm(**INSIDE)), OFFSETS, setup={"joints": FOLLOWED}
     ),
     "gains": Case(parameters=GAINS, setup={"fixed": ("*.sin*", "*.cos*")}),
     "sags": Case(
@@ -395,9 +396,9 @@ class Vendor(Reader):
     def poses(self, encoded: Encoded, base: str, tip: str, at: At) -> np.ndarray:
         entries = yaml.safe_load(encoded.data)["kinematics"]
         T = about(2, 0.0, 0, 0, 0)
-        for name, joint in zip(self.names, self.of.nominal.joints, strict=True):
+        for name, driven in zip(self.names, self.of.nominal.joints, strict=True):
             T = T @ placed([entries[name][key] for key in ORIGIN])
-            T = T @ about(2, at[joint], 0, 0, 0)
+            T = T @ about(2, at[driven], 0, 0, 0)
         told = [r for r in encoded.remarks if "tool of the controller: " in r]
         words = told[0].partition("controller: ")[2].split(", ") if told else []
         flange = [word.split()[1] for word in words] or [0.0] * 6

@@ -14,7 +14,6 @@ import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
@@ -30,6 +29,7 @@ from calib_pin.validation.findings.explanations import (
     setup_lines,
 )
 from calib_pin.validation.findings.readings import joint_columns
+from tests.shared import chain_of, urdf_of
 
 KNOWN = FrameSetup((0.4, -0.2, 0.3), (0.1, 0.2, 0.3), estimate=False)
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -37,7 +37,7 @@ SETUP = Setup(parameters=("joint-offset",), base_frame=KNOWN, tool_frame=TOOL)
 
 
 @pytest.fixture(scope="module")
-def arm(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chains:
+def arm() -> Chains:
     """Three joints that turn and one that slides."""
     twists = [(0, 0, 0.4, 0, 0, 0), (0.1, 0, 0, 0.4, 0, 0.2), (0.5, 0, 0, 0, 0.3, 0)]
     joints = [

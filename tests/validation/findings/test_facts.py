@@ -24,6 +24,7 @@ from calib_pin.setup import (
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.facts import coarse_step, require_motion
+from tests.shared import simulated
 
 RANDOM = np.random.default_rng(0).uniform(-2.0, 2.0, 60)
 
@@ -115,7 +116,7 @@ STATED: dict[str, dict[str, Any]] = {
 
 
 @pytest.fixture(scope="module")
-def gauged(simulated):
+def gauged():
     """A job with readings of +-0.5 mm: measurements, setup and the true robot."""
     made: dict[str, Any] = {}
 

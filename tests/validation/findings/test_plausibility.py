@@ -143,7 +143,7 @@ def test_errors_of_the_gears_move_no_joint_by_centimeters() -> None:
     assert float(finding.evidence["errors_without"]) < 4.0
 
 
-def test_no_gear_leaves_half_a_meter() -> None:
+def test_no_gear_leaves_half_a_meter(unsought) -> None:
     """Waves of gears fit into errors of any cause, and leave 0.46 of 0.73 m here."""
     chain, setup = calib_pin.load_chain("space6"), Setup(parameters=("joint-offset",))
     problem, rng = nominal_problem(chain, "position", setup), np.random.default_rng(0)

@@ -65,8 +65,8 @@ def _measure(folder: Path) -> None:
     first, second, made = folder / "first", folder / "second", str(folder / "made")
     logs = _logs(rows, robot, tip, folder)
     forced = ["-o", made, "--force"]
-    joints = ["--parameters", "joint-offset", "-o", str(second)]
-    _cpu_seconds([*calibrate, *joints])
+    gears = ["--parameters", "placement,transmission", "-o", str(second)]
+    _cpu_seconds([*calibrate, *gears])
     commands = {
         "importing pinocchio": ["-c", "import pinocchio"],
         "calib-pin --help": [*run, "--help"],

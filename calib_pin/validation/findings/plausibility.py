@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import erfc, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -354,21 +355,29 @@ class _Linear(NamedTuple):
         s, V = np.append(s, np.zeros(len(y) - len(s))), V[: len(s)]
         return _Linear(s, V, y, g, max(fitted.sigma0, 1e-6))
 
-    def growth(self) -> tuple[float, float, float]:
-        """Estimated growth, its standard deviation, and size of the other errors.
+    def growth(self) -> tuple[float, float, float, float]:
+        """Estimated growth, its standard deviation, its chance, and size of the errors.
 
-        The errors x of a real robot are themselves scattered, by the size t that is
-        likeliest; what grows must stand out from that: generalized least squares with
-        the covariance sigma^2 I + t^2 S S'.
+        The chance is the probability that there is none, or one of the other sign.
+
+        The errors x of a real robot are themselves scattered, by a size t that is as
+        likely as the measurements make it (a flat prior of its logarithm); what grows
+        must stand out from that: generalized least squares with the covariance
+        sigma^2 I + t^2 S S', over all sizes.
         """
         variance = self.sigma**2 + (SIZES[:, None] * self.s) ** 2
         products = (self.y**2, self.g * self.y, self.g**2)
         yy, gy, gg = (np.sum(product / variance, axis=1) for product in products)
         gg = np.maximum(gg, 1e-300)
-        square = yy - gy**2 / gg
+        grown, square = gy / gg, yy - gy**2 / gg
         cost = np.sum(np.log(variance), axis=1) + np.log(gg) + square
-        k = int(np.argmin(cost))
-        return float(gy[k] / gg[k]), float(gg[k] ** -0.5), float(SIZES[k])
+        likely = np.exp(-0.5 * (cost - cost.min()))
+        likely /= likely.sum()
+        mean = float(likely @ grown)
+        spread = float(likely @ (1.0 / gg + (grown - mean) ** 2))
+        sizes = np.sign(mean) * grown * np.sqrt(gg)
+        chance = sum(p * _tail(z) for p, z in zip(likely, sizes, strict=True))
+        return mean, spread**0.5, float(chance), float(SIZES[np.argmax(likely)])
 
     def held(self, size: float) -> Floats:
         """The errors x if a normal prior keeps them at a size, shape (n,).
@@ -385,6 +394,11 @@ class _Linear(NamedTuple):
         return float(np.linalg.norm(left))
 
 
+def _tail(deviations: float) -> float:
+    """Probability of a normal deviate above so many standard deviations."""
+    return 0.5 * erfc(deviations / sqrt(2.0))
+
+
 def _of_robot(parameters: ParameterSet) -> NDArray[np.bool_]:
     """The free errors of the robot among all parameters, shape (P,)."""
     return np.asarray(parameters.free & ~parameters.nuisance)
@@ -394,8 +408,8 @@ def _scale(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     """All lengths longer or shorter by one factor, which no robot is."""
     if not fitted.structure.scaled:
         return  # Nothing tells the scale, which is worse and said elsewhere.
-    s, deviation, size = linear.growth()
-    if abs(s) < max(DOUBTFUL_GROWTH, SIGNIFICANT * deviation):
+    s, deviation, chance, size = linear.growth()
+    if abs(s) < DOUBTFUL_GROWTH or chance > _tail(SIGNIFICANT):
         return
     # Lengths that are so wrong would show in the errors of the nominal robot.
     points = tool_points(case.fit.problem, fitted.theta)

@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import CalibPinError
+from calib_pin.errors import CalibPinError, enumerated
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import EXACT, Problem
@@ -450,18 +450,35 @@ def changes(case: Case) -> Iterator[Finding]:
         numbers |= {"rms_before": first.errors, "rms_after": last.errors}
         owner = " at station" if change.kind == "station" else ""
         of = CHANGED[change.kind][1].format(f"{owner} '{name}'" if name else "")
-        said.append((change.kind, f"{of} {where} ({size})", numbers))
+        said.append((change.kind, of, where, size, numbers))
     moved, remounted = tuple(places["station"]), tuple(places["tool"])
     reading = lines_of(ReadingSetup(moved=moved, remounted=remounted))
     lines = {"reading": reading} if reading else {}
     undone = f", or state in the setup file: {written(lines)}" if lines else ""
-    for kind, words, numbers in said:
+    if (
+        places["joint"]
+        and (moved or remounted)
+        and len({at for _, _, at, *_ in said}) == 1
+    ):
+        # Who moves an instrument homes no joint.
+        parts = enumerated(f"{of} ({size})" for _, of, _, size, _ in said)
+        words = (
+            f"something else was measured {said[0][2]}, such as another robot: {parts}"
+        )
+        remedy, numbers = "calibrate the two parts apart", said[0][-1]
+        kept = ("file", "line", "rms_before", "rms_after")
+        numbers = {name: numbers[name] for name in kept}
+        code = "outlying-stretch"
+        yield told(code, words, numbers, remedy, {}, "over-order", error=True)
+        return
+    for kind, of, where, size, numbers in said:
         remedy = f"give the two parts different {kind}s (a column '{kind}'"
         remedy += ", or --station-per-file)" if kind == "station" else ")"
         if kind == "joint":
             remedy = "measure anew, or calibrate what was measured before and behind "
             remedy += "apart"
         how = (remedy + undone, lines, "over-order")
+        words = f"{of} {where} ({size})"
         yield told(CHANGED[kind][0], words, numbers, *how, error=True)
 
 

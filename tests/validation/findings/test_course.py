@@ -119,6 +119,14 @@ def test_a_joint_that_was_homed_anew(moved_job, count: int, first: int) -> None:
     assert finding.evidence["rms_after"] < 2e-4 < finding.evidence["rms_before"]
 
 
+def test_all_at_once_is_another_robot(moved_job) -> None:
+    job, behind = moved_job((), (), 60), np.arange(60) >= 31
+    block = turned(displaced(job.plain.only, 2e-3 * behind), 2, 0.01 * behind)
+    (finding,) = findings(job, block)
+    assert (finding.code, finding.evidence["line"]) == ("outlying-stretch", 32)
+    assert "such as another robot: the " in finding.message
+
+
 def test_of_few_rows_as_well(moved_job) -> None:
     """Fifteen positions have as many values as there are unknowns."""
     job = moved_job((), (), 15)

@@ -159,7 +159,9 @@ def _stated(
 ) -> Input:
     """The stated standard deviations are the true ones times a factor."""
     wide = 6 if job.model == "pose" else rows.values.shape[1]
-    return given(job, replace(rows, sigma=np.full((len(rows), wide), factor * NOISE)))
+    return given(
+        job, replace(rows, sigma=np.full((len(rows), wide), factor * job.noise))
+    )
 
 
 def _remounted(

@@ -435,8 +435,9 @@ def _chance(grounds: Judgement) -> float:
     """Probability of so large errors by chance if the robot were as nominal."""
     fitted, evidence = grounds.fitted, grounds.fitted.evidence
     if evidence is None or evidence.count == 0:
-        # Exact rows leave no doubt, but for rounding.
-        return float(all(abs(gain.mean) < 1e-6 for gain in grounds.gains))
+        # Exact rows leave no doubt, but for rounding, if they are checked.
+        gains = [abs(gain.mean) for gain in grounds.gains]
+        return float(max(gains, default=np.inf) < 1e-6)
     return f_tail(evidence.square / evidence.count, evidence.count, max(fitted.dof, 1))
 
 

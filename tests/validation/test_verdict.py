@@ -7,6 +7,7 @@ where all of it is looked at in numbers.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from calib_pin.estimation.evidence import ExpectedAccuracy, PoseErrors
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import AnchorSetup, Setup
+from calib_pin.validation import judgement
 from calib_pin.validation.judgement import Judgement
 from calib_pin.validation.result import ToolAccuracy
 
@@ -47,6 +49,13 @@ def test_a_perfect_robot_has_nothing_to_gain() -> None:
 
 
 # 5: `good` for five poses that were repeated 30 times each.
+
+
+def test_an_exact_fit_that_nothing_checks_leaves_doubt() -> None:
+    """As many values as parameters, when the others were set aside as outliers."""
+    exact = SimpleNamespace(evidence=None)
+    grounds = Judgement(exact, (), (), (), {}, 0.0, ())  # type: ignore[arg-type]
+    assert judgement._chance(grounds) == 0.0
 
 
 def test_five_poses_many_times_are_unchecked() -> None:

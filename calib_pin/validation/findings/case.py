@@ -22,13 +22,12 @@ from calib_pin.estimation.nominal import registered
 from calib_pin.estimation.problem import (
     EXACT,
     Problem,
-    current_units,
     error_table,
     measured_count,
 )
 from calib_pin.estimation.solve import refine
-from calib_pin.estimation.statistics.distributions import chi_square_tail, f_tail
-from calib_pin.estimation.statistics.variance_components import REJECTED, candidates
+from calib_pin.estimation.statistics.distributions import f_tail
+from calib_pin.estimation.statistics.variance_components import candidates
 from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
@@ -287,7 +286,7 @@ class QuickFit:
         """
         problem = located(problem, thorough)
         best = trial = cls(problem, np.zeros(len(problem.parameters)), **more)
-        for step in range(steps if trial.counts else 0):
+        for step in range(steps if trial._counts else 0):
             there = stepped(trial)
             if not np.isfinite(there.linear[0]).all():
                 break  # A point came to lie behind the camera, say.
@@ -304,7 +303,7 @@ class QuickFit:
         return measured_count(self.problem) >= REDUNDANCY * free
 
     @property
-    def counts(self) -> bool:
+    def _counts(self) -> bool:
         """Whether the robot's errors are fitted."""
         return self.robot and (self.whole or self.redundant)
 
@@ -320,7 +319,7 @@ class QuickFit:
         """Columns of what is free, and residuals, above known distances and sizes."""
         r, J = self.linear
         parameters, known = self.problem.parameters, self.problem.further.distances
-        free = parameters.free & (parameters.nuisance | self.counts)
+        free = parameters.free & (parameters.nuisance | self._counts)
         robot = ~parameters.nuisance & free
         prior = np.diag(np.where(robot, 1.0 / SIZE, 0.0))[robot]
         # Without them contacts draw a robot together.
@@ -626,16 +625,6 @@ class Case:
             return True
         known = fitted is not None and self.fit.largest_correction <= REBUILT
         return self.errors_nominal > (ABSURD if known else FOREIGN)
-
-    def as_stated(self, fit: QuickFit) -> bool:
-        """Whether a fit leaves no more than noise that the rows or the setup state."""
-        noise = self.fitted.noise if self.fitted is not None else ()
-        if not noise or not all(component.stated for component in noise):
-            return False
-        layout = fit.problem.layout
-        units = current_units(fit.problem)[layout.component]
-        r = fit.unexplained[1][: len(units)] * units
-        return chi_square_tail(float(r @ r), fit.left) > REJECTED
 
     @cached_property
     def errors_left(self) -> float:

@@ -23,7 +23,9 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, enumerated
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import EXACT, Problem
+from calib_pin.estimation.problem import EXACT, Problem, current_units
+from calib_pin.estimation.statistics.distributions import chi_square_tail
+from calib_pin.estimation.statistics.variance_components import REJECTED
 from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
@@ -535,7 +537,7 @@ def drift(case: Case) -> Iterator[Finding]:
     without = fit.explaining(ramp)
     left, now = (f.unexplained[1][first] for f in (without, fit))
     before, part = fit.errors, float(np.linalg.norm(left) / np.linalg.norm(now))
-    if part > LASTING and not case.as_stated(without):
+    if part > LASTING and not _as_stated(case, without):
         return
     caused = before * np.sqrt(max(1.0 - part**2, 0.0))
     large = caused > LARGE * expected_size(fit.quantity.unit) and part < FITTED
@@ -544,6 +546,16 @@ def drift(case: Case) -> Iterator[Finding]:
     said += f"{100 * part:.0f} % of the errors are left"
     numbers |= {"rms_before": before, "rms_after": part * before}
     yield told(code, said, numbers, remedy, lines, "over-order", error=bool(large))
+
+
+def _as_stated(case: Case, fit: QuickFit) -> bool:
+    """Whether a fit leaves no more than noise that the rows or the setup state."""
+    noise = case.fitted.noise if case.fitted is not None else ()
+    if not noise or not all(component.stated for component in noise):
+        return False
+    units = current_units(fit.problem)[fit.problem.layout.component]
+    r = fit.unexplained[1][: len(units)] * units
+    return chi_square_tail(float(r @ r), fit.left) > REJECTED
 
 
 Words = tuple[str, str, dict[str, Any], str, dict[str, Any]]

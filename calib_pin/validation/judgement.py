@@ -337,7 +337,12 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
 
 
 def _if_noise(grounds: Judgement, promised: float) -> str:
-    """The condition of a promise, where more is left and nobody knows the noise."""
+    """The condition of a claim, where more is left and nobody knows the noise.
+
+    Args:
+        grounds: What is judged.
+        promised: Error that is claimed to be left [m].
+    """
     quantity = grounds.errors[0]
     left = quantity.shown[1].rms
     unknown = quantity.unit == "m" and _noise(grounds, quantity) is None
@@ -427,7 +432,7 @@ def _no_gain(grounds: Judgement) -> Iterator[tuple[str, str]]:
     reason = "the measurements show no error of the robot"
     if grounds.gains:
         found, held = _gain(grounds, nothing=True)
-        reason += f": {found}, on {held}"
+        reason += f"{_if_noise(grounds, 0.0)}: {found}, on {held}"
     yield "no-gain", reason
 
 

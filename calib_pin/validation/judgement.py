@@ -363,7 +363,8 @@ def _noise(grounds: Judgement, quantity: QuantityErrors) -> float | None:
     if not own or not known or not all(n.stated or n.pure is not None for n in own):
         return None
     sizes = [n.given if n.pure is None else n.pure for n in own]
-    return float(np.sqrt((known[0].stop - known[0].start) * np.mean(np.square(sizes))))
+    size = np.sqrt((known[0].stop - known[0].start) * np.mean(np.square(sizes)))
+    return float(size) or None  # Copies show none.
 
 
 def _unchecked(grounds: Judgement) -> str:

@@ -77,6 +77,18 @@ def test_a_promise_is_made_on_condition_where_errors_may_be_noise(unsought) -> N
     assert "are noise" not in known.reason and "times the noise" in known.reason
 
 
+def test_copies_are_no_repetitions_that_tell_the_noise(unsought) -> None:
+    """Rows of another robot, each twice to the last digit, leave 13 mm."""
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(4)
+    problem = nominal_problem(chain, "position", Setup(parameters=("placement",)))
+    truth = 5.0 * calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=26, noise=1e-4).only
+    twice = replace(rows, sigma=None).rows(np.repeat(np.arange(26), 2))
+    setup = Setup(parameters=("joint-offset",))
+    result = calib_pin.calibrate(chain, twice, setup)
+    assert "times the noise" not in result.reason
+
+
 @pytest.mark.parametrize("sought", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_pixels_that_no_robot_explains_are_untrusted(request, sought) -> None:
     """No corner of a board is found so badly, whatever the noise that is assumed."""

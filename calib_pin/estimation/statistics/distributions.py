@@ -6,10 +6,20 @@ Pinocchio does.
 
 from __future__ import annotations
 
-from math import nan, sqrt
+from math import erfc, nan, sqrt
 
 NORMAL = 1.959964
 """Standard deviations within which 95 % of a normal distribution lie."""
+
+
+def normal_tail(deviations: float) -> float:
+    """Probability of a normal deviate above so many standard deviations.
+
+    Examples:
+        >>> round(normal_tail(NORMAL), 6)
+        0.025
+    """
+    return 0.5 * erfc(deviations / sqrt(2.0))
 
 
 def chi_square_quantile(dof: float, tail: float) -> float:

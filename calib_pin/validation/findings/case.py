@@ -19,12 +19,7 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import column_space, nuisance_basis
 from calib_pin.estimation.nominal import registered
-from calib_pin.estimation.problem import (
-    EXACT,
-    Problem,
-    error_table,
-    measured_count,
-)
+from calib_pin.estimation.problem import EXACT, Problem, error_table, measured_count
 from calib_pin.estimation.solve import refine
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.statistics.variance_components import candidates

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import erfc, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,7 +30,7 @@ from calib_pin.estimation.nominal import analyze_structure, growth
 from calib_pin.estimation.problem import tool_points
 from calib_pin.estimation.robust import exchanged_with
 from calib_pin.estimation.row_blocks import Priors
-from calib_pin.estimation.statistics.distributions import chi_square_tail
+from calib_pin.estimation.statistics.distributions import chi_square_tail, normal_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import INSTRUMENT
@@ -376,7 +375,7 @@ class _Linear(NamedTuple):
         mean = float(likely @ grown)
         spread = float(likely @ (1.0 / gg + (grown - mean) ** 2))
         sizes = np.sign(mean) * grown * np.sqrt(gg)
-        chance = sum(p * _tail(z) for p, z in zip(likely, sizes, strict=True))
+        chance = sum(p * normal_tail(z) for p, z in zip(likely, sizes, strict=True))
         return mean, spread**0.5, float(chance), float(SIZES[np.argmax(likely)])
 
     def held(self, size: float) -> Floats:
@@ -394,11 +393,6 @@ class _Linear(NamedTuple):
         return float(np.linalg.norm(left))
 
 
-def _tail(deviations: float) -> float:
-    """Probability of a normal deviate above so many standard deviations."""
-    return 0.5 * erfc(deviations / sqrt(2.0))
-
-
 def _of_robot(parameters: ParameterSet) -> NDArray[np.bool_]:
     """The free errors of the robot among all parameters, shape (P,)."""
     return np.asarray(parameters.free & ~parameters.nuisance)
@@ -409,7 +403,7 @@ def _scale(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     if not fitted.structure.scaled:
         return  # Nothing tells the scale, which is worse and said elsewhere.
     s, deviation, chance, size = linear.growth()
-    if abs(s) < DOUBTFUL_GROWTH or chance > _tail(SIGNIFICANT):
+    if abs(s) < DOUBTFUL_GROWTH or chance > normal_tail(SIGNIFICANT):
         return
     # Lengths that are so wrong would show in the errors of the nominal robot.
     points = tool_points(case.fit.problem, fitted.theta)

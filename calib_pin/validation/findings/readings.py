@@ -36,7 +36,6 @@ from calib_pin.observations import (
     FRAMES,
     BlockKey,
     Frame,
-    Labels,
     Measurements,
     Observations,
     apart,
@@ -416,11 +415,11 @@ def target_names(case: Case) -> Iterator[Hypothesis]:
 def _renamed(data: Observations, names: Mapping[str, str]) -> Observations:
     """Measurements whose targets have other names."""
 
-    def renamed(block: Measurements) -> Measurements:
-        target = Labels.of([names.get(name, name) for name in block.target])
-        return replace(block, target=target)
+    def renamed(name: str) -> str:
+        return names.get(name, name)
 
-    return Observations(tuple(map(renamed, data.blocks)))
+    blocks = (replace(b, target=b.target.map(renamed)) for b in data.blocks)
+    return Observations(tuple(blocks))
 
 
 def target_frames(case: Case) -> Iterator[Hypothesis]:

@@ -49,7 +49,6 @@ FOLLOW = (
     ("joint-offset", "large-correction"),  # The origin has taken it over.
     ("joint-columns", "backlash"),  # Commanded positions are off by the side.
     ("lag", "backlash"),  # So are those that were read too early.
-    ("model-lacks", "scale"),  # A robot grows to explain what it lacks.
     ("model-lacks", "gear-ripple"),  # Large errors of gears alias to ripples.
     # What no parameter describes leaves more than noise.
     *((code, "noise") for code in ("model-lacks", "backlash", "lag", "coarse-steps")),

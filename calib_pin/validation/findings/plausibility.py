@@ -31,6 +31,7 @@ from calib_pin.estimation.problem import tool_points
 from calib_pin.estimation.robust import exchanged_with
 from calib_pin.estimation.row_blocks import Priors
 from calib_pin.estimation.statistics.distributions import chi_square_tail, normal_tail
+from calib_pin.estimation.statistics.variance_components import candidates
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import INSTRUMENT
@@ -73,12 +74,6 @@ length of the lines that a remedy writes out; all stand in the finding."""
 
 FACTOR = 2.0
 """Estimated by stated standard deviation, or the inverse, from which it is told."""
-
-SIGNIFICANT = 4.5
-"""Standard deviations from which a common scale, or a distance missed, is no chance: by
-chance one in 150 000 is. Of 20 robots with errors of 0.3 to 3 mm it finds 13 to 19 that
-are measured 1 % too large, and all that are 2 % too large. A real TIAGo comes out 0.8 %
-shorter, by 3.5 deviations."""
 
 GROWN, DOUBTFUL_GROWTH = 0.0075, 0.004
 """Parts by which all lengths may be wrong before the trust goes, and before there is a
@@ -338,14 +333,20 @@ class _Linear(NamedTuple):
     sigma: float
 
     @staticmethod
-    def of(case: Case, fitted: Fit) -> _Linear:
-        """That of a fit, without what expected sizes add to the measurements."""
+    def of(case: Case, fitted: Fit, lacking: Sequence[str] = ()) -> _Linear:
+        """That of a fit, without what expected sizes add to the measurements.
+
+        Families that it lacks are errors of the robot like the others.
+        """
         problem, parameters = case.fit.problem, case.fit.problem.parameters
         r, J = problem.linearize_rows(fitted.theta)
         grown, J = np.zeros(len(r)), J * parameters.scales
         grown[: len(problem.sigma)] = growth(problem, fitted.theta)
         A = J[:, _of_robot(parameters)]
         y = A @ (fitted.theta / parameters.scales)[_of_robot(parameters)] - r
+        if lacking and (effects := candidates(problem, lacking)) is not None:
+            own = effects.rows(problem, fitted.theta)
+            A = np.column_stack([A, np.pad(own, [(0, len(r) - len(own)), (0, 0)])])
         system = projected(np.column_stack([A, grown, y]), J, parameters)
         R = np.asarray(np.linalg.qr(system, mode="r"))
         U, s, V = np.linalg.svd(R[:, :-2])
@@ -402,8 +403,11 @@ def _scale(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     """All lengths longer or shorter by one factor, which no robot is."""
     if not fitted.structure.scaled:
         return  # Nothing tells the scale, which is worse and said elsewhere.
+    if lacking := case.lacking[0]:
+        # A robot grows to explain what it lacks.
+        linear = _Linear.of(case, fitted, lacking)
     s, deviation, chance, size = linear.growth()
-    if abs(s) < DOUBTFUL_GROWTH or chance > normal_tail(SIGNIFICANT):
+    if abs(s) < DOUBTFUL_GROWTH or chance > CHANCE:
         return
     # Lengths that are so wrong would show in the errors of the nominal robot.
     points = tool_points(case.fit.problem, fitted.theta)
@@ -557,7 +561,9 @@ def contradicted(
     apart = float(v[k] * stated.sigma / left[k])
     metric = problem.layout.quantities[0].unit == "m" == stated.unit
     least = max(MISSED, BEYOND * errors if metric else 0.0)
-    if abs(apart) < min(least, CONTRADICTED) or w[k] < SIGNIFICANT:
+    if abs(apart) < min(least, CONTRADICTED):
+        return
+    if normal_tail(w[k]) * len(w) > CHANCE:
         return
     # A wrong distance takes all measurements for coarse ones.
     if not _scaled_without(robust or fitted, k):

@@ -90,6 +90,20 @@ def test_growth_is_that_of_all_origins(model: str, setup: Setup) -> None:
     np.testing.assert_allclose(growth(problem, theta), expected, rtol=1e-9, atol=1e-6)
 
 
+@pytest.mark.parametrize("factor", [1.0, 1.05])
+def test_gears_that_are_left_out_hide_no_wrong_lengths(factor: float) -> None:
+    """A robot grows a little to explain them, but not by a twentieth."""
+    rng = np.random.default_rng(6)
+    setup = replace(FRAMES, parameters=("placement", "transmission"))
+    problem = nominal_problem(ARM, "position", setup)
+    theta = robot_errors(problem, rng, 1.0)
+    gains = [n.endswith("gain") for n in problem.parameters.names]
+    theta[gains] = rng.normal(0.0, 0.005, sum(gains))
+    rows = simulate(problem, theta, rng, count=60, noise=1e-4).only
+    codes = [f.code for f in found(replace(rows, values=factor * rows.values), FRAMES)]
+    assert ("scale" in codes) == (factor != 1.0)
+
+
 def test_a_distance_that_gives_the_scale() -> None:
     """Sockets 60 mm apart that are 50: nothing else knows how large the robot is."""
     sockets = {"s/0": PointSetup((0.6, 0.3, 0.4)), "s/1": PointSetup((0.55, 0.3, 0.4))}

@@ -40,7 +40,8 @@ CHANCE = 1e-4
 kinds, corrected for the number of those that are tried."""
 
 REDUNDANCY = 2.0
-"""Least number of values, by unknowns, to tell errors of the robot from others."""
+"""Least number of values, by those that unknowns use up, to tell errors of the robot
+from others."""
 
 SIZE = 10.0
 """Expected size of the robot's errors, in scales, while explanations are sought."""
@@ -247,13 +248,11 @@ class QuickFit:
     Attributes:
         problem: The problem about its registered references.
         theta: Parameter values, shape (P,).
-        whole: Whether the robot's errors count however few measurements there are.
-        robot: Whether they count at all; only the frames are fitted otherwise.
+        robot: Whether the robot's errors are fitted, or the frames alone.
     """
 
     problem: Problem
     theta: Floats
-    whole: bool = field(default=False, kw_only=True)
     robot: bool = field(default=True, kw_only=True)
 
     @classmethod
@@ -265,7 +264,7 @@ class QuickFit:
         thorough: bool = False,
         **more: Any,
     ) -> Self:
-        """Register the nominal robot, and fit its errors where that says something.
+        """Register the nominal robot, and fit its errors.
 
         The best step counts: none where all of them lead away.
 
@@ -281,7 +280,7 @@ class QuickFit:
         """
         problem = located(problem, thorough)
         best = trial = cls(problem, np.zeros(len(problem.parameters)), **more)
-        for step in range(steps if trial._counts else 0):
+        for step in range(steps):
             there = stepped(trial)
             if not np.isfinite(there.linear[0]).all():
                 break  # A point came to lie behind the camera, say.
@@ -290,17 +289,6 @@ class QuickFit:
             trial = there
             best = trial if trial.rms < best.rms else best
         return best
-
-    @cached_property
-    def redundant(self) -> bool:
-        """Whether the measurements tell errors of the robot from others."""
-        free = int(self.problem.parameters.free.sum())
-        return measured_count(self.problem) >= REDUNDANCY * free
-
-    @property
-    def _counts(self) -> bool:
-        """Whether the robot's errors are fitted."""
-        return self.robot and (self.whole or self.redundant)
 
     @cached_property
     def linear(self) -> tuple[Floats, Floats]:
@@ -314,7 +302,7 @@ class QuickFit:
         """Columns of what is free, and residuals, above known distances and sizes."""
         r, J = self.linear
         parameters, known = self.problem.parameters, self.problem.further.distances
-        free = parameters.free & (parameters.nuisance | self._counts)
+        free = parameters.free & (parameters.nuisance | self.robot)
         robot = ~parameters.nuisance & free
         prior = np.diag(np.where(robot, 1.0 / SIZE, 0.0))[robot]
         # Without them contacts draw a robot together.
@@ -340,6 +328,11 @@ class QuickFit:
         """
         of_values = self.unexplained[0][: len(self.problem.layout.row)]
         return measured_count(self.problem) - float(np.sum(of_values**2))
+
+    @property
+    def redundant(self) -> bool:
+        """Whether the measurements tell errors of the robot from others."""
+        return (1.0 - 1.0 / REDUNDANCY) * measured_count(self.problem) <= self.left
 
     @cached_property
     def rms(self) -> float:
@@ -553,7 +546,7 @@ class Case:
         data = fitted.problem.data
         some, rank = some_of(data)
         problem = replace(fitted.problem, data=some, expected=None)
-        fit = QuickFit(problem, fitted.theta, whole=True)
+        fit = QuickFit(problem, fitted.theta)
         return Case(chains, data, fit, rank, fitted.before, fitted, *more, **named)
 
     @staticmethod

@@ -210,7 +210,7 @@ class Trial(QuickFit):
         problem = make_problem(plain.chains, data, plain.setup)
         own: dict[str, Any] = {"plain": plain, "rank": rank}
         own |= {"changes": changes, "index": index}
-        trial = Trial.of(problem, whole=True, **own)
+        trial = Trial.of(problem, **own)
         zeros = [k for k, change in enumerate(changes) if change.kind == "joint"]
 
         def of(sizes: Floats) -> tuple[Change, ...]:
@@ -383,7 +383,7 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
     data, rank = problem.data.weighted(np.ones(len(case.rank))), case.rank
     plain = replace(problem, data=data, units=np.zeros(0))
     index = np.arange(len(rank))
-    seen = Trial(plain, fit.theta, plain, rank, (), index, whole=True)
+    seen = Trial(plain, fit.theta, plain, rank, (), index)
     if all(left > LOOKED_AT for _, left, _ in seen.candidates):
         return None
     trials, more = list[Trial](), seen.settled(())

@@ -271,8 +271,7 @@ def joint_motion(case: Case) -> Explanation | None:
 
 def _small(case: Case) -> Explanation | None:
     """The one that a fit leaves."""
-    known = case.fit.whole or case.fit.redundant
-    fit = case.fit if known else replace(case.fit, whole=True)
+    fit = case.fit
     motion = _Motions(case, fit).likeliest() if fit.left > 1 else None
     if motion is None:
         return None

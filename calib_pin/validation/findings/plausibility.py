@@ -302,10 +302,13 @@ def plausibility(case: Case) -> Iterator[Finding]:
     robot = _of_robot(fitted.problem.parameters)
     if not robot.any() or fitted.dof <= 0 or not np.isfinite(fitted.theta).all():
         return
-    # One wrong distance among several stretches the robot, too.
-    yield from contradicted(fitted, case.fit.errors)
+    wrong = [*contradicted(fitted, case.fit.errors)]
+    yield from wrong
+    # One wrong distance among several stretches the robot; where nothing tells its
+    # scale, or it has grown, there are large corrections everywhere.
+    if wrong or not fitted.structure.scaled:
+        return
     linear = _Linear.of(case, fitted)
-    # A robot that has grown has large corrections everywhere.
     yield from [*_scale(case, fitted, linear)] or _corrections(case, fitted, linear)
 
 
@@ -401,8 +404,6 @@ def _of_robot(parameters: ParameterSet) -> NDArray[np.bool_]:
 
 def _scale(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     """All lengths longer or shorter by one factor, which no robot is."""
-    if not fitted.structure.scaled:
-        return  # Nothing tells the scale, which is worse and said elsewhere.
     if lacking := case.lacking[0]:
         # A robot grows to explain what it lacks.
         linear = _Linear.of(case, fitted, lacking)

@@ -250,8 +250,9 @@ def acceptance(
         D = np.linalg.norm(attained[one] - attained[other], axis=1)
         effect = frames.effects[one[0], :3] - frames.effects[other[0], :3]
         accuracy = _mean(D - D_c, apart[0] @ effect / (D_c[0] or 1.0), frames.dof)
-        pair = (int(called[k]), int(called[m])), len(D), float(D_c.mean())
-        distances.append(DistanceTest(*pair, accuracy, _three_sigma(D)))
+        pair, length = (int(called[k]), int(called[m])), float(D_c.mean())
+        distance = DistanceTest(pair, len(D), length, accuracy, _three_sigma(D))
+        distances.append(distance)
     places = [deviations[visits[k], :3] for k in kept]
     test = Acceptance(tuple(poses), tuple(distances), _drift(places))
     if not frames.fitted:

@@ -131,8 +131,9 @@ def identify(
     theta = np.zeros(len(problem.parameters))
     found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
     ranks = _ranks(problem, found, found.robot, found.configurations)
-    errors, told = robot_errors(problem, found), estimates(problem.parameters, found)
-    return Identification(*told, ranks, robot_errors=errors)
+    parameters, groups = estimates(problem.parameters, found)
+    errors = robot_errors(problem, found)
+    return Identification(parameters, groups, ranks, robot_errors=errors)
 
 
 def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
@@ -179,9 +180,15 @@ def estimates(
         weak |= set() if told else {number}
         for position, _ in combination.terms:
             member[position].append(number)
-        terms = tuple(Coefficient(names[k], c) for k, c in combination.terms)
-        known = combination.expression(names), combination.unit, value, sigma, terms
-        groups.append(CoupledGroup(number, *known))
+        group = CoupledGroup(
+            number,
+            combination.expression(names),
+            combination.unit,
+            value,
+            sigma,
+            terms=tuple(Coefficient(names[k], c) for k, c in combination.terms),
+        )
+        groups.append(group)
     for k, other in structure.alike.items():
         if fitted is not None and sigmas.get(other) is not None:
             sigmas[k] = float(fitted.covariance[k, k] ** 0.5)
@@ -201,8 +208,9 @@ def estimates(
     theta = np.zeros(len(parameters)) if fitted is None else fitted.theta
     found = list[ParameterEstimate]()
     for k, (p, value) in enumerate(zip(parameters, theta.tolist(), strict=True)):
-        own = value, sigmas.get(k), status(k), tuple(member.get(k, ()))
-        found.append(ParameterEstimate(p.name, p.unit, *own))
+        of_groups = tuple(member.get(k, ()))
+        estimate = p.name, p.unit, value, sigmas.get(k), status(k), of_groups
+        found.append(ParameterEstimate(*estimate))
     return tuple(found), tuple(groups)
 
 
@@ -259,12 +267,19 @@ def _ranks(
     of_terms = [term.frames for term in problem.terms.values()]
     frames = {own.station for own in of_terms} | {own.tool for own in of_terms}
     everett = everett_count(problem.chains.revolute, len(frames))
-    condition = float(s[0] / s[-1]) if len(s) else 0.0
-    free, rank = int(problem.parameters.free.sum()), structure.rank
-    ranks = free, rank, rank, len(structure.robot), structure.gap, everett
-    values = tuple(s.tolist()), tuple(structure.singular_values.tolist())
-    told = *ranks, condition, *values, observability(s, configurations)
-    return Identifiability(*told, scale_observable=structure.scaled)
+    return Identifiability(
+        parameters=int(problem.parameters.free.sum()),
+        rank=structure.rank,
+        structural_rank=structure.rank,
+        robot_rank=len(structure.robot),
+        gap=structure.gap,
+        everett=everett,
+        condition=float(s[0] / s[-1]) if len(s) else 0.0,
+        singular_values=tuple(s.tolist()),
+        structural_values=tuple(structure.singular_values.tolist()),
+        observability=observability(s, configurations),
+        scale_observable=structure.scaled,
+    )
 
 
 def _correlated(fitted: Fit) -> Iterator[Correlation]:
@@ -324,8 +339,11 @@ def robot_errors(
     leads, C = order[np.array(pivots, np.intp)], np.zeros((len(rows), len(parameters)))
     # Columns are scaled by the expected sizes; the coefficients are not.
     C[:, order] = rows / parameters.scales[order]
-    given, pairs = (columns, parameters, fitted), zip(leads.tolist(), C, strict=True)
-    found = [_error(k, row / row[k], *given) for k, row in pairs if not nuisance[k]]
+    found = [
+        _error(k, row / row[k], columns, parameters, fitted)
+        for k, row in zip(leads.tolist(), C, strict=True)
+        if not nuisance[k]
+    ]
     found += _absorbed(leads, C, columns, parameters)
     ranks = {name: k for k, name in enumerate((*KINDS, *system.chains.joints))}
     last = len(ranks)
@@ -356,10 +374,16 @@ def _error(
     for least in (max(sigma or 0.0, float(SMALL * sizes[lead])), 0.5 * sizes[lead]):
         if kept := tuple((k, c) for k, c in terms if abs(c) * sizes[k] >= least):
             break
-    expression = Combination(kept, unit).expression(parameters.names)
-    named = tuple(Coefficient(parameters.names[k], c) for k, c in kept)
-    known = value, sigma, "identifiable" if told else "weak", ()
-    return RobotError(label.kind, of, unit, *known, expression, named)
+    return RobotError(
+        label.kind,
+        of,
+        unit,
+        value,
+        sigma,
+        status="identifiable" if told else "weak",
+        expression=Combination(kept, unit).expression(parameters.names),
+        terms=tuple(Coefficient(parameters.names[k], c) for k, c in kept),
+    )
 
 
 def _absorbed(
@@ -380,9 +404,9 @@ def _absorbed(
         if k in leads or not len(takers) or not parameters.nuisance[takers].all():
             continue
         owners = (parameters[p].name.rpartition(".")[0] for p in takers.tolist())
-        label, unit = columns.labels[k], parameters[k].unit
-        own = label.kind, (label.of,), unit, 0.0, None, "absorbed"
-        yield RobotError(*own, tuple(dict.fromkeys(owners)))
+        label, within = columns.labels[k], tuple(dict.fromkeys(owners))
+        error = label.kind, (label.of,), parameters[k].unit, 0.0, None
+        yield RobotError(*error, status="absorbed", within=within)
 
 
 ROWS, ENOUGH = 10_000, 60
@@ -477,18 +501,29 @@ class _Parts:
             chain = self.problem.chains[name]
             count, errors, _ = self._of([k for k in self.problem.terms if k[1] == name])
             own = tuple(joint for joint in chain.joints if joint in still)
-            ends = name, chain.base, chain.tip, chain.joints
-            yield ChainSummary(*ends, count, errors, own)
+            yield ChainSummary(
+                name, chain.base, chain.tip, chain.joints, count, errors, own
+            )
 
     def blocks(self) -> Iterator[BlockSummary]:
         """The blocks."""
         apart, ranks = ties(self.problem), block_ranks(self.fit)
-        for block, of_block in zip(self.problem.blocks, ranks, strict=True):
+        for block, (rank, added) in zip(self.problem.blocks, ranks, strict=True):
             key, ((station, _), (tool, _)) = block.term.key, frames_of(block.term)
             count, errors, noise = self._of([key])
-            targets = tuple(filter(None, block.data.target.distinct))
-            known = count, targets, errors, noise, *of_block, apart[key]
-            yield BlockSummary(key.model, key.chain, station.name, tool.name, *known)
+            yield BlockSummary(
+                key.model,
+                key.chain,
+                station.name,
+                tool.name,
+                measurements=count,
+                targets=tuple(filter(None, block.data.target.distinct)),
+                errors=errors,
+                noise=noise,
+                rank=rank,
+                added=added,
+                ties=apart[key],
+            )
 
     def _of(
         self, keys: Collection[BlockKey]

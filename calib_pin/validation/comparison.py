@@ -270,8 +270,9 @@ def compare(
     for a, b in ((here[key], there[key]) for key in shared):
         if a.sigma is not None and b.sigma is not None:
             sigma = max(math.hypot(a.sigma, b.sigma), SAME)
-            own = a.expression, a.unit, a.value, b.value, sigma
-            differences.append(Difference(*own, a.terms if len(a.terms) > 1 else ()))
+            terms = a.terms if len(a.terms) > 1 else ()
+            values = a.value, b.value, sigma
+            differences.append(Difference(a.expression, a.unit, *values, terms))
     left = [[own[key] for key in own if key not in shared] for own in (here, there)]
     mine, theirs = (
         tuple(one.expression for one in own if len(one.terms) == 1) for own in left

@@ -200,7 +200,16 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
         sigma = None if status else float(np.sqrt(w @ C @ w))
         counted = steps.get(joint) if unit == "rad" else None
         per_unit = None if counted is None else counted / (2.0 * np.pi)
-        about = [*status, "identifiable"][0], absorbed.get(joint, ())
-        told = *about, reverses.get(joint, "")
-        found.append(FoundOffset(joint, column, unit, value, sigma, per_unit, *told))
+        offset = FoundOffset(
+            joint,
+            column,
+            unit,
+            value,
+            sigma,
+            steps=per_unit,
+            status=[*status, "identifiable"][0],
+            within=absorbed.get(joint, ()),
+            reverses=reverses.get(joint, ""),
+        )
+        found.append(offset)
     return tuple(found)

@@ -148,9 +148,17 @@ class MeasurementErrors:
         term, q = model.only, np.zeros((count, len(joints)))
         values = np.zeros((count, term.measurement.width))
         rows = Measurements(joints, q, values=values, **term.key._asdict())
-        points, to_base = np.full((count, 3), np.nan), np.full((1, 3, 3), np.nan)
-        told = Observations.of(rows), quantities, errors, errors, errors
-        return MeasurementErrors(*told, points, to_base, leverage=points[:, 0])
+        points = np.full((count, 3), np.nan)
+        return MeasurementErrors(
+            Observations.of(rows),
+            quantities,
+            before=errors,
+            after=errors,
+            sigma=errors,
+            points=points,
+            to_base=np.full((1, 3, 3), np.nan),
+            leverage=points[:, 0],
+        )
 
     def __len__(self) -> int:
         """Number of measurements."""

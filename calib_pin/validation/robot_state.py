@@ -638,13 +638,22 @@ class Innovations:
         # A tracker that was set up anew is no error of the prediction.
         moved = (c for c in sudden if self.sudden[c.name].kind in FRAMES)
         chi2 = replace(first, causes=(*first.causes, *moved)).square
-        made = *state.made, count, chi2
-        values = len(first.values), state.noise, tuple(drifted), tuple(jumps)
         # Beside what all have shown, as much more as these show by chance.
         more = max(found.square / len(first.values), 1.0) ** 0.5
         more *= next(c.size for c in found.causes if c.name == NOISE)
         grown = {name: more * sigma for name, sigma in state.sigmas.items()}
-        step = RecalibrationStep(*made, *values, float(still))
+        start, created = state.made
+        step = RecalibrationStep(
+            start,
+            created,
+            measurements=count,
+            chi2=chi2,
+            dof=len(first.values),
+            noise=state.noise,
+            drifts=tuple(drifted),
+            jumps=tuple(jumps),
+            still=float(still),
+        )
         return step, state.prior(effects, grown)
 
     def _sparse(self, kinds: Collection[str]) -> tuple[Cause, ...]:
@@ -688,17 +697,20 @@ class Innovations:
         """A sudden change as the innovations tell it, and what it may be instead."""
         change, parameters = self.sudden[cause.name], self.parameters
         effects, covariance = found.effects(cause)
-        words = (tuple(self.sudden[n].label for n in names) for names in others)
+        instead, beside = (
+            tuple(self.sudden[n].label for n in names) for names in others
+        )
+        named = change.name, change.kind
         if change.kind == "offset":
             sigma = change.size * float(covariance[0, 0]) ** 0.5
-            sizes = change.unit, change.size * float(effects[0]), sigma, 0.0
+            jump = Jump(*named, change.unit, change.size * float(effects[0]), sigma)
         else:
             moved = change.directions @ effects * parameters.scales
             units = np.array([parameter.unit for parameter in parameters])
             parts = (moved[units == unit] for unit in ("m", "rad"))
             shift, turn = (float(np.linalg.norm(part)) for part in parts)
-            sizes = "m", shift, np.nan, turn
-        return Jump(change.name, change.kind, *sizes, *words)
+            jump = Jump(*named, "m", shift, np.nan, turn)
+        return replace(jump, instead=instead, beside=beside)
 
 
 def _factors(problem: Problem, sigmas: Mapping[str, float]) -> Floats:

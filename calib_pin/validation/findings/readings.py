@@ -481,9 +481,7 @@ def robots(case: Case) -> Iterator[Hypothesis]:
             setup={"camera": replace(camera, mount=mount)},
             stated={"camera": {"mount": mount}},
         )
-    # A shorter chain touches one point the better the less it moves.
-    touching = any(declared(model).contact for model in case.data.models)
-    if case.chains.names == ("",) and not touching:
+    if case.chains.names == ("",):
         yield from _ends(case.chains[""], case)
     robot = case.chains.robot
     for other in case.others():
@@ -503,6 +501,7 @@ def turned_by_base(case: Case) -> str:
 def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
     """Other links of the chain as its tip or its base."""
     known = {*case.data.joints, *(joint for joint, _ in case.data.conditions.spare)}
+    touching = any(declared(model).contact for model in case.data.models)
     links, free = (chain.base, chain.tip), case.fit.problem.parameters.names
     ends = ("base", "base-link", "base.frame.x"), ("tip", "tip-link", "tool.frame.x")
     for k, (end, code, frame) in enumerate(ends):
@@ -515,7 +514,9 @@ def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
             # A frame that is estimated absorbs where on its body a link is.
             place = (other.ends[k].homogeneous.round(9) + 0.0).tobytes()
             body = other.joints, frame in free or place
-            if other.joints and {*other.joints} <= known and body not in seen:
+            # A shorter chain touches one point the better the less it moves.
+            moves = len(other.joints) >= (len(chain.joints) if touching else 1)
+            if moves and {*other.joints} <= known and body not in seen:
                 seen.append(body)
                 if link != links[k]:
                     words = f"the {end} link is '{link}', not '{links[k]}'"

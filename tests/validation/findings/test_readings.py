@@ -87,6 +87,26 @@ def test_wrong_link_of_which_the_file_has_the_joints(file, code, ends) -> None:
     assert found.setup == lines[code]
 
 
+def test_a_tool_that_touches_sockets_beyond_the_stated_tip(tmp_path) -> None:
+    """A longer chain touches one point the worse, unless it is the one that does."""
+    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
+    sockets = {
+        name: PointSetup((x, 0.3, 0.4)) for name, x in [("a", 0.5), ("b", -0.5)]
+    }
+    setup, rng = Setup(tool_frame=TOOL, sockets=sockets), np.random.default_rng(2)
+    problem = nominal_problem(chain, "fixed-point", setup)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, theta, rng, count=40, noise=1e-4)
+    calib_pin.write_measurements(tmp_path / "rows.csv", rows)
+    short = calib_pin.load_chains(UR10, base="base_link", tip="wrist_2_link")
+    for chains, expected in ((short, ["tip-link"]), (Chains.of(chain), [])):
+        rows = calib_pin.read_measurements(
+            tmp_path / "rows.csv", chains, model="fixed-point"
+        )
+        found = explain(Case.of_robot(chains, rows, Setup()), (robots,))
+        assert [fault.code for fault in (found.faults if found else ())] == expected
+
+
 def test_tip_behind_the_measured_link() -> None:
     """The joints of the measured link are among those that were read."""
     chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")

@@ -45,6 +45,7 @@ from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import (
     CHANCE,
     DOUBTFUL,
+    IMPLAUSIBLE,
     Case,
     QuickFit,
     Score,
@@ -58,7 +59,6 @@ from calib_pin.validation.findings.explanations import (
     Hypothesis,
     read_so,
 )
-from calib_pin.validation.findings.plausibility import IMPLAUSIBLE
 from calib_pin.validation.findings.readings import (
     coupled,
     geared,

@@ -49,7 +49,13 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.setup import ConvertedSetup, PopulationPrior, ReadingSetup, Setup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.findings.case import CHANCE, Case, mean_squares, unlikely
+from calib_pin.validation.findings.case import (
+    CHANCE,
+    IMPLAUSIBLE,
+    Case,
+    mean_squares,
+    unlikely,
+)
 from calib_pin.validation.findings.explanations import FITTED
 from calib_pin.validation.findings.readings import FACTORS, STRETCH
 from calib_pin.validation.findings.sentences import (
@@ -85,10 +91,8 @@ HIDDEN = 10.0
 """By what factor the movement of tool points by another scale may exceed the errors of
 the nominal robot, whose frames absorb a part of it."""
 
-LARGE, IMPLAUSIBLE = 10.0, 25.0
-"""Expected sizes of an error from which the correction of a joint is looked at, and
-from which one that buys little takes the trust. A small set of a real TIAGo turns a
-joint by 15 for nothing, and does no harm."""
+LARGE = 10.0
+"""Expected sizes of an error from which the correction of a joint is looked at."""
 
 BOUGHT = 4.0
 """By what factor the errors must grow when such a correction is made small again. A

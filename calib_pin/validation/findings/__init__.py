@@ -50,12 +50,11 @@ FOLLOW = (
     ("joint-columns", "backlash"),  # Commanded positions are off by the side.
     ("lag", "backlash"),  # So are those that were read too early.
     ("model-lacks", "gear-ripple"),  # Large errors of gears alias to ripples.
+    ("computed-values", "coarse-steps"),
     # What no parameter describes leaves more than noise.
     *((code, "noise") for code in ("model-lacks", "backlash", "lag", "coarse-steps")),
-    ("instrument-drift", "noise"),
-    ("robot-drift", "noise"),
-    ("computed-values", "coarse-steps"),
-    ("computed-values", "noise"),
+    *((code, "noise") for code in ("instrument-drift", "robot-drift", "scale")),
+    *((code, "noise") for code in ("known-distance", "computed-values")),
 )
 """Errors and warnings, and findings that follow from them and then are not told."""
 

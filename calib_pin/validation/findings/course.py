@@ -20,9 +20,10 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import CalibPinError, enumerated
+from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.identifiability import column_space
 from calib_pin.estimation.problem import EXACT, Problem, current_units
 from calib_pin.estimation.statistics.distributions import chi_square_tail
 from calib_pin.estimation.statistics.variance_components import REJECTED
@@ -44,9 +45,11 @@ from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.setup import AXES, ReadingSetup
 from calib_pin.validation.findings.case import (
+    CHANCE,
     Case,
     QuickFit,
     Score,
+    by_chance,
     sized,
     squares,
     surpasses,
@@ -280,14 +283,14 @@ class Trial(QuickFit):
             allowed = divisible(groups[rows])
             if not columns.size or not allowed.any():
                 continue
-            gain = np.where(allowed, self._gains(columns, rows), 0.0)
+            gain = np.where(allowed, self.gains(columns, rows), 0.0)
             best, count = int(np.argmax(gain)), len(columns)
             left = max(1.0 - gain[best], 1e-12)
             cost = count * np.log(left) + columns.shape[1] * np.log(count)
             found.append((cost, left, subject._replace(rank=int(rank[rows[best]]))))
         return sorted(found, key=lambda candidate: candidate[0])
 
-    def _gains(self, columns: Floats, rows: Indices) -> Floats:
+    def gains(self, columns: Floats, rows: Indices) -> Floats:
         """Part of the squares that a change at each of some measurements explains.
 
         Args:
@@ -377,14 +380,8 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
     Args:
         case: The case; what its fit has set aside is looked at as well.
     """
-    fit, problem = case.fit, case.fit.problem
-    if problem.parameters.free.sum() > UNKNOWNS or fit.rms < EXACT:
-        return None
-    data, rank = problem.data.weighted(np.ones(len(case.rank))), case.rank
-    plain = replace(problem, data=data, units=np.zeros(0))
-    index = np.arange(len(rank))
-    seen = Trial(plain, fit.theta, plain, rank, (), index)
-    if all(left > LOOKED_AT for _, left, _ in seen.candidates):
+    fit, seen = case.fit, _unchanged(case)
+    if seen is None or all(left > LOOKED_AT for _, left, _ in seen.candidates):
         return None
     trials, more = list[Trial](), seen.settled(())
     while more is not None and (not trials or more.rms < trials[-1].rms):
@@ -400,6 +397,16 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
     # Outliers look like small moves; of these the fit without outliers leaves no more.
     clear = last.rms <= max(LEFT * first.rms, SETTLED * fit.rms)
     return (first, last) if clear and last.stands_out(first) else None
+
+
+def _unchanged(case: Case) -> Trial | None:
+    """The fit of a case without changes, with what it has set aside."""
+    fit, problem, rank = case.fit, case.fit.problem, case.rank
+    if problem.parameters.free.sum() > UNKNOWNS or fit.rms < EXACT:
+        return None
+    data = problem.data.weighted(np.ones(len(rank)))
+    plain = replace(problem, data=data, units=np.zeros(0))
+    return Trial(plain, fit.theta, plain, rank, (), np.arange(len(rank)))
 
 
 def sums_behind(values: Floats) -> Floats:
@@ -425,10 +432,15 @@ def divisible(labels: Indices) -> Booleans:
 
 
 def changes(case: Case) -> Iterator[Finding]:
-    """Frames and joint zeros that changed at a row, in their order."""
+    """Frames and joint zeros that changed at a row, in their order, or all at once."""
     found = changes_of(case)
-    if found is None:
-        return
+    # Who moves an instrument homes no joint.
+    at_once = {(c.rank, c.kind == "joint") for c in found[1].changes} if found else ()
+    if found is None or len(at_once) > len({rank for rank, _ in at_once}):
+        another = [*_another(case)]
+        yield from another
+        if found is None or another:
+            return
     data, (first, last) = case.data.weighted(np.ones(len(case.data))), found
     rank, said = np.argsort(data.in_order), []
     places: dict[Kind, list[str]] = {kind: [] for kind in CHANGED}
@@ -457,22 +469,6 @@ def changes(case: Case) -> Iterator[Finding]:
     reading = lines_of(ReadingSetup(moved=moved, remounted=remounted))
     lines = {"reading": reading} if reading else {}
     undone = f", or state in the setup file: {written(lines)}" if lines else ""
-    if (
-        places["joint"]
-        and (moved or remounted)
-        and len({at for _, _, at, *_ in said}) == 1
-    ):
-        # Who moves an instrument homes no joint.
-        parts = enumerated(f"{of} ({size})" for _, of, _, size, _ in said)
-        words = (
-            f"something else was measured {said[0][2]}, such as another robot: {parts}"
-        )
-        remedy, numbers = "calibrate the two parts apart", said[0][-1]
-        kept = ("file", "line", "rms_before", "rms_after")
-        numbers = {name: numbers[name] for name in kept}
-        code = "outlying-stretch"
-        yield told(code, words, numbers, remedy, {}, "over-order", error=True)
-        return
     for kind, of, where, size, numbers in said:
         remedy = f"give the two parts different {kind}s (a column '{kind}'"
         remedy += ", or --station-per-file)" if kind == "station" else ")"
@@ -482,6 +478,38 @@ def changes(case: Case) -> Iterator[Finding]:
         how = (remedy + undone, lines, "over-order")
         words = f"{of} {where} ({size})"
         yield told(CHANGED[kind][0], words, numbers, *how, error=True)
+
+
+def _another(case: Case) -> Iterator[Finding]:
+    """Another robot, or whatever else was measured from some row on.
+
+    All errors and frames are others there: to first order, each part has a fit of its
+    own. Contacts fit to any robot, if it is small enough.
+    """
+    fit = _unchanged(case) if case.doubtful else None
+    if fit is None or any(declared(model).contact for model in case.data.models):
+        return
+    columns = column_space(fit.linear[1][:, fit.problem.parameters.free])
+    count, order = columns.shape[1], np.argsort(case.rank)
+    dof = fit.left - count
+    allowed = divisible(fit.problem.data.groups()[order])
+    gain = np.where(allowed, fit.gains(columns, order), 0.0)
+    best = int(np.argmax(gain))
+    left = 1.0 - gain[best]
+    if dof < 1 or by_chance(1.0, left, count, dof) * len(order) > CHANCE:
+        return
+    before, after = fit.errors, fit.errors * float(np.sqrt(left * fit.left / dof))
+    if after > LEFT * before:
+        return
+    data, row, unit = fit.problem.data, int(order[best - 1]), fit.quantity.unit
+    said = f"something else was measured after line {place_of(data, row)}, such as "
+    said += f"another robot: the {fit.quantity.name} errors of the two parts, each "
+    said += f"fitted by itself, are {shown(after, unit, 3)} instead of "
+    said += shown(before, unit, 3)
+    numbers = {"file": data.files[row], "line": int(data.lines[row]) or best}
+    numbers |= {"rms_before": before, "rms_after": after}
+    remedy = "calibrate the two parts apart"
+    yield told("outlying-stretch", said, numbers, remedy, {}, "over-order", error=True)
 
 
 def _sides(mine: Booleans, rank: Indices, at: int) -> Indices:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -321,6 +321,9 @@ def same(data, again):
 @given(drawn=st.data(), comments=st.lists(TEXT, max_size=3))
 def test_written_files_read_back_bit_by_bit(tmp_path, tree, drawn, comments):
     data, file = drawn.draw(mixtures(tree)), tmp_path / "written.csv"
+    # One number three times, and once more, is a sign that nothing was seen.
+    points = [row[:3].tolist() for b in data.blocks for row in b.values]
+    assume(all(len({*p}) > 1 or points.count(p) == 1 for p in points))
     write_measurements(file, data, comments, force=True)
     # Of all sockets, so that one row is enough for each.
     sockets = {name.rpartition("@")[2] for name in data.target}
@@ -409,7 +412,7 @@ REFUSED = [
     # Quaternions.
     *(
         (f"{QUATERNION}{cells}\n", 3, "qw", cells.split(",")[-1], "norm")
-        for cells in ("0,0,0,0", "0,0,0,1.011", "0,0,0,-0.989")
+        for cells in ("0,0,0,0.1", "0,0,0,1.011", "0,0,0,-0.989")
     ),
     # Sigmas.
     *(

@@ -185,12 +185,13 @@ class Column:
 
     def missing(self) -> NDArray[np.bool_]:
         """Whether each cell is blank or says that it has no reading, shape (N,)."""
-        blank = np.isnan(self.numbers)
+        lost = self.numbers == self.sentinel
         if not self.words:
-            return blank
+            return lost | np.isnan(self.numbers)
         # The last entry is that of the code -1.
         said = [bool(MISSING.fullmatch(word.strip())) for word in self.words]
-        return np.where(self.codes < 0, blank, np.array([*said, False])[self.codes])
+        lost |= np.isnan(self.numbers) & (self.codes < 0)
+        return lost | np.array([*said, False])[self.codes]
 
     def fault(self, row: int) -> str:
         """The reason why a cell is no finite number."""
@@ -205,21 +206,18 @@ class Column:
         return reason + comma * bool(COMMA.fullmatch(cell))
 
     @property
-    def outlying(self) -> NDArray[np.int64]:
-        """Rows of a number that is far larger than all others, and in several rows."""
-        size = np.where(np.isfinite(self.numbers), np.abs(self.numbers), -1.0)
-        rows = np.flatnonzero(size == size.max(initial=0.0))
-        others = np.delete(size, rows).max(initial=-1.0)
-        far = len(rows) > 1 and 0.0 <= 2.0 * others < size[rows[0]]
-        return rows if far else rows[:0]
+    def sentinel(self) -> float:
+        """A number that stands for no reading, or else one that is not a number.
 
-    @property
-    def sentinel(self) -> float | None:
-        """A number that stands for no reading: nines, or huge, in several rows."""
-        for number in self.numbers[self.outlying[:1]].tolist():
-            nines = {*f"{abs(number):.6f}".rstrip("0").replace(".", "")} == {"9"}
-            return number if nines or abs(number) >= HUGE else None
-        return None
+        It is of nines, or huge, in several rows, and far larger than all others.
+        """
+        size = np.where(np.isfinite(self.numbers), np.abs(self.numbers), -1.0)
+        largest = size.max(initial=0.0)
+        rows = np.flatnonzero(size == largest)
+        others = np.delete(size, rows).max(initial=-1.0)
+        far = len(rows) > 1 and 0.0 <= 2.0 * others < largest
+        nines = {*f"{largest:.6f}".rstrip("0").replace(".", "")} == {"9"}
+        return self.numbers[rows[0]] if far and (nines or largest >= HUGE) else np.nan
 
     @property
     def numeric(self) -> bool:

@@ -293,11 +293,6 @@ class Table:
         row, column = int(np.argmax(sizes)), self.columns[name]
         if sizes[row] <= kind.largest:
             return values
-        if row in (same := column.outlying):
-            lines = ", ".join(map(str, self.lines[same]))
-            reason = f"stands in {len(same)} rows and looks like a sign that there is "
-            reason += f"no reading; leave them out by 'reading: {{without: [{lines}]}}'"
-            raise self.error(reason, name, row=int(same[0]))
         looks = f"{values[row]:.6g} {kind.si} looks like the wrong unit"
         reason = ", ".join(filter(None, [looks, why]))
         number = abs(values[row]) / kind.units[unit := column.unit or kind.si]
@@ -411,9 +406,13 @@ def with_readings(
         return table
     for name in (n for n in table.columns if n in missing and lost.all()):
         table.refuse(missing[name], NO_READING, name)
-    first = table.lines[int(np.argmax(lost))]
+    first = int(np.argmax(lost))
+    name = next(name for name in missing if missing[name][first])
+    cell = table.columns[name].text(first)
+    shown = f": '{cell}' in '{name}'" * bool(cell)
     count = f"{np.count_nonzero(lost)} of {len(lost)} {what}"
-    notice(f"{table.file}: {count} have no reading (the first in line {first})")
+    place = f"the first in line {table.lines[first]}{shown}"
+    notice(f"{table.file}: {count} have no reading ({place})")
     return table.rows(np.flatnonzero(~lost))
 
 

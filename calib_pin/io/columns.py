@@ -185,13 +185,15 @@ class Column:
 
     def missing(self) -> NDArray[np.bool_]:
         """Whether each cell is blank or says that it has no reading, shape (N,)."""
-        lost = self.numbers == self.sentinel
+        lost: NDArray[np.bool_] = self.numbers == self.sentinel
         if not self.words:
-            return lost | np.isnan(self.numbers)
+            lost |= np.isnan(self.numbers)
+            return lost
         # The last entry is that of the code -1.
         said = [bool(MISSING.fullmatch(word.strip())) for word in self.words]
         lost |= np.isnan(self.numbers) & (self.codes < 0)
-        return lost | np.array([*said, False])[self.codes]
+        lost |= np.array([*said, False])[self.codes]
+        return lost
 
     def fault(self, row: int) -> str:
         """The reason why a cell is no finite number."""

@@ -191,17 +191,13 @@ def require_units(columns: Iterable[Foreign]) -> None:
 
 def _with_axes(columns: Sequence[Foreign]) -> list[Foreign]:
     """The same, elements of vectors of three called by their axes."""
-    found = {one.name: ELEMENT.fullmatch(one.words) for one in columns}
-    vectors = defaultdict[str, str](str)
-    for element in sorted(filter(None, found.values()), key=lambda match: match[2]):
-        vectors[element[1]] += element[2]
-    axes = {"012": "xyz", "123": " xyz"}
-    return [
-        replace(one, words=f"{match[1]} {axes[vectors[match[1]]][int(match[2])]}")
-        if (match := found[one.name]) and vectors[match[1]] in axes
-        else one
-        for one in columns
-    ]
+    threes = [one for one in families(columns) if len(one) == 3]
+    named = dict[str, str]()
+    for three in threes:
+        for axis, one in zip("xyz", three, strict=True):
+            if found := ELEMENT.fullmatch(one.words):
+                named[one.name] = f"{found[1]} {axis}"
+    return [replace(one, words=named.get(one.name, one.words)) for one in columns]
 
 
 def _split(name: str, column: Column) -> Foreign:

@@ -1,42 +1,34 @@
-"""Rows in JSON, as logs and data frames are written, as a header and lines of cells."""
+"""Rows in JSON, as logs and data frames are written."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterator
 from typing import Any
 
 
-def table_of_json(text: bytes) -> tuple[list[str], list[str]]:
-    """The names of columns, and lines with commas between the cells.
+def rows_of_json(text: bytes) -> list[dict[str, str]]:
+    """The texts of the cells of each row, by the names of the columns.
 
     Args:
         text: A list of rows, maybe beside facts about them, a row in each line, or the
-            columns. What is in a row by name is called by both names: `pose_x`.
+            columns. What has two names in a row is called by both, such as `pose_x`.
 
     Raises:
-        ValueError: If it is something else.
+        ValueError: If there are no rows with names.
     """
     try:
         rows = [dict(_flat("", row)) for row in _rows(text)]
-        names = [*rows[0]]
-        if "" in names:
-            raise LookupError("a row has no names")
     except (TypeError, AttributeError, LookupError) as error:
         raise ValueError(str(error)) from None
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream)
-    for row in rows:
-        cells = (row.get(name, "") for name in names)
-        writer.writerow([c if isinstance(c, str) else json.dumps(c) for c in cells])
-    return names, stream.getvalue().splitlines()
+    if not rows or "" in rows[0]:
+        raise ValueError("there are no rows with names")
+    return rows
 
 
-def _rows(text: bytes) -> list[dict[str, Any]]:
+def _rows(text: bytes) -> list[Any]:
     try:
-        found = json.loads(text)
+        found: Any = json.loads(text)
     except ValueError:
         return [json.loads(line) for line in text.splitlines() if line.strip()]
     if isinstance(found, list):
@@ -49,10 +41,10 @@ def _rows(text: bytes) -> list[dict[str, Any]]:
     return [dict(zip(found, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """What is below a value, each with the names that lead there."""
-    if not isinstance(value, dict):
-        yield name, value
-        return
-    for key, own in value.items():
-        yield from _flat(f"{name}_{key}".lstrip("_"), own)
+def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    """The texts below a value, each with the names that lead there."""
+    if isinstance(value, dict):
+        for key, own in value.items():
+            yield from _flat(f"{name}_{key}".lstrip("_"), own)
+    else:
+        yield name, value if isinstance(value, str) else json.dumps(value)

@@ -372,13 +372,13 @@ def _missing(
                 lost = result.setdefault(name, np.zeros(len(table.lines), bool))
                 lost[rows] = missing
         if {*POSITION} <= read & table.columns.keys():
-            unseen = _unseen(table.rows(rows), drives & table.columns.keys())
+            signs = _without_target(table.rows(rows), drives & table.columns.keys())
             lost = result.setdefault("x", np.zeros(len(table.lines), bool))
-            lost[rows] |= unseen
+            lost[rows] |= signs
     return result
 
 
-def _unseen(table: Table, drives: Collection[str]) -> Booleans:
+def _without_target(table: Table, drives: Collection[str]) -> Booleans:
     """Which positions or orientations are signs of a lost target, shape (N,).
 
     Trackers write 0, -1 or -999 three times, which no instrument measures at several

@@ -1,7 +1,7 @@
 """Rows of which a file itself says that they are no measurements.
 
 Statistics below the last one, as a sheet has them, and those whose flag says that the
-target was not seen: their coordinates are often those of the last time it was.
+target was lost: their coordinates are often those of the last time it was.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FLAG = re.compile(
 
 YES = frozenset(["1", "true", "yes", "ok", "good", "valid", "tracked"])
 NO = frozenset(["0", "false", "no", "bad", "lost", "invalid", "occluded"])
-"""What stands there; numbers of a status may mean anything."""
+"""Their cells; numbers of a status may mean anything."""
 
 
 def first_statistic(
@@ -50,7 +50,7 @@ def first_statistic(
     return rows[0] if any(name and name[1] for _, name in found) else None
 
 
-def not_seen(name: str, column: Column) -> Booleans | None:
+def out_of_sight(name: str, column: Column) -> Booleans | None:
     """Which rows were not measured as a flag says, shape (N,); None if it is none."""
     if (flag := FLAG.fullmatch(name)) is None:
         return None

@@ -44,8 +44,8 @@ from calib_pin.io.columns import (
 from calib_pin.io.dialects import Heading, heading, reading, side_by_side
 from calib_pin.io.dialects.base import cells_of
 from calib_pin.io.files import read_bytes
-from calib_pin.io.json_rows import table_of_json
-from calib_pin.io.not_measured import first_statistic, not_seen
+from calib_pin.io.json_rows import rows_of_json
+from calib_pin.io.not_measured import first_statistic, out_of_sight
 from calib_pin.observations import Booleans, Indices, Labels
 from calib_pin.progress import Progress
 from calib_pin.units import MINUS, as_number, steps_of
@@ -378,9 +378,9 @@ def _measured(table: Table) -> Table:
         remarks.append(f"statistics are left out, from line {line} on")
         table = table.rows(slice(first))
     for name, column in table.columns.items():
-        if (lost := not_seen(name, column)) is not None:
+        if (lost := out_of_sight(name, column)) is not None:
             count = np.count_nonzero(lost)
-            remarks.append(f"{count} rows are left out that were not seen ('{name}')")
+            remarks.append(f"{count} rows are left out as lost ('{name}')")
             others = {n: c for n, c in table.columns.items() if n != name}
             table = replace(table, columns=others).rows(np.flatnonzero(~lost))
             break
@@ -624,12 +624,14 @@ def _read_json(text: bytes, file: str) -> Cells:
         InputError: If it holds no rows.
     """
     try:
-        names, lines = table_of_json(text)
+        rows = rows_of_json(text)
     except ValueError:
         reason = "is JSON without rows that have the same names: write it as CSV"
         raise InputError(reason, file=file) from None
-    found = Cells(file, Heading(",", names, 0, ""))
-    found.extend(lines, 1)
+    lines = array("q", range(1, len(rows) + 1))
+    found = Cells(file, Heading(",", [*rows[0]], 0, ""), lines=lines)
+    for k, name in enumerate(rows[0]):
+        found.add(k, [row.get(name, "") for row in rows])
     return found
 
 

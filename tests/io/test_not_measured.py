@@ -49,7 +49,9 @@ def test_flags(read, name, seen, lost, read_as_said):
     flags = [seen] * 3 + [lost] + [seen] * 4
     rows = (f"{row},{flag}" for row, flag in zip(ROWS, flags, strict=True))
     lines, told = read(*rows, header=f"{HEADER},{name}")
-    assert (5 not in lines, "1 rows are left out" in told) == (read_as_said,) * 2
+    assert (5 not in lines, "1 rows are left out as lost" in told) == (
+        read_as_said,
+    ) * 2
     assert len(read(*(f"{row},{lost}" for row in ROWS), header=f"{HEADER},{name}")[0])
 
 

@@ -41,13 +41,18 @@ def first_statistic(
 ) -> int | None:
     """The row with which statistics begin that end a file of some lines; None if none.
 
-    Payloads may be called `max`, so that one of them has to be a mean or the like.
+    Payloads may be called `max` and tools `std`, so that one of them has to be a mean
+    or the like, and none stands above.
     """
-    tail = range(max(1, len(lines) - TAIL), len(lines))
-    cells = ((row, column.text(row)) for row in tail for column in columns.values())
-    found = [(row, SUMMARY.fullmatch(text.strip(" :"))) for row, text in cells]
-    rows = [row for row, name in found if name]
-    return rows[0] if any(name and name[1] for _, name in found) else None
+    begin = max(1, len(lines) - TAIL)
+    found = dict[int, re.Match[str]]()
+    for column in (column for column in columns.values() if column.words):
+        above = {*column.codes[:begin].tolist()}
+        for row in range(begin, len(lines)):
+            name = SUMMARY.fullmatch(column.text(row).strip(" :"))
+            if name and int(column.codes[row]) not in above:
+                found[row] = name
+    return min(found) if any(name[1] for name in found.values()) else None
 
 
 def out_of_sight(name: str, column: Column) -> Booleans | None:
@@ -55,7 +60,7 @@ def out_of_sight(name: str, column: Column) -> Booleans | None:
     if (flag := FLAG.fullmatch(name)) is None:
         return None
     texts = column.texts().map(lambda text: text.strip().lower())
-    known = YES | NO - {"0"} - {"1"} if flag[2] else YES | NO
+    known = (YES | NO) - {*("01" if flag[2] else "")}
     if not {*texts.distinct} <= known:
         return None
     bad = NO if flag[1] or flag[2] else YES

@@ -30,6 +30,8 @@ def test_statistics_end_a_file(read, names):
     tail = [f"9,{name},0.5,0,0,0.5,1,2" for name in names.split()]
     lines, told = read(*ROWS, *tail)
     assert lines == [*range(2, 10)] and "from line 10" in told
+    tools = [row.replace(f"a{k}", "std") for k, row in enumerate(ROWS, 1)]
+    assert len(read(*tools)[0]) == 8
     # These may be names of anything.
     assert len(read(*ROWS, "9,max,0.5,0,0,0.5,1,2")[0]) == 9
 

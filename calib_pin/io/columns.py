@@ -122,7 +122,7 @@ HUGE = 1e9
 NO_READING = "the reading is missing"
 
 MISSING = re.compile(
-    r"[-*?]*|#.*|n/?a|null|none|[-+]?\.?(?:nan|inf(?:inity)?)(?:\(.*\))?|[-+]?1\.#.*"
+    r"[-*?]*|#.*|n\W?a\W?|null|none|[-+]?\.?(?:nan|inf(?:inity)?)(?:\(.*\))?|[-+]?1\.#.*"
     r"|(?:.*\W)?(?:missing|lost|no|not|out of|invalid|blocked|failed)(?:\W.*)?",
     re.IGNORECASE,
 )

@@ -516,7 +516,10 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
         if known <= unknown:
             reason = f"{len(data)} measurement{'s' * (len(data) > 1)} ({known} numbers)"
             reason += " are too few: where instrument and tool are takes "
-            raise InputError(f"{reason}{unknown} already", file=files[0])
+            named = len(data.target.distinct)
+            more = f", with {named} targets: do their names number the measurements?"
+            reason += f"{unknown} already{more * (named > 1)}"
+            raise InputError(reason, file=files[0])
     except CalibPinError as error:
         return replace(look, fault=error)
     errors = {n: rms(of) for n, _, of in error_sizes(ready.problem, ready.theta)}

@@ -60,8 +60,9 @@ TURNED = 2.2 * np.pi
 """Angles beyond this are in no rad, but in degrees or smaller units [rad]."""
 
 _DEG = np.pi / 180.0
-_ANGLES = {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "gon": 0.9 * _DEG}
-ANGLE = Kind("rad", _Angles(_ANGLES | {STEPS: 2.0 * np.pi / 4096.0}), LARGEST_ANGLE)
+_TURN = 2.0 * np.pi
+_ANGLES = {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "gon": 0.9 * _DEG, "turn": _TURN}
+ANGLE = Kind("rad", _Angles(_ANGLES | {STEPS: _TURN / 4096.0}), LARGEST_ANGLE)
 PIXEL = Kind("px", {"px": 1.0}, 1e5)
 PURE = Kind("", {}, np.inf)
 
@@ -78,6 +79,7 @@ UNITS = {
     "rad": ("rad", "radian", "radians"),
     "deg": ("deg", "degree", "degrees", "°"),
     "px": ("px", "pixel", "pixels"),
+    "turn": ("turn", "turns", "rev", "revolution", "revolutions"),
     "s": ("s", "sec", "second", "seconds"),
     "degC": ("degc", "°c", "celsius"),
 }
@@ -119,10 +121,13 @@ HUGE = 1e9
 
 NO_READING = "the reading is missing"
 
-MISSING = frozenset(
-    ["", "nan", "n/a", "na", "#n/a", "missing", "null", "none", "*", "-", "--", "?"]
+MISSING = re.compile(
+    r"[-*?]*|#.*|n\W?a\W?|null|none|[-+]?\.?(?:nan|inf(?:inity)?)(?:\(.*\))?|[-+]?1\.#.*"
+    r"|(?:.*\W)?(?:missing|lost|no|not|out of|invalid|blocked|failed)(?:\W.*)?",
+    re.IGNORECASE,
 )
-"""Texts of cells that have no reading, in any case."""
+"""Trimmed texts of cells that have no reading, as spreadsheets (`#N/A`, `#DIV/0!`),
+printf of Windows (`1.#QNAN`, `-nan(ind)`) and trackers (`no target`) write them."""
 
 THOUSANDS = re.compile(
     rf"[-+{MINUS}]?\d{{1,3}}(?:([.,'\u2019_\s])\d{{3}})(?:\1\d{{3}})*(?:[.,]\d*)?"
@@ -159,6 +164,12 @@ class Column:
         codes = self.codes[index] if self.words else self.codes
         return replace(self, numbers=self.numbers[index], codes=codes)
 
+    def same(self, other: Column) -> bool:
+        """Whether another column holds the same cells under the same header."""
+        numbers = np.array_equal(self.numbers, other.numbers, equal_nan=True)
+        texts = self.words == other.words and np.array_equal(self.codes, other.codes)
+        return self.header == other.header and numbers and texts
+
     def text(self, row: int) -> str:
         """Trimmed text of a cell, or its number."""
         if self.words and self.codes[row] >= 0:
@@ -174,17 +185,20 @@ class Column:
 
     def missing(self) -> NDArray[np.bool_]:
         """Whether each cell is blank or says that it has no reading, shape (N,)."""
-        blank = np.isnan(self.numbers)
+        lost: NDArray[np.bool_] = self.numbers == self.sentinel
         if not self.words:
-            return blank
+            lost |= np.isnan(self.numbers)
+            return lost
         # The last entry is that of the code -1.
-        said = [word.strip().lower() in MISSING for word in self.words]
-        return np.where(self.codes < 0, blank, np.array([*said, False])[self.codes])
+        said = [bool(MISSING.fullmatch(word.strip())) for word in self.words]
+        lost |= np.isnan(self.numbers) & (self.codes < 0)
+        lost |= np.array([*said, False])[self.codes]
+        return lost
 
     def fault(self, row: int) -> str:
         """The reason why a cell is no finite number."""
         cell, reason = self.text(row), "not a number"
-        if cell.lower() in MISSING:
+        if MISSING.fullmatch(cell):
             return NO_READING if cell else "the cell is empty"
         if not np.isnan(self.numbers[row]):
             return "not a finite number"
@@ -194,21 +208,18 @@ class Column:
         return reason + comma * bool(COMMA.fullmatch(cell))
 
     @property
-    def outlying(self) -> NDArray[np.int64]:
-        """Rows of a number that is far larger than all others, and in several rows."""
-        size = np.where(np.isfinite(self.numbers), np.abs(self.numbers), -1.0)
-        rows = np.flatnonzero(size == size.max(initial=0.0))
-        others = np.delete(size, rows).max(initial=-1.0)
-        far = len(rows) > 1 and 0.0 <= 2.0 * others < size[rows[0]]
-        return rows if far else rows[:0]
+    def sentinel(self) -> float:
+        """A number that stands for no reading, or else one that is not a number.
 
-    @property
-    def sentinel(self) -> float | None:
-        """A number that stands for no reading: nines, or huge, in several rows."""
-        for number in self.numbers[self.outlying[:1]].tolist():
-            nines = {*f"{abs(number):.6f}".rstrip("0").replace(".", "")} == {"9"}
-            return number if nines or abs(number) >= HUGE else None
-        return None
+        It is of nines, or huge, in several rows, and far larger than all others.
+        """
+        size = np.where(np.isfinite(self.numbers), np.abs(self.numbers), -1.0)
+        largest = size.max(initial=0.0)
+        rows = np.flatnonzero(size == largest)
+        others = np.delete(size, rows).max(initial=-1.0)
+        far = len(rows) > 1 and 0.0 <= 2.0 * others < largest
+        nines = {*f"{largest:.6f}".rstrip("0").replace(".", "")} == {"9"}
+        return self.numbers[rows[0]] if far and (nines or largest >= HUGE) else np.nan
 
     @property
     def numeric(self) -> bool:

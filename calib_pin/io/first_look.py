@@ -305,6 +305,11 @@ def _joints(
             reason += f"; '{texts[0].name}' has no numbers, but '{cell}'"
         raise InputError(f"{reason} (joints: {enumerated(every)})")
     yield found
+    # Of two arms alike, such as left_elbow and right_elbow, the other may be meant.
+    rest = [one for one in columns if one not in by_name.values()]
+    twins = headers.joints_by_name(rest, every)
+    if twins and twins.keys() == by_name.keys():
+        yield [replace(own, joints={j: twins[j] for j in own.joints}) for own in found]
     # Joints at the end of a chain that stand still may be in units of their own, such
     # as a gripper in percent.
     for own in (own for own in found if own.tips):
@@ -511,7 +516,10 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
         if known <= unknown:
             reason = f"{len(data)} measurement{'s' * (len(data) > 1)} ({known} numbers)"
             reason += " are too few: where instrument and tool are takes "
-            raise InputError(f"{reason}{unknown} already", file=files[0])
+            named = len(data.target.distinct)
+            more = f", with {named} targets: do their names number the measurements?"
+            reason += f"{unknown} already{more * (named > 1)}"
+            raise InputError(reason, file=files[0])
     except CalibPinError as error:
         return replace(look, fault=error)
     errors = {n: rms(of) for n, _, of in error_sizes(ready.problem, ready.theta)}
@@ -554,6 +562,16 @@ def best(looks: Sequence[Look]) -> Look:
     chosen = next(read, max(looks, key=lambda look: len(look.units)))
     off = [k.errors["orientation"] for k in seen if "orientation" in k.errors]
     remarks = [*chosen.remarks]
+    close = [k for k in seen if k.position not in ("", chosen.position)]
+    close = [k for k in close if chosen.fits and CLEAR * k.share <= chosen.share]
+    if close:
+        other = min(close, key=lambda look: look.share)
+        sizes = [shown(next(iter(k.errors.values())), "m") for k in (chosen, other)]
+        remarks.append(
+            f"the position is that of '{chosen.position}', which fits to {sizes[0]}; "
+            f"'{other.position}' does to {sizes[1]}: if that was measured, correct "
+            "'columns'"
+        )
     if off and chosen.fits and "orientation" not in chosen.errors:
         size = shown(min(off), "rad")
         remarks.append(

@@ -27,6 +27,7 @@ from calib_pin.io.columns import (
 from calib_pin.io.measured_columns import NAMES, POSITION, optional, reserved
 from calib_pin.io.measured_columns import measured as measured_kinds
 from calib_pin.io.table import Table
+from calib_pin.measurement_models.declaration import QUATERNION
 from calib_pin.setup import STATED
 
 GAUGES = {
@@ -38,7 +39,9 @@ GAUGES = {
 
 MEANINGS: Mapping[str, str] = {
     **{axis: rf"(?:pos|p|t|position|tcp)?{axis}" for axis in "xyz"},
-    **{f"q{axis}": rf"(?:quat(?:ernion)?|orientation|q){axis}" for axis in "xyzw"},
+    **{
+        f"q{axis}": rf"(?:quat(?:ernion)?|orientation|rot|q|r){axis}" for axis in "xyzw"
+    },
     **{f"r{axis}": rf"(?:rot|rvec|rotvec|rv|r){axis}" for axis in "xyz"},
     **{name: name for name in ("roll", "pitch", "yaw")},
     "distance": "distance|dist|abstand|entfernung|range|length|wire|cable|string|"
@@ -65,6 +68,12 @@ SHARED = 3
 """Measurements of each name of a column with a foreign name, on the average, from which
 it names what they have in common; one that numbers the measurements names nothing."""
 
+ORDERS = (("qw", "qx", "qy", "qz"), QUATERNION)
+"""Elements of quaternions that are numbered, as ABB, Leica and MATLAB do, or ROS."""
+
+UNIT = 1e-2
+"""Largest error of the norm of a quaternion that rounding explains."""
+
 VECTORS = (POSITION, *STATED.values(), ("u", "v"))
 """Columns that mean something together only: positions, orientations, pixels."""
 
@@ -84,7 +93,7 @@ LABEL = re.compile(r"(?:id|no|nr|num|number|nummer|name|label|index)?")
 """Words that say no more than that a column has names."""
 
 MEASURED = re.compile(
-    r"meas|mess|track|laser|actual|observ|(?:\b|_)ist|real|reflector|smr"
+    r"meas|mess|track|laser|actual|observ|(?:\b|_)(?:ist|act(?![a-z]))|real|reflector|smr"
 )
 COMPUTED = re.compile(r"tcp|\bee\b|flange|robot|ctrl|controller|\bfk\b|computed")
 """Words of what a controller computes from the joints, more often than not."""
@@ -93,11 +102,13 @@ PLACES = re.compile(r"\b(?:pos|position|p|t)\b")
 """Words with which an x is one of a position, and that say no more."""
 
 COMMANDED = re.compile(
-    r"goal|soll|nominal|cmd|command|desired|action|(?:\b|_)set|ref|target|diff?\b"
+    r"goal|soll|nominal|cmd|command|desired|action|(?:\b|_)(?:set|nom(?![a-z]))|ref|"
+    r"target|diff?\b"
 )
 
 ELEMENT = re.compile(
-    r"((?:.*[\W_])?(?:pos|position|p|xyz|point|t|tvec|translation|rvec|rotvec))"
+    r"((?:.*[\W_])?(?:pos|position|p|xyz|point|t|tvec|translation|meas|measured|"
+    r"coordinates?|rvec|rotvec))"
     r"[ _.\-]*\[?([0-3])\]?"
 )
 """Elements of positions and of rotation vectors, by their number."""
@@ -180,17 +191,13 @@ def require_units(columns: Iterable[Foreign]) -> None:
 
 def _with_axes(columns: Sequence[Foreign]) -> list[Foreign]:
     """The same, elements of vectors of three called by their axes."""
-    found = {one.name: ELEMENT.fullmatch(one.words) for one in columns}
-    vectors = defaultdict[str, str](str)
-    for element in sorted(filter(None, found.values()), key=lambda match: match[2]):
-        vectors[element[1]] += element[2]
-    axes = {"012": "xyz", "123": " xyz"}
-    return [
-        replace(one, words=f"{match[1]} {axes[vectors[match[1]]][int(match[2])]}")
-        if (match := found[one.name]) and vectors[match[1]] in axes
-        else one
-        for one in columns
-    ]
+    threes = [one for one in families(columns) if len(one) == 3]
+    named = dict[str, str]()
+    for three in threes:
+        for axis, one in zip("xyz", three, strict=True):
+            if found := ELEMENT.fullmatch(one.words):
+                named[one.name] = f"{found[1]} {axis}"
+    return [replace(one, words=named.get(one.name, one.words)) for one in columns]
 
 
 def _split(name: str, column: Column) -> Foreign:
@@ -259,8 +266,20 @@ def vectors(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:
             if any(one.moves for one in turned.values()):
                 result.append(position | turned)
                 break
+        else:
+            result += [position | turned for turned in _numbered_quaternions(columns)]
         result.append(position)
     return result
+
+
+def _numbered_quaternions(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:
+    """Orientations that four numbered columns may be: qw comes first, or else last."""
+    found = list[dict[str, Foreign]]()
+    for four in (one for one in families(columns) if len(one) == 4):
+        norms = np.linalg.norm([one.column.numbers for one in four], axis=0)
+        if (abs(norms[np.isfinite(norms)] - 1.0) < UNIT).all() and four[0].moves:
+            found += [dict(zip(names, four, strict=True)) for names in ORDERS]
+    return found
 
 
 def understood(table: Table) -> Table:
@@ -311,10 +330,13 @@ def _stem(one: Foreign, ours: str) -> str | None:
     if ours in VECTORS[1]:
         ways.append((parts[1:-1], "".join(parts[:1] + parts[-1:])))  # As in q_RS_w.
     for rest, word in [*ways, (parts[1:], "".join(parts[:1]))]:
-        # Two points may be called pos_x and tcp_x.
-        before = [word[:-1]] if ours in VECTORS[0] and word[:-1] else []
-        stem = " ".join([*rest, *before])
-        alike = re.fullmatch(MEANINGS[ours], word) and not OTHER.search(stem)
+        # Several points may be called pos_x and tcp_x, or x1 and x2.
+        letters, before = word, ""
+        if ours in VECTORS[0]:
+            letters = word.rstrip("0123456789")
+            before = letters[:-1] + word[len(letters) :]
+        stem = " ".join(filter(None, [*rest, before]))
+        alike = re.fullmatch(MEANINGS[ours], letters) and not OTHER.search(stem)
         turned = ours in VECTORS[0] and TURNED.search(stem)
         first = rest == parts[1:] and len(parts) > 1
         if alike and not turned and (single or not first or LABEL.fullmatch(stem)):
@@ -364,6 +386,7 @@ def _holds(words: Sequence[str], name: Sequence[str]) -> bool:
     """Whether a name is the words, or some of them and longer than a letter."""
     starts = range(len(words) - len(name) + 1)
     among = any(words[k : k + len(name)] == name for k in starts)
+    among = among or sorted(words) == sorted(name)  # As `Axis X` for `X_axis`.
     return "".join(words) == "".join(name) or (among and any(len(w) > 1 for w in name))
 
 

@@ -270,12 +270,7 @@ def _read(
         notice(f"{table.file}: {remark}")
     missing = {stamp: table.columns[stamp].missing()}
     for name in (*names, *STATED.get(way, ())):
-        column = table.columns[name]
-        signs = column.numbers == column.sentinel
-        missing[name] = column.missing() | signs
-        if signs.any():
-            told = f"{column.sentinel:g} in {np.count_nonzero(signs)} rows of '{name}'"
-            notice(f"{table.file}: {told} is taken for a reading that is missing")
+        missing[name] = table.columns[name].missing()
     table = with_readings(table, missing, "rows", notice)
     values = [table.numbers(n, kind_of_unit(table.columns[n].unit)) for n in names]
     values += [*measured_columns.read_quaternions(table, way).T] if way else []

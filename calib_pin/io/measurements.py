@@ -22,12 +22,13 @@ from calib_pin.errors import InputError, OutputError, RobotError, nearest
 from calib_pin.io.columns import Column, Floats, closest
 from calib_pin.io.files import write_atomically
 from calib_pin.io.foreign_headers import check_gauges
-from calib_pin.io.measured_columns import DIRECTION, NAMES, place_of
+from calib_pin.io.measured_columns import DIRECTION, NAMES, POSITION, place_of
 from calib_pin.io.table import Notice, Table, read_table, require_columns, with_readings
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_columns import JointColumns, drives_of
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+from calib_pin.measurement_models.declaration import QUATERNION
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import (
     AT,
@@ -361,14 +362,38 @@ def _missing(
     for key, rows in keys.items():
         optional = measured_columns.optional(key.model)
         read = {*measured_columns.measured(key.model)}
+        drives = set[str]()
         for joint in drives_of(chains[key.chain]):
-            read |= measured_columns.kinds_of(columns, joint).keys()
+            drives |= measured_columns.kinds_of(columns, joint).keys()
+        read |= drives
         for name in read & table.columns.keys():
             missing = table.columns[name].missing()[rows]
             if missing.any() and not (missing.all() and name in optional):
                 lost = result.setdefault(name, np.zeros(len(table.lines), bool))
                 lost[rows] = missing
+        if {*POSITION} <= read & table.columns.keys():
+            signs = _without_target(table.rows(rows), drives & table.columns.keys())
+            lost = result.setdefault("x", np.zeros(len(table.lines), bool))
+            lost[rows] |= signs
     return result
+
+
+def _without_target(table: Table, drives: Collection[str]) -> Booleans:
+    """Which positions or orientations are signs of a lost target, shape (N,).
+
+    Trackers write 0, -1 or -999 three times, which no instrument measures at several
+    configurations, and a quaternion of zeros.
+    """
+    x, y, z = (table.columns[axis].numbers for axis in POSITION)
+    found: Booleans = (x == y) & (y == z) & (table.columns["z"].theirs != "")
+    for number in np.unique(x[found]):
+        rows = np.flatnonzero(found & (x == number))
+        still = all(np.ptp(table.columns[name].numbers[rows]) == 0.0 for name in drives)
+        found[rows] = not still
+    if {*QUATERNION} <= table.columns.keys():
+        quaternion = [table.columns[name].numbers for name in QUATERNION]
+        found |= ~np.any(quaternion, axis=0)
+    return found
 
 
 def _check_names(data: Observations, sockets: Collection[str]) -> None:

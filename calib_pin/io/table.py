@@ -44,6 +44,8 @@ from calib_pin.io.columns import (
 from calib_pin.io.dialects import Heading, heading, reading, side_by_side
 from calib_pin.io.dialects.base import cells_of
 from calib_pin.io.files import read_bytes
+from calib_pin.io.json_rows import rows_of_json
+from calib_pin.io.not_measured import first_statistic, out_of_sight
 from calib_pin.observations import Booleans, Indices, Labels
 from calib_pin.progress import Progress
 from calib_pin.units import MINUS, as_number, steps_of
@@ -291,11 +293,6 @@ class Table:
         row, column = int(np.argmax(sizes)), self.columns[name]
         if sizes[row] <= kind.largest:
             return values
-        if row in (same := column.outlying):
-            lines = ", ".join(map(str, self.lines[same]))
-            reason = f"stands in {len(same)} rows and looks like a sign that there is "
-            reason += f"no reading; leave them out by 'reading: {{without: [{lines}]}}'"
-            raise self.error(reason, name, row=int(same[0]))
         looks = f"{values[row]:.6g} {kind.si} looks like the wrong unit"
         reason = ", ".join(filter(None, [looks, why]))
         number = abs(values[row]) / kind.units[unit := column.unit or kind.si]
@@ -357,17 +354,37 @@ def read_table(
     given, layout = cells.columns(), found.remark
     ours, row = side_by_side(found, given)
     table = Table(cells.file, found.line or None, {}, lines[row])
-    for name, often in Counter(c.theirs for c in given if not layout).items():
-        if often > 1:
-            both = ", ".join(f"'{c.header}'" for c in given if c.theirs == name)
-            raise table.error(f"two columns are '{name}': {both}", name)
+    for column in given if not layout else ():
+        other = ours[column.theirs]  # The last one of this name.
+        if not column.same(other):
+            both = f"'{column.header}', '{other.header}'"
+            raise table.error(
+                f"two columns are '{column.theirs}': {both}", other.theirs
+            )
     table = replace(table, columns=found.read(ours)).called(columns)
     if not layout and (read := reading(table.columns, Path(cells.file))):
         # The setup names columns as the file does, or as they are called then.
         table = replace(table, columns=read.columns).called(table.missing)
         layout = read.remark
     remarks = cells.remarks + (f"read as {layout}",) * bool(layout)
-    return replace(table, remarks=remarks)
+    return _measured(replace(table, remarks=remarks))
+
+
+def _measured(table: Table) -> Table:
+    """The rows that are measurements as the file itself says, a remark on others."""
+    remarks = [*table.remarks]
+    if (first := first_statistic(table.columns, table.lines)) is not None:
+        line = table.lines[first]
+        remarks.append(f"statistics are left out, from line {line} on")
+        table = table.rows(slice(first))
+    for name, column in table.columns.items():
+        if (lost := out_of_sight(name, column)) is not None:
+            count = np.count_nonzero(lost)
+            remarks.append(f"{count} rows are left out as lost ('{name}')")
+            others = {n: c for n, c in table.columns.items() if n != name}
+            table = replace(table, columns=others).rows(np.flatnonzero(~lost))
+            break
+    return replace(table, remarks=tuple(remarks))
 
 
 def with_readings(
@@ -389,9 +406,13 @@ def with_readings(
         return table
     for name in (n for n in table.columns if n in missing and lost.all()):
         table.refuse(missing[name], NO_READING, name)
-    first = table.lines[int(np.argmax(lost))]
+    first = int(np.argmax(lost))
+    name = next(name for name in missing if missing[name][first])
+    cell = table.columns[name].text(first)
+    shown = f": '{cell}' in '{name}'" * bool(cell)
     count = f"{np.count_nonzero(lost)} of {len(lost)} {what}"
-    notice(f"{table.file}: {count} have no reading (the first in line {first})")
+    place = f"the first in line {table.lines[first]}{shown}"
+    notice(f"{table.file}: {count} have no reading ({place})")
     return table.rows(np.flatnonzero(~lost))
 
 
@@ -438,6 +459,7 @@ class Cells:
         self.codes = [array("i") for _ in names]
         self.words = [defaultdict[str, int](count().__next__) for _ in names]
         self.comma = 0  # The first line with a decimal comma.
+        self.header = ""  # The line of the header, with its end.
 
     def columns(self) -> list[Column]:
         """The columns, whose names are those of the file."""
@@ -468,11 +490,14 @@ class Cells:
             InputError: If a row has more or fewer cells than the header, or its quotes
                 are not as CSV has them; names the line.
         """
+        if first <= self.heading.line < first + len(lines):
+            self.header = lines[self.heading.line - first].lstrip("\ufeff")
         numbers = [
             number
             for number, line in enumerate(lines, first)
             if line[0] not in OTHER or not (line.isspace() or _is_comment(line))
             if number > self.heading.line
+            if line.lstrip("\ufeff") != self.header  # Of files behind each other.
         ]
         lines = [lines[number - first] for number in numbers]
         later, comma = bool(self.lines), self.heading.separator == ","
@@ -530,7 +555,8 @@ class Cells:
                     raise csv.Error("a quote is not closed")
                 # Blank cells behind the last column are none.
                 if len(row) < width or any(map(str.strip, row[width:])):
-                    commas = mark == "," and len(row) > width
+                    more = row[width:] if mark == "," else ()
+                    commas = bool(more) and all(c.strip().isdecimal() for c in more)
                     hint = " (the decimal mark must be a point)" * commas
                     raise csv.Error(f"{len(row)} cells for {width} columns{hint}")
                 rows.append(row[:width])
@@ -566,9 +592,11 @@ def read_cells(
         if start.startswith(PARQUET):
             return _read_parquet(file)
     kinds = (k for a, b, k in BINARY if start.startswith(a) and b in start)
-    json = re.match(rb"\s*(\{|\[\s*[\[{\"\d-])", start)
-    if kind := "JSON: write it as CSV" if json else next(kinds, ""):
+    if kind := next(kinds, ""):
         raise InputError(f"is {kind}", file=file)
+    if re.match(rb"\s*(\{|\[\s*[\[{\"\d-])", start):
+        text = source if isinstance(source, bytes) else read_bytes(source)
+        return _read_json(text, file)
     wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if wide else ("utf-8-sig", "latin-1"):
         remarks = ("not UTF-8, read as Latin-1",) * (encoding == "latin-1")
@@ -587,6 +615,24 @@ def read_cells(
                     progress(raw.tell() / size)
             return found
     raise InputError("not UTF-16 text, as its byte order mark says", file=file)
+
+
+def _read_json(text: bytes, file: str) -> Cells:
+    """The cells of JSON; its rows are counted from 1.
+
+    Raises:
+        InputError: If it holds no rows.
+    """
+    try:
+        rows = rows_of_json(text)
+    except ValueError:
+        reason = "is JSON without rows that have the same names: write it as CSV"
+        raise InputError(reason, file=file) from None
+    lines = array("q", range(1, len(rows) + 1))
+    found = Cells(file, Heading(",", [*rows[0]], 0, ""), lines=lines)
+    for k, name in enumerate(rows[0]):
+        found.add(k, [row.get(name, "") for row in rows])
+    return found
 
 
 def _opened(source: str | Path | bytes) -> BinaryIO:
@@ -641,16 +687,21 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     if not plain:
         raise InputError("the file is empty, it needs a header and rows", file=file)
     mark = _separator([line for _, line in plain])
-    # What stands behind the sign of a comment comes last.
+    # Behind the sign of a comment it may stand, too: the nearest to the rows.
     bare = [(n, line.lstrip(" \t#%/")) for n, line in lines if _is_comment(line)]
-    cut = [(n, cells_of(line, mark)) for n, line in plain + bare]
+    cut = [(n, cells_of(line, mark)) for n, line in plain + bare[::-1]]
     rows = [one for one in cut[: len(plain)] if _is_row(one[1], mark)]
     if not rows:
         return Heading(mark, cut[0][1], cut[0][0], "")
     ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
-    top = next(number for number, cells in rows if len(cells) == width)
+    whole = [(number, cells) for number, cells in rows if len(cells) == width]
+    # Sheets fill up the lines of a title with blank cells.
+    top = next((n for n, cells in whole if 2 * cells.count("") < width), whole[0][0])
     own = (
-        k for k in cut if k[0] < top and len(k[1]) == width and not _is_row(k[1], mark)
+        (number, cells)
+        for number, cells in cut
+        if number < top and len(cells) == width and _is_header(cells)
+        if not (_is_row(cells, mark) or _units(cells))
     )
     above = [one for one in cut[: len(plain)] if one[0] < top]
     longest = max(above, key=lambda one: len(one[1]), default=(0, []))
@@ -663,6 +714,12 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     reason = "the first row holds numbers, a header with the names of the columns is "
     allowed = f"{width} names above it, such as {mark.join(_names(width))}"
     raise InputError(reason + "missing", file=file, line=top, allowed=allowed)
+
+
+def _is_header(cells: Sequence[str]) -> bool:
+    """Whether most cells of a line have a name, and none the name of another."""
+    names = [cell for cell in cells if cell]
+    return 2 * len(names) > len(cells) and len({*names}) == len(names)
 
 
 def _units(cells: Sequence[str]) -> list[str | None]:

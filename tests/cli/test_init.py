@@ -307,6 +307,30 @@ def test_orientations_in_degrees_and_of_other_conventions(run):
         assert ("the orientation is not used" in result.err) == (not used)
 
 
+@pytest.mark.parametrize("order", [[3, 0, 1, 2], [0, 1, 2, 3]])
+def test_elements_of_quaternions_in_either_order(run, order):
+    assert run("simulate space6 --model pose --count 40 --seed 1 -o a.csv").status == 0
+    rows = numbers("a.csv")[:, :13]
+    rows[:, 9:] = rows[:, 9:][:, order]
+    names = [*JOINTS, *"xyz", "q1", "q2", "q3", "q4"]
+    assert run(INIT.replace("foreign.csv", foreign(names, rows))).status == 0
+    columns = read_setup("setup.yaml").columns
+    assert columns["qw"] == f"q{order.index(3) + 1}"
+
+
+def test_of_two_positions_and_two_arms_the_other_is_told(measured, run):
+    rng = np.random.default_rng(0)
+    q, points = measured[:, :6], measured[:, 6:]
+    other = points + rng.normal(scale=1e-3, size=points.shape)
+    rows = np.hstack([rng.uniform(-1.0, 1.0, q.shape), q, points, other])
+    arms = [f"{side}_{name}" for side in ("left", "right") for name in JOINTS]
+    axes = [f"{name}_{axis}" for name in ("one", "two") for axis in "xyz"]
+    result = run(INIT.replace("foreign.csv", foreign([*arms, *axes], rows)))
+    assert result.status == 0 and "'two_x' does to" in result.err
+    columns = read_setup("setup.yaml").columns
+    assert (columns["joint_1"], columns["x"]) == ("right_joint_1", "one_x")
+
+
 def test_cells_that_are_no_numbers_are_shown(measured, fails):
     """And u, v, w beside a position are no pixels."""
     cells = [[f"{value:.3f}" for value in row] for row in measured.tolist()]

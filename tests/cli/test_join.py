@@ -232,7 +232,8 @@ def test_words_of_a_logger_and_signs_of_lost_readings(logs, run):
     names = [*(f"rec.{name}" for name in header.split(",")), "Battery [V]"]
     lines("joints.csv", ",".join(names), rows)
     result = run(JOIN)
-    assert result.status == 0 and "-9999 in 3 rows" in result.err
+    assert result.status == 0 and "3 of 5680 rows" in result.err
+    assert "'-9999'" in result.err
     assert result.out.startswith("12 standstills")
     joined(columns={joint: f"rec.{joint} [deg]" for joint in CHAIN.joints})
 

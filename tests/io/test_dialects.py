@@ -52,6 +52,46 @@ def test_matrices_are_orientations(table, first):
     assert "qx" not in read(2.0 * T).columns
 
 
+@pytest.mark.parametrize("count", [12, 16])
+@pytest.mark.parametrize("by_columns", [False, True])
+def test_poses_by_rows_or_columns(table, count, by_columns):
+    """As Franka's O_T_EE, whose elements have one number each."""
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3] = np.random.default_rng(0).normal(size=(3, 3, 4))
+    T[:, :3, :3] = so3_exp(T[:, :3, 3])
+    cells = T[:, : count // 4]
+    cells = np.swapaxes(cells, 1, 2) if by_columns else cells
+    rows = (",".join(map(repr, row)) for row in cells.reshape(3, count).tolist())
+    found = table("\n".join([",".join(f"T[{k}]" for k in range(count)), *rows]))
+    expected = to_quaternion(T[:, :3, :3])
+    assert np.allclose(read_quaternions(found, "quaternion"), expected, atol=1e-12)
+    assert found.columns["y"].numbers.tolist() == T[:, 1, 3].tolist()
+
+
+@pytest.mark.parametrize(
+    ("cell", "names"),
+    [
+        ('"[-1.5, 2e0]"', "c_0 c_1"),
+        ("(-1.5 2.0)", "c_0 c_1"),
+        ("\"array('d', [-1.5, 2])\"", "c_0 c_1"),
+        ('"[[-1.5], [2]]"', "c_0 c_1"),
+        ('"{A1 -1.5, A2 2.0}"', "c_A1 c_A2"),
+        ('"{E6AXIS: A1 -1.5, A2 2.0}"', "c_A1 c_A2"),
+        ("\"{'x': -1.5, 'y': 2}\"", "c_x c_y"),
+    ],
+)
+def test_lists_in_cells(table, cell, names):
+    found = table(f"c [mm],d\n{cell},1\n,2\n")
+    assert [*found.columns] == [*names.split(), "d"]
+    first, second = (found.columns[name] for name in names.split())
+    assert (first.numbers[0], second.numbers[0], second.unit) == (-1.5, 2.0, "mm")
+    assert (
+        first.missing().tolist() == [False, True] and "lists in c" in found.remarks[0]
+    )
+    assert "c" in table('c,d\n"[1, 2]",1\n"[1]",2\n')
+    assert "c" in table("c,d\nP (2),1\n[1],2\n")
+
+
 def test_columns_that_the_setup_names_are_as_it_says(table):
     text = "Tx,Ty,Tz,Q0,Qx,Qy,Qz\n1,2,3,1,0,0,0\n"
     assert table(text).numbers("x", LENGTH).tolist() == [1e-3]

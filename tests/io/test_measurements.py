@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -321,6 +321,9 @@ def same(data, again):
 @given(drawn=st.data(), comments=st.lists(TEXT, max_size=3))
 def test_written_files_read_back_bit_by_bit(tmp_path, tree, drawn, comments):
     data, file = drawn.draw(mixtures(tree)), tmp_path / "written.csv"
+    # One number three times, and once more, is a sign that nothing was seen.
+    points = [row[:3].tolist() for b in data.blocks for row in b.values]
+    assume(all(len({*p}) > 1 or points.count(p) == 1 for p in points))
     write_measurements(file, data, comments, force=True)
     # Of all sockets, so that one row is enough for each.
     sockets = {name.rpartition("@")[2] for name in data.target}
@@ -409,7 +412,7 @@ REFUSED = [
     # Quaternions.
     *(
         (f"{QUATERNION}{cells}\n", 3, "qw", cells.split(",")[-1], "norm")
-        for cells in ("0,0,0,0", "0,0,0,1.011", "0,0,0,-0.989")
+        for cells in ("0,0,0,0.1", "0,0,0,1.011", "0,0,0,-0.989")
     ),
     # Sigmas.
     *(
@@ -514,15 +517,13 @@ def test_an_orientation_that_never_moves_is_none(write, chain, turned):
 
 
 @pytest.mark.parametrize("sign", ["-9999", "9E9", "1e30"])
-def test_a_number_for_no_reading_is_named_with_its_lines(write, chain, sign):
+def test_a_number_for_no_reading_is_told(write, chain, sign):
     rows = [f"0,{k / 10},0,{k}0,0,{k}" for k in range(1, 9)]
     rows[2] = rows[5] = f"0,0.3,0,{sign},0,1"
     file = write("\n".join([f"{J},x [mm],y [mm],z [mm]", *rows]))
-    with pytest.raises(InputError, match=r"without: \[4, 7\]") as caught:
-        read(file, chain)
-    assert (caught.value.line, caught.value.column) == (4, "x")
-    data = read(file, chain, reading=ReadingSetup(without=("4", "7")))
-    assert len(data) == 6
+    told = list[str]()
+    assert len(read(file, chain, notice=told.append)) == 6
+    assert f"line 4: '{sign}' in 'x'" in told[0]
 
 
 @pytest.mark.parametrize("case", REFUSED + REFUSED_BY_MODEL)

@@ -61,7 +61,7 @@ def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, cou
         for name, expected in zip(header, zip(*body, strict=True), strict=True):
             column = found.columns[name]
             assert found.texts([name])[name] == tuple(map(str.strip, expected))
-            gone = [cell.strip().lower() in MISSING for cell in expected]
+            gone = [bool(MISSING.fullmatch(cell.strip())) for cell in expected]
             assert column.missing().tolist() == gone
             known = map(as_number, map(str.strip, expected))
             numbers = np.array([np.nan if n is None else n for n in known])
@@ -103,6 +103,31 @@ def test_repeated_names_are_kept_once(table):
         found.numbers("x", PURE)[0] = 0.0
     found = table("x,name\n1, wall\n2,ball\n3,wall \n").texts(["name"])["name"]
     assert (found.names, found.codes.tolist()) == (("wall", "ball"), [0, 1, 0])
+
+
+def test_columns_that_are_there_twice(table):
+    assert table("x,n,x\n1,a,1\n,b,\n").columns.keys() == {"x", "n"}
+    for text in ("x,x\n1,1\n1,2\n", "n,n\na,a\na,b\n", "x,x [mm]\n1,1\n"):
+        with pytest.raises(InputError, match="two columns"):
+            table(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '[{"q": [1, 2], "p": {"x": 5, "n": "a,b"}}, {"q": [3, 4], "p": {"x": 6}}]',
+        '{"q": [1, 2], "p": {"x": 5, "n": "a,b"}}\n{"q": [3, 4], "p": {"x": 6}}\n',
+        '{"rig": 3, "rows": [{"q": [1, 2], "p_x": 5, "p_n": "a,b"}, '
+        '{"q": [3, 4], "p_x": 6, "p_n": ""}]}',
+        '{"q": {"0": [1, 2], "1": [3, 4]}, "p_x": [5, 6], "p_n": ["a,b", ""]}',
+    ],
+)
+def test_json(table, text):
+    found = table(text)
+    rows = {n: c.numbers.tolist() for n, c in found.columns.items() if n != "p_n"}
+    assert rows == {"q_0": [1, 3], "q_1": [2, 4], "p_x": [5, 6]}
+    assert found.columns["p_n"].texts() == ("a,b", "")
+    assert found.lines.tolist() == [1, 2]
 
 
 LOG = "Zeit;Ort;X (mm);Y [mm]\n0,5;Wand, links;1,25;-,5e3\n1;v1.5;3;-7\n"
@@ -218,6 +243,11 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
         # Below lines about the recording.
         ("Robot: R1\nDate;2026\n\na;b;c\n1;0,5;2\n", "a b c", 4, None),
         ("Take,1\na,b,c\n1,0.5,2\n", "a b c", 2, None),
+        # Sheets fill up the lines of a title, and write the groups of columns.
+        ("Air;21,5;;\na;b;c;d\n1;0,5;2;3\n", "a b c d", 2, None),
+        ("A,A,B\na,b,c\n1,0.5,2\n", "a b c", 2, None),
+        (",A,\na,b,c\n1,0.5,2\n", "a b c", 2, None),
+        ("# made by two\n# a b c\n# m m s\n1.5 2 3\n", "a b c", 2, None),
         # Units below the names, and the minus of typesetting.
         ("a;b;c\n;\u00b0;[mm]\n1;0,5;2\n", "a b~[deg] c~[mm]", 2, None),
         ("a,b\nm,s\n\u22121.5,2\n", "a~[m] b~[s]", 2, [("\u22121.5", "2")]),
@@ -227,6 +257,8 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
         ("1,2\n0.5,0.25\n", "1 2", 1, [("0.5", "0.25")]),
         ("robot,file\nr1,a.csv\n", "robot file", 1, [("r1", "a.csv")]),
         ("a b\n0.5\n", "a~b", 1, [("0.5",)]),
+        # Files behind each other.
+        ("a,b\n0.5,1\n\ufeffa,b\n2,3\n", "a b", 1, [("0.5", "1"), ("2", "3")]),
     ],
 )
 def test_headers(text, header, line, rows):
@@ -268,7 +300,7 @@ def test_a_header_to_paste_where_there_is_none(count, names):
         (b"PK\x03\x04.. m.csv", "zip"),
         (gzip.compress(b"a,b\n1,2\n"), "gzip"),
         (b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(200), "MATLAB"),
-        (b'{"joints": [1, 2]}', "JSON"),
+        (b'{"joints": [1, 2], "x": 1}', "JSON"),
         (b"[[0.1, 0.2]]", "JSON"),
         (b"SQLite format 3\x00" + bytes(80), "join"),
         (b"a,b\n1,\x00\n", "NUL"),

@@ -10,6 +10,7 @@ from calib_pin.io.dialects.base import Dialect, Heading, Lines, Reading, side_by
 from calib_pin.io.dialects.franka import Franka
 from calib_pin.io.dialects.joined import Joined
 from calib_pin.io.dialects.lerobot import LeRobot
+from calib_pin.io.dialects.lists import Lists
 from calib_pin.io.dialects.matrices import Matrices
 from calib_pin.io.dialects.motive import Motive
 from calib_pin.io.dialects.ndi import Ndi
@@ -26,7 +27,18 @@ __all__ = ["DIALECTS", "Dialect", "Heading", "Reading", "side_by_side"]
 
 MEMBERS = (
     *(Motive, Vicon, Ndi, Points),  # Their headers are no line of names.
-    *(Rostopic, PlotJuggler, Rtde, Franka, LeRobot, Pandas, Matrices, Stamps, Joined),
+    *(
+        Lists,
+        Rostopic,
+        PlotJuggler,
+        Rtde,
+        Franka,
+        LeRobot,
+        Pandas,
+        Matrices,
+        Stamps,
+        Joined,
+    ),
 )
 
 

@@ -50,7 +50,7 @@ class LeRobot(base.Dialect):
             return None
         # A number that stands for no reading tells nothing of the unit.
         numbers = {
-            joint: np.where(column.numbers == column.sentinel, np.nan, column.numbers)
+            joint: np.where(column.missing(), np.nan, column.numbers)
             for joint, column in joints.items()
         }
         every = np.concatenate([*numbers.values()])

@@ -26,7 +26,9 @@ class Pandas(Dialect):
         """Two lines of names below a blank index, of which the upper ones repeat."""
         lines = [one for one in lines if not one[1].startswith("#")]
         (upper, *rows), mark = cut(lines[:3] or [(1, "")])
-        if len(rows) < 2 or upper[0] or len({*map(len, (upper, *rows))}) > 1:
+        if len(rows) < 2 or upper[0] or not all(upper[1:]):
+            return None
+        if len({*map(len, (upper, *rows))}) > 1:
             return None
         pairs = zip(upper[1:], rows[0][1:], strict=True)
         names = ["", *("_".join(filter(None, pair)) for pair in pairs)]

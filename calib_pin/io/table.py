@@ -308,9 +308,9 @@ class Table:
             reason += f"; state in the setup 'columns: {both}'"
         elif meant:
             reason += f"; write the header as '{theirs} [{meant}]'"
-        # Percent of a range come near to 100, and no farther.
-        if kind.si == ANGLE.si and 90.0 < np.nanmax(np.abs(column.numbers)) <= 100.0:
-            reason += ", of percent [steps/N@0] with N = 72000 / range in deg"
+        # Percent of a range look like degrees, and come no farther than 100.
+        if meant == "deg" and np.nanmax(np.abs(column.numbers)) <= 100.0:
+            reason += ", of percent of its range [steps/N@0], N = 72000 / range in deg"
         raise self.error(reason, name, ", ".join(kind.units), row)
 
     def values(self, kinds: Iterable[tuple[str, Kind]]) -> Floats:

@@ -156,6 +156,12 @@ def unregistered(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def unsought(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No explanation is looked for, which takes the longest: none would be found."""
+    monkeypatch.setattr("calib_pin.validation.findings._explanation", lambda case: None)
+
+
+@pytest.fixture
 def installed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Callable[[str, str, str], Path]]:

@@ -468,7 +468,7 @@ def test_structure_as_json(here, run):
 # --- evaluate ----------------------------------------------------------------------
 
 
-def test_evaluation_of_a_calibration(here, run):
+def test_evaluation_of_a_calibration(here, run, unsought):
     result = run("evaluate done/calibration.json rows.csv")
     assert result.status == 0 and "note: rows.csv" in result.err
     # Configurations that were planned for it are not the same measurements.

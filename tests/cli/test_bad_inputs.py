@@ -27,8 +27,6 @@ MESSAGES, REFUSALS = (
 )
 # `messages.yaml` has it word by word for one mistake of each kind, `refusals.yaml` what
 # the line names for many others: a change of wording breaks the former alone.
-REFUSED = [(of, key, named) for of in REFUSALS for key, named in of["refused"].items()]
-REFUSED_IDS = [f"{of['run']} {key}" for of, key, _ in REFUSED]
 
 
 @pytest.mark.parametrize("case", MESSAGES, ids=lambda case: case["run"])
@@ -40,22 +38,20 @@ def test_messages(case: dict[str, Any], here: Path, run: Callable[..., object]) 
     assert result.err == f"calib-pin: {case['says']}\n"
 
 
-@pytest.mark.parametrize(
-    ("of", "key", "named"),
-    REFUSED,
-    ids=[f"{of['run']} {key}" for of, key, _ in REFUSED],
-)
-def test_refusals(of, key, named, here, inside, opened, fails, refuses) -> None:
-    words, files = f"{of['run']} {key}", of.get("files", {})
-    if "file" in of:
-        words, files = of["run"], {of["file"]: key}
-    for name, text in files.items():
+@pytest.mark.parametrize("of", REFUSALS, ids=lambda of: of["run"])
+def test_refusals(of, here, inside, opened, fails, refuses) -> None:
+    for name, text in of.get("files", {}).items():
         (here / name).parent.mkdir(parents=True, exist_ok=True)
         (here / name).write_text(text)
-    if isinstance(named, dict):
-        refuses(words, **named)
-    else:
-        fails(words, named)
+    for key, named in of["refused"].items():
+        words = f"{of['run']} {key}"
+        if "file" in of:
+            words = of["run"]
+            (here / of["file"]).write_text(key)
+        if isinstance(named, dict):
+            refuses(words, **named)
+        else:
+            fails(words, named)
     assert opened == [], "no window"
 
 

@@ -59,12 +59,15 @@ def marked(path: str, every: int) -> None:
     )
 
 
+DRAW = [f"calib_pin.cli.{name}.draw_calibration" for name in ("requests", "report")]
+"""What commands draw the figures of a calibration with."""
+
+
 @contextmanager
 def undrawn() -> Iterator[None]:
     """Pages of calibrations have no figures, which take the longest."""
     with pytest.MonkeyPatch.context() as patch:
-        for command in ("requests", "report"):
-            place = f"calib_pin.cli.{command}.draw_calibration"
+        for place in DRAW:
             patch.setattr(place, lambda *about: [])
         yield
 

@@ -16,10 +16,7 @@ import pytest
 
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import (
-    named_targets,
-    observable_configurations,
-)
+from calib_pin.estimation.nominal import named_targets, observable_configurations
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.io.urdf_tree import parse_robot

@@ -38,10 +38,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.plugins import extensions
-from calib_pin.setup import (
-    FrameSetup,
-    Setup,
-)
+from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.workers.cluster import Cluster
 from tests import shared
@@ -129,9 +126,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "example_robot" in metafunc.fixturenames:
         robots = [
             pytest.param(
-                path,
-                id=path.stem,
-                marks=() if path.stem in QUICK else pytest.mark.slow,
+                path, id=path.stem, marks=() if path.stem in QUICK else pytest.mark.slow
             )
             for path in example_robots()
         ]
@@ -153,6 +148,12 @@ def interruptible() -> Iterator[None]:
 def unregistered(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a test or a page registers, the next one of the process does not know."""
     monkeypatch.setattr("calib_pin.plugins._registered", {})
+
+
+@pytest.fixture
+def unsought(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No explanation is looked for, which takes the longest: none would be found."""
+    monkeypatch.setattr("calib_pin.validation.findings._explanation", lambda case: None)
 
 
 @pytest.fixture

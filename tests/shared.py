@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +16,7 @@ import pytest
 
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import (
-    named_targets,
-    observable_configurations,
-)
+from calib_pin.estimation.nominal import named_targets, observable_configurations
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.io.urdf_tree import parse_robot
@@ -88,6 +88,18 @@ FAR = FrameSetup((0.1, -0.2, 3.0), (0.3, -0.2, 0.4), estimate=True)
 
 NEAR = ToolSetup((0.02, 0.05, -0.03), (0.1, 0.3, -0.2))
 """What a camera among other instruments looks at."""
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    """Syntax tree of a file; several tests look at those of the whole package."""
+    return ast.parse(path.read_text())
+
+
+@cache
+def nodes_of(tree: ast.AST) -> list[ast.AST]:
+    """All nodes of a syntax tree."""
+    return [*ast.walk(tree)]
 
 
 @contextmanager

@@ -127,11 +127,7 @@ def test_worse_on_unseen_rows() -> None:
 def test_stated_sigmas_stand_until_the_rows_contradict_them() -> None:
     chain, rows = measured(60)
     assumed, right, tenfold = (
-        calib_pin.calibrate(
-            chain,
-            replace(rows, sigma=sigma),
-            validate=False,
-        )
+        calib_pin.calibrate(chain, replace(rows, sigma=sigma), validate=False)
         for sigma in (None, np.full((60, 3), 5e-5), np.full((60, 3), 5e-4))
     )
     assert (

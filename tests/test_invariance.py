@@ -58,6 +58,16 @@ FAMILIES = tuple(
 )
 
 
+RARE = {"dh-full", "motor-ripple", "hysteresis", "cross-compliance", "thermal"}
+"""Families of the slow tier: each is told like another that the quick one has."""
+
+EACH = [
+    pytest.param(family, marks=[pytest.mark.slow] if family[-1] in RARE else [])
+    for family in FAMILIES
+]
+UNPLACED = [one for one in EACH if one.values[0][-1] not in PLACED]
+
+
 def asked(family: tuple[str, ...]) -> Setup:
     ratios = RATIOS if {"transmission", "motor-ripple"} & {*family} else {}
     return Setup(parameters=family, gear_ratios=ratios)
@@ -163,7 +173,7 @@ def robot_file(tmp_path: Path, robot: ET.Element) -> str:
     return str(file)
 
 
-@pytest.mark.parametrize("family", FAMILIES, ids="+".join)
+@pytest.mark.parametrize("family", EACH, ids="+".join)
 def test_units_order_instrument_and_base(
     family: tuple[str, ...], tmp_path: Path
 ) -> None:
@@ -197,11 +207,7 @@ def test_units_order_instrument_and_base(
     assert again.verdict == found.verdict
 
 
-@pytest.mark.parametrize(
-    "family",
-    [family for family in FAMILIES if family[-1] not in PLACED],
-    ids="+".join,
-)
+@pytest.mark.parametrize("family", UNPLACED, ids="+".join)
 def test_where_on_its_axis_a_frame_stands(
     family: tuple[str, ...], tmp_path: Path
 ) -> None:

@@ -14,11 +14,7 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import (
-    asked,
-    named_targets,
-    observable_configurations,
-)
+from calib_pin.estimation.nominal import asked, named_targets, observable_configurations
 from calib_pin.estimation.problem import Problem, measured_count
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey, Conditions, Observations

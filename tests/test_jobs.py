@@ -25,11 +25,7 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameterizations import frame_pose
-from calib_pin.setup import (
-    FrameSetup,
-    Setup,
-    ToolSetup,
-)
+from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.simulation import simulate
 
 

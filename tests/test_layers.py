@@ -7,6 +7,8 @@ from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
+from tests.shared import nodes_of, parsed
+
 PACKAGE = Path(__file__).parents[1] / "calib_pin"
 
 ROOMS = (
@@ -62,10 +64,13 @@ FORBIDDEN_METHODS = {
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 
-@cache
-def parsed(path: Path) -> ast.Module:
-    """Syntax tree of a file."""
-    return ast.parse(path.read_text())
+def module(path: Path) -> str:
+    """Full name of the module in a file."""
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts).removesuffix(".__init__")
+
+
+MODULE_NAMES = {module(path) for path in FILES}
 
 
 def room(path: Path) -> str:
@@ -77,25 +82,19 @@ def room(path: Path) -> str:
 def imported(tree: ast.AST) -> set[str]:
     """Full names of all modules that a file imports anywhere."""
     found = set()
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "relative imports hide where they point"
             names = {f"{node.module}.{alias.name}" for alias in node.names}
-            modules = {name for name in names if is_module(name)}
+            modules = names & MODULE_NAMES
             if node.module == "calib_pin":
                 found |= names
             elif names - modules:
                 found.add(str(node.module))
             found |= modules
     return found
-
-
-def is_module(name: str) -> bool:
-    """Whether a full name is that of a module of the package."""
-    path = PACKAGE.parent.joinpath(*name.split("."))
-    return path.is_dir() or path.with_suffix(".py").is_file()
 
 
 def room_of(module: str) -> str:
@@ -118,7 +117,7 @@ def side_effects(tree: ast.AST, name: str = "") -> list[str]:
     """Uses of files, terminals, clocks, and the global random generator."""
     forbidden = FORBIDDEN_MODULES - ALLOWED.get(name, set())
     found = [m for m in imported(tree) if m.split(".")[0] in forbidden]
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         if isinstance(node, ast.Call):
             called = getattr(node.func, "id", "")
             method = getattr(node.func, "attr", "")
@@ -137,12 +136,6 @@ def side_effects(tree: ast.AST, name: str = "") -> list[str]:
             ):
                 found.append(ast.unparse(node))
     return found
-
-
-def module(path: Path) -> str:
-    """Full name of the module in a file."""
-    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
-    return ".".join(parts).removesuffix(".__init__")
 
 
 def test_imports_point_down() -> None:
@@ -197,7 +190,7 @@ def test_classes_stay_readable() -> None:
     crowded = [
         f"{path.relative_to(PACKAGE)}: {node.name}"
         for path in FILES
-        for node in ast.walk(parsed(path))
+        for node in nodes_of(parsed(path))
         if isinstance(node, ast.ClassDef) and len(public_members(node)) > MEMBERS
     ]
     assert crowded == []

@@ -301,7 +301,14 @@ def test_very_many_measurements_have_the_same_normal_equations(
     np.testing.assert_allclose(many.errors(theta), errors, rtol=0, atol=1e-12 * size)
 
 
-@pytest.mark.parametrize("name", MIXES)
+PARTS = {"three chains", "a head that sees a hand", "a hand that touches the other"}
+"""Mixes of the slow tier, which are parts of another."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if n in PARTS else []) for n in MIXES],
+)
 def test_noise_free_recovery(name: str, body: Robot) -> None:
     """Of equal robots the one closest to nominal, with frames and instruments."""
     problem = problem_of(MIXES[name], body)

@@ -144,12 +144,7 @@ def test_pinocchio_agrees_with_the_table(name: str) -> None:
     ("name", "bent", "masses", "distances"),
     [
         # Stretched out horizontally: of the centers of mass from the shoulder.
-        (
-            "pa10",
-            1,
-            [6, 5, 4, 3, 2, 1],
-            [0.1125, 0.3375, 0.57, 0.81, 0.9475, 0.9825],
-        ),
+        ("pa10", 1, [6, 5, 4, 3, 2, 1], [0.1125, 0.3375, 0.57, 0.81, 0.9475, 0.9825]),
         # Upper arm along x, forearm straight on: from the axis of joint 2.
         ("heavy6", 2, [180, 200, 70, 40, 15], [0.55, 1.33, 1.95, 2.38, 2.53]),
     ],

@@ -31,10 +31,7 @@ from calib_pin.setup import (
 )
 from calib_pin.simulation import draw_errors, exact_at, simulate
 
-PLANES = {
-    "wall": PlaneSetup((0, 1, 4.6), -0.69),
-    "floor": PlaneSetup((0, 0, 1), 0.2),
-}
+PLANES = {"wall": PlaneSetup((0, 1, 4.6), -0.69), "floor": PlaneSetup((0, 0, 1), 0.2)}
 SETUPS = {
     "position": Setup(base_frame=FrameSetup((1, 2, 3), (0.1, 0.2, 0.3))),
     "pose": Setup(),

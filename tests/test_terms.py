@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from tests.shared import nodes_of, parsed
+
 ROOT = Path(__file__).parents[1]
 
 REPLACED = {
@@ -42,7 +44,7 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
     if path.suffix != ".py":
         yield from enumerate(path.read_text().splitlines(), 1)
         return
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes_of(parsed(path)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.lineno, node.value
 

@@ -72,10 +72,7 @@ def test_a_series_of_the_ur10(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize(
     ("key", "stem", "joints"),
-    [
-        ("ur5", "3D_UR5_uncalibrated", 6),
-        ("wam", "WAM/3D_WAM_uncalibrated", 7),
-    ],
+    [("ur5", "3D_UR5_uncalibrated", 6), ("wam", "WAM/3D_WAM_uncalibrated", 7)],
 )
 def test_a_grid_with_differences(
     tmp_path: Path, key: str, stem: str, joints: int

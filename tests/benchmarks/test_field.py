@@ -34,10 +34,10 @@ def test_the_robots_are_as_large_as_is_said() -> None:
     [
         (NONE, "wire"),
         ("instrument moved", "poses"),
-        ("rehomed", "tracker"),
-        ("joint gear", "tracker"),
-        ("inches", "tracker"),
         ("joint zero", "sockets"),
+        pytest.param("rehomed", "tracker", marks=pytest.mark.slow),
+        pytest.param("joint gear", "tracker", marks=pytest.mark.slow),
+        pytest.param("inches", "tracker", marks=pytest.mark.slow),
     ],
 )
 def test_a_day(name: str, instrument: str) -> None:

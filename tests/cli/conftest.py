@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import chdir, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ from calib_pin.cli import main
 from calib_pin.cli.options import asked_workers
 from calib_pin.errors import InputError, OutputError
 from calib_pin.viewer.scene import Scene
+from tests.cli.files import undrawn as undrawn_pages
 from tests.shared import refused
 
 ARM = Path(__file__).with_name("arm.urdf").read_text()
@@ -33,9 +35,6 @@ parameters: [joint-offset]
 planes:
   wall: {normal: [1, 0.2, 0.3], offset: -1.8}
 """
-
-DRAW = [f"calib_pin.cli.{name}.draw_calibration" for name in ("requests", "report")]
-"""What commands draw the figures of a calibration with."""
 
 SETUP = "tip: tool\nparameters: [joint-offset]\nnoise: {position: 1.0e-4}\n"
 
@@ -64,9 +63,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }.items():
         (folder / name).write_text(text)
     position = "--model position --noise 1e-4"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        patch.setattr(DRAW[0], lambda *about: [])
+    with chdir(folder), undrawn_pages():
         for words in (
             f"simulate arm.urdf {position} --count 40 --errors errors.yaml "
             "--parameters joint-offset -o rows.csv --truth truth.urdf",
@@ -100,15 +97,17 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def undrawn(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[None]:
     """Pages without figures, unless a test asks for `drawn`: they take the longest.
 
     Stages are not told, however slow the machine is.
     """
     monkeypatch.setattr("calib_pin.cli.printing.PATIENCE", float("inf"))
-    if "drawn" not in request.fixturenames:
-        for place in DRAW:
-            monkeypatch.setattr(place, lambda *about: [])
+    drawn = "drawn" in request.fixturenames
+    with nullcontext() if drawn else undrawn_pages():
+        yield
 
 
 @pytest.fixture

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from calib_pin.report.figures import NAMES
 
@@ -54,6 +57,19 @@ def marked(path: str, every: int) -> None:
         ",".join([*header, "set"]),
         [[*row, marks[k % every == 0]] for k, row in enumerate(rows)],
     )
+
+
+DRAW = [f"calib_pin.cli.{name}.draw_calibration" for name in ("requests", "report")]
+"""What commands draw the figures of a calibration with."""
+
+
+@contextmanager
+def undrawn() -> Iterator[None]:
+    """Pages of calibrations have no figures, which take the longest."""
+    with pytest.MonkeyPatch.context() as patch:
+        for place in DRAW:
+            patch.setattr(place, lambda *about: [])
+        yield
 
 
 @dataclass(frozen=True)

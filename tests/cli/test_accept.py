@@ -40,6 +40,16 @@ def visits(here) -> None:
     Path("limits.yaml").write_text(LIMITS + FRAMES)
 
 
+@pytest.fixture
+def without_typst(monkeypatch) -> None:
+    """The extra is not installed: no PDF is written, which takes the longest."""
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        "calib_pin.report.pdf.find_spec",
+        lambda name, *more: None if name == "typst" else find(name, *more),
+    )
+
+
 def pages(file: str) -> list[str]:
     """The text of each page."""
     from pypdf import PdfReader
@@ -48,7 +58,7 @@ def pages(file: str) -> list[str]:
     return [page.extract_text() for page in reader.pages]
 
 
-def test_a_robot_is_tested(visits, run):
+def test_a_robot_is_tested(visits, run, without_typst):
     """What is accepted is told by the status."""
     Path("limits.yaml").write_text(LIMITS + FRAMES + REPORT)
     result = run(f"{ACCEPT} -o out")
@@ -102,7 +112,9 @@ def said(result) -> str:
     return " ".join(result.out.split())
 
 
-def test_what_is_fitted_to_visits_says_nothing_of_their_place(visits, run):
+def test_what_is_fitted_to_visits_says_nothing_of_their_place(
+    visits, run, without_typst
+):
     """Neither five poses nor one of a robot that is off pass any limit."""
     accept = "accept arm.urdf visits.csv --setup limits.yaml"
     Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "1.0e-2"))
@@ -201,7 +213,7 @@ def test_faulty_and_missing_visits_pass_nothing(visits, run, change, told):
         assert words in said(result)
 
 
-def test_a_path_is_its_worst_point(visits, run):
+def test_a_path_is_its_worst_point(visits, run, without_typst):
     result = run(f"{ACCEPT} --path -o out")
     assert result.out.startswith("FAIL: AT ") and "\nPASS: RT " in result.out
     poses = document("out/acceptance.json")["tests"]["robot"]["poses"]
@@ -245,16 +257,6 @@ def test_a_calibration_has_limits_and_entries_of_its_own(visits, run):
     assert "0.5000 mm" not in first and "me" in first and "KR 7" not in first
 
 
-@pytest.fixture
-def without_typst(monkeypatch) -> None:
-    """The extra is not installed."""
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        "calib_pin.report.pdf.find_spec",
-        lambda name, *more: None if name == "typst" else find(name, *more),
-    )
-
-
 def test_without_the_extra_the_rest_is_written(visits, run, fails, without_typst):
     result = run(f"{ACCEPT} -o out")
     assert result.status == 2 and "calib-pin[pdf]" in result.err
@@ -276,7 +278,7 @@ def test_a_calibration_is_printed(here, run, fails):
     assert Path("c.pdf").read_bytes() == before
 
 
-def test_an_untrusted_calibration_is_said_to_be(visits, run):
+def test_an_untrusted_calibration_is_said_to_be(visits, run, without_typst):
     """The limits alone would pass."""
     words = "calibrate arm.urdf foreign.csv --setup setup.yaml --validation rows.csv"
     assert run(f"{words} -o c").status == 2

@@ -15,7 +15,7 @@ import pytest
 from calib_pin.cli import main
 from calib_pin.io.results import read_calibration
 from calib_pin.viewer.scene import Scene
-from tests.cli.files import column, document, table, write
+from tests.cli.files import column, document, table, undrawn, write
 
 JOINT = """<link name="{child}"/>
   <joint name="{name}" type="revolute"><origin xyz="{xyz}"/>
@@ -62,7 +62,7 @@ def arms(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Measurements and a calibration of a robot with two arms."""
     folder = tmp_path_factory.mktemp("arms") / "work"
     folder.mkdir()
-    with chdir(folder):
+    with chdir(folder), undrawn():
         Path("twins.urdf").write_text(twins())
         Path("chains.yaml").write_text(CHAINS)
         for words in (

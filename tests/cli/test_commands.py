@@ -190,7 +190,7 @@ def test_what_is_written(command, quantities, here, run):
 )
 def test_solvers_by_option_and_by_setup_file(here, run, solver):
     with Path("setup.yaml").open("a") as file:
-        file.write("solver: {name: de, population_size: 20}\n")
+        file.write("solver: {name: de, population_size: 5}\n")
     assert run(f"{POSITION} --solver {solver} -o out").status == 0
     found, plain = document("out"), document("done")
     assert found["solver"]["name"] == solver
@@ -199,7 +199,7 @@ def test_solvers_by_option_and_by_setup_file(here, run, solver):
     if solver == "hybrid":
         assert found["solver"]["evaluator"] == "kernel"
         assert found["solver"]["iterations"] >= len(history) - 1 > 10
-    assert found["setup"]["solver"] == {"name": solver, "population_size": 20}
+    assert found["setup"]["solver"] == {"name": solver, "population_size": 5}
     # The same minimum, whose value rounding moves by less than this.
     expected = pytest.approx(plain["statistics"]["chi2"], rel=1e-6)
     assert found["statistics"]["chi2"] == expected
@@ -468,7 +468,7 @@ def test_structure_as_json(here, run):
 # --- evaluate ----------------------------------------------------------------------
 
 
-def test_evaluation_of_a_calibration(here, run):
+def test_evaluation_of_a_calibration(here, run, unsought):
     result = run("evaluate done/calibration.json rows.csv")
     assert result.status == 0 and "note: rows.csv" in result.err
     # Configurations that were planned for it are not the same measurements.

@@ -18,7 +18,7 @@ from calib_pin.io.results import read_calibration
 from calib_pin.io.urdf import load_chain
 from calib_pin.planning.travel import Ways
 from calib_pin.setup import Obstacle
-from tests.cli.files import document, numbers, table, write
+from tests.cli.files import document, numbers, table, undrawn, write
 
 DONE = "compensate done/calibration.json"
 RUN = f"{DONE} targets.csv -o commands.csv"
@@ -415,7 +415,7 @@ def cell(workshop, tmp_path_factory):
     """A calibration of the small robot with solid links, and a ball in its way."""
     folder = tmp_path_factory.mktemp("ways") / "work"
     shutil.copytree(workshop, folder)
-    with chdir(folder):
+    with chdir(folder), undrawn():
         cell_made()
     return folder
 

@@ -53,11 +53,7 @@ def job(lift, alone, run):
     assert run(words).status == 0
     header, rows, _ = table("all.csv")
     kept = [header.index(name) for name in [*COLUMNS, "x", "y", "z"]]
-    write(
-        "rows.csv",
-        ",".join(header[k] for k in kept),
-        np.array(rows, float)[:, kept],
-    )
+    write("rows.csv", ",".join(header[k] for k in kept), np.array(rows, float)[:, kept])
     return chain_of(lift, "base", "tool")
 
 

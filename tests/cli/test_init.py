@@ -365,6 +365,7 @@ def test_joints_are_exchanged_only_where_that_fits(measured, run):
     assert [columns[joint] for joint in JOINTS] == names
 
 
+@pytest.mark.slow
 def test_the_draft_of_a_reversed_joint_leads_to_its_name(measured, run):
     foreign([*JOINTS, *"xyz"], measured * [1, 1, -1, 1, 1, 1, 1, 1, 1])
     assert run(INIT).status == 0

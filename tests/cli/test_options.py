@@ -143,14 +143,8 @@ PLAN = "--method greedy --candidates 60 --ignore-collisions --count 8 -o new.csv
 RESULTS = {
     # By command: its words behind files that the fixture made, and keys of its object.
     "init": ("arm.urdf rows.csv", {"setup", "nominal"}),
-    "calibrate": (
-        "arm.urdf rows.csv --setup setup.yaml -o out",
-        {"verdict", "errors"},
-    ),
-    "identify": (
-        "arm.urdf --setup setup.yaml --model position",
-        {"identifiability"},
-    ),
+    "calibrate": ("arm.urdf rows.csv --setup setup.yaml -o out", {"verdict", "errors"}),
+    "identify": ("arm.urdf --setup setup.yaml --model position", {"identifiability"}),
     "evaluate": ("arm.urdf rows.csv", {"errors", "registered", "rows"}),
     "accept": ("arm.urdf visits.csv --tip tool", {"format"}),
     "simulate": (

@@ -14,7 +14,7 @@ from calib_pin.cli import main
 from calib_pin.cli.jobs import Orders, read_jobs, request_of
 from calib_pin.io.results import read_result
 from calib_pin.setup import JointPrior
-from tests.cli.files import document
+from tests.cli.files import document, undrawn
 
 ERRORS = """\
 joint_2.placement.x: 0.8e-3
@@ -32,8 +32,7 @@ def robot(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("robot")
     (folder / "errors.yaml").write_text(ERRORS)
     (folder / "hit.yaml").write_text(ERRORS.replace("2.0e-3", "3.5e-3"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib_pin.cli.requests.draw_calibration", lambda *about: [])
+    with chdir(folder), undrawn():
         for words in (
             f"{SIMULATE} errors.yaml --count 40 --seed 1 -o first.csv",
             f"{SIMULATE} errors.yaml --count 10 --seed 2 -o later.csv",
@@ -44,9 +43,8 @@ def robot(tmp_path_factory) -> Path:
             "calibrate space6 later.csv --start first -o later",
             "calibrate space6 few.csv -o few",
         ):
-            with chdir(folder):
-                expected = 2 if words.endswith("-o few") else 0
-                assert main(words.split()) == expected
+            expected = 2 if words.endswith("-o few") else 0
+            assert main(words.split()) == expected
     return folder
 
 

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from calib_pin.report.figures import NAMES
-from tests.cli.conftest import DRAW
-from tests.cli.files import document, figures
+from tests.cli.files import DRAW, document, figures
 
 CALIBRATE = "calibrate arm.urdf rows.csv --setup setup.yaml"
 PLAN = "plan arm.urdf --model position --count 8 --candidates 60 --method greedy"

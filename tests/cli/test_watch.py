@@ -141,8 +141,7 @@ def test_readings(text: str, kinds, unit: str, numbers: list[float]):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["12.5", "12.5 parsec", "1 2 mm", "mm", "x mm", "nan mm", "1e9 m", "fifty"],
+    "text", ["12.5", "12.5 parsec", "1 2 mm", "mm", "x mm", "nan mm", "1e9 m", "fifty"]
 )
 def test_readings_that_are_none(text: str):
     with pytest.raises(InputError):

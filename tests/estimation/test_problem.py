@@ -114,8 +114,5 @@ def test_the_same_is_left_for_the_others(monkeypatch: pytest.MonkeyPatch) -> Non
     solved = np.linalg.lstsq(J[:, own], -(r + J @ step), rcond=None)[0]
     found = completed(few.stations(theta), step)
     np.testing.assert_allclose(
-        J[:, own] @ found[own],
-        J[:, own] @ solved,
-        rtol=0,
-        atol=1e-6 * np.abs(r).max(),
+        J[:, own] @ found[own], J[:, own] @ solved, rtol=0, atol=1e-6 * np.abs(r).max()
     )

@@ -14,11 +14,7 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import distinct_values, known_count, known_values
-from calib_pin.estimation.row_blocks import (
-    KnownDistances,
-    Priors,
-    expected_places,
-)
+from calib_pin.estimation.row_blocks import KnownDistances, Priors, expected_places
 from calib_pin.estimation.statistics.population_prior import (
     RobotEvidence,
     population_of,

@@ -291,9 +291,7 @@ AT_BASE, AT_TOOL = "base.frame", "tool.frame"
     ],
 )
 def test_names_of_frames(
-    keys: list[BlockKey],
-    expected: list[tuple[str, str]],
-    tree: Callable[..., Chains],
+    keys: list[BlockKey], expected: list[tuple[str, str]], tree: Callable[..., Chains]
 ) -> None:
     chains = tree(*dict.fromkeys(key.chain for key in keys))
     found = frames_of_blocks(chains, keys, Setup())

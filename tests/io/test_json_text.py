@@ -89,6 +89,7 @@ def test_what_is_written_reads_back_and_is_written_the_same(value: Everything) -
     assert encode(found) == text
     for name in ("color", "table", "pair", "named", "either"):
         assert getattr(found, name) == getattr(value, name)
+    assert [one.name for one in found.entries] == [one.name for one in value.entries]
     np.testing.assert_array_equal(found.array, value.array)
 
 

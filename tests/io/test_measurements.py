@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -317,7 +315,7 @@ def same(data, again):
     return True
 
 
-@settings(max_examples=40, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=25, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(drawn=st.data(), comments=st.lists(TEXT, max_size=3))
 def test_written_files_read_back_bit_by_bit(tmp_path, tree, drawn, comments):
     data, file = drawn.draw(mixtures(tree)), tmp_path / "written.csv"
@@ -900,14 +898,6 @@ def test_many_rows(write, bad, chain):
     assert data.values[:, :3].tobytes() == rows[:, 3:6].tobytes()
     assert data.lines.tolist() == list(range(2, 4_002))
     bad(text + "\n" + "0," * 8 + "x", line=4_002, column="rz", value="x")
-
-
-def test_importing_does_not_load_scipy():
-    code = (
-        "import sys, calib_pin.io.measurements; "
-        "sys.exit(not {'scipy', 'pandas', 'yaml', 'pydantic'}.isdisjoint(sys.modules))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 # --- real files --------------------------------------------------------------------

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import fields, replace
 from functools import partial
 from types import SimpleNamespace
@@ -467,12 +465,6 @@ def test_the_path_is_named_as_given(tmp_path, monkeypatch):
     with pytest.raises(InputError) as caught:
         read_setup("s.yaml")
     assert len(caught.value.value) < 80 and "..." in caught.value.value
-
-
-def test_importing_does_not_load_what_reads_files():
-    slow = "{'yaml', 'pydantic', 'scipy'}"
-    code = f"import calib_pin.io.setup, sys; assert {slow}.isdisjoint(sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 # --- priors of fleets, files of their own ------------------------------------------

@@ -17,12 +17,7 @@ from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.contact import PlaneContact, SphereContact
 from calib_pin.measurement_models.references import Plane, Sphere
 from calib_pin.observations import Measurements
-from calib_pin.setup import (
-    PlaneSetup,
-    PointSetup,
-    Setup,
-    SphereSetup,
-)
+from calib_pin.setup import PlaneSetup, PointSetup, Setup, SphereSetup
 from tests.measurement_models.test_contact_registration import poses
 from tests.shared import simulated
 

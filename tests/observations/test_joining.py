@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ class Recording:
     standstills: int
 
 
+@cache
 def recording(
     seed: int, rate: float = 20.0, standstills: int = 12, still_only: bool = False
 ) -> Recording:

@@ -10,10 +10,7 @@ import pytest
 
 from calib_pin.errors import OptionError
 from calib_pin.io.urdf import load_chain
-from calib_pin.parameterizations import (
-    PARAMETERIZATIONS,
-    parameterization,
-)
+from calib_pin.parameterizations import PARAMETERIZATIONS, parameterization
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE, Screw, owner
 from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.error_model import ErrorModel

@@ -135,8 +135,15 @@ def test_plans_keep_all_rules(name: str) -> None:
     assert abs(len(plan.blocked) - sum(hits)) <= 1
 
 
-@pytest.mark.parametrize("name", CELLS)
-@pytest.mark.parametrize(("method", "most"), [("gradient", 40), ("pso", 15)])
+@pytest.mark.parametrize(
+    ("method", "most", "name"),
+    [
+        ("gradient", 40, "panda"),
+        ("pso", 15, "space7"),
+        pytest.param("gradient", 40, "space7", marks=pytest.mark.slow),
+        pytest.param("pso", 15, "panda", marks=pytest.mark.slow),
+    ],
+)
 def test_descents_and_swarms_keep_all_rules(name: str, method: str, most: int) -> None:
     """They move configurations where no candidate has been."""
     CELLS[name].check(planned(CELLS[name], method, most).q)

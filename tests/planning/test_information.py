@@ -51,8 +51,7 @@ def test_factor_holds_the_matrix_and_its_schur_complement(f: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind",
-    ["null column", "equal columns", "sum of columns", "few rows", "nuisances"],
+    "kind", ["null column", "equal columns", "sum of columns", "few rows", "nuisances"]
 )
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_singular_matrices_have_no_factor(kind: str, scale: float) -> None:

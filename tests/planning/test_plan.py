@@ -48,6 +48,13 @@ FEW = {"setup": KNOWN, "count": 4}
 """A set whose search ends soon."""
 
 
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Configurations that keep a distance are soon looked for in vain."""
+    monkeypatch.setattr("calib_pin.planning.workspace.LEAST_DRAWS", 3000)
+    monkeypatch.setattr("calib_pin.planning.workspace.DRAWS", 50)
+
+
 class Calls:
     """Progress of a search: what it was told; it is asked to stop after so many."""
 
@@ -193,7 +200,9 @@ def test_steps_lead_from_the_least_to_twice_the_set() -> None:
     ("method", "distance"),
     [("exchange", 1.5), pytest.param("gradient", 0.8, marks=pytest.mark.slow)],
 )
-def test_sets_keep_their_distance(method: str, distance: float) -> None:
+def test_sets_keep_their_distance(
+    method: str, distance: float, few_draws: None
+) -> None:
     plan = small(method=method, distance=distance)
     check_set(plan)
     between = np.abs(plan.q[:, None] - plan.q[None]).max(axis=2)
@@ -395,13 +404,15 @@ def test_a_stopped_search_returns_a_valid_plan(method: str, after: int) -> None:
         ({"count": 0}, {"value": 0, "reason": "count"}),
         ({"candidates": 0}, {"value": 0, "reason": "candidates"}),
         ({"distance": -1.0}, {"value": -1.0}),
-        ({"count": 30, "distance": 3.0}, {"reason": "30"}),
+        ({"count": 30, "distance": 3.0}, {"reason": "the 30 "}),
         ({"count": 4}, {"reason": ["4", "27"], "allowed": "9"}),
         ({"count": 5, "candidates": 5}, {"reason": "5"}),
         ({"setup": replace(SETUP, fixed=("*",))}, {"file": "space6"}),
     ],
 )
-def test_impossible_requests(options: dict[str, Any], fields: dict[str, Any]) -> None:
+def test_impossible_requests(
+    options: dict[str, Any], fields: dict[str, Any], few_draws: None
+) -> None:
     with refused(InputError, **fields):
         small(**options)
 

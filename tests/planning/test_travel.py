@@ -166,7 +166,7 @@ def touched(q: np.ndarray, obstacles: list[Obstacle]) -> bool:
     return not all(bare.free(a + parts * (b - a)).all() for a, b in pairwise(q))
 
 
-@pytest.mark.parametrize("seed", [0, 4])
+@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_way_around_a_sphere(seed):
     q, obstacles = scene(seed)
     assert touched(q, obstacles)

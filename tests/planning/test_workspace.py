@@ -110,10 +110,7 @@ def test_limits_of_the_urdf(
     ("limits", "fields"),
     [
         ({"joint_3": (3.5, 4.0)}, {"reason": "'joint_3'", "value": [3.5, 4.0]}),
-        (
-            {"joint_*": (0.0, 1.0), "joint_2": (1.5, 2.0)},
-            {"reason": "'joint_2'"},
-        ),
+        ({"joint_*": (0.0, 1.0), "joint_2": (1.5, 2.0)}, {"reason": "'joint_2'"}),
         ({"joint_2": (1.0, -1.0)}, {"reason": "'limits.joint_2'", "value": (1, -1)}),
         ({"joit_2": (0.0, 1.0)}, {"reason": ["'joit_2'", "'joint_2'?"]}),
         ({"elbow*": (0.0, 1.0)}, {"reason": "'elbow*'", "allowed": "joint_1, joint"}),

@@ -14,13 +14,7 @@ from calib_pin.estimation.solve import INVISIBLE
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.solvers.differential_evolution import TRADEOFF
 from calib_pin.validation.result import Identification
-from studies.liu2012_study import (
-    LEAST_SQUARES,
-    Case,
-    Settings,
-    aligned,
-    study,
-)
+from studies.liu2012_study import LEAST_SQUARES, Case, Settings, aligned, study
 
 KNOWN = FrameSetup(estimate=False)
 FREE = FrameSetup(estimate=True)

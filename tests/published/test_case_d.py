@@ -17,13 +17,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import NOTHING
 from calib_pin.setup import Setup
 from studies.klimchik import report
-from studies.klimchik_arm import (
-    COMPLIANCE,
-    Settings,
-    configurations,
-    measure,
-    truth,
-)
+from studies.klimchik_arm import COMPLIANCE, Settings, configurations, measure, truth
 from studies.klimchik_design import PLANNED, RANDOM, Design, plan_poses
 from studies.klimchik_figures import FIGURES
 from studies.klimchik_model import (

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, skew, so3_exp
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.residual_models import (
-    Linearized,
-    ResidualModel,
-    Shifts,
-    TrainingRows,
-)
+from calib_pin.residual_models import Linearized, ResidualModel, Shifts, TrainingRows
 
 SIGMA = 1e-4
 

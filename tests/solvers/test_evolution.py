@@ -8,13 +8,7 @@ import pytest
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, Status
-from calib_pin.solvers.evolution import (
-    Box,
-    Stops,
-    crossing,
-    evolve,
-    three_others,
-)
+from calib_pin.solvers.evolution import Box, Stops, crossing, evolve, three_others
 
 UNIT = Box(np.zeros(1), np.ones(1))
 NEVER = {"target": -np.inf, "tol": 0.0, "atol": 0.0}

@@ -48,12 +48,6 @@ def _pose(rng: np.random.Generator, reach: float) -> dict[str, tuple[float, ...]
     return {"xyz": tuple(xyz.tolist()), "rpy": tuple(rpy.tolist())}
 
 
-@pytest.fixture
-def unsought(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No explanation is looked for, which takes the longest: none would be found."""
-    monkeypatch.setattr("calib_pin.validation.findings._explanation", lambda case: None)
-
-
 @pytest.fixture(scope="session")
 def moved_job() -> Callable[..., MovedJob]:
     """Jobs of space6, whose file starts in line 2."""

@@ -57,8 +57,7 @@ def test_frames_are_the_true_ones_within_their_deviations(result, job) -> None:
             truth = frame_pose(stated[frame.name])
             R = pin.rpy.rpyToMatrix(*frame.rpy)
             error = np.append(
-                np.array(frame.xyz) - truth.translation,
-                pin.log3(R @ truth.rotation.T),
+                np.array(frame.xyz) - truth.translation, pin.log3(R @ truth.rotation.T)
             )
             sigma = np.array(frame.sigma)
             known = np.isfinite(sigma)

@@ -16,11 +16,7 @@ from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.comparison import (
-    compare,
-    robot_groups,
-    shared_files,
-)
+from calib_pin.validation.comparison import compare, robot_groups, shared_files
 from calib_pin.validation.result import ToolAccuracy
 
 
@@ -177,8 +173,7 @@ def test_fits_that_leave_more_than_noise_prove_nothing(record):
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
-    [("joint_6", "wrist"), ("base_link", "foot"), ("tool", "hand")],
+    ("old", "new"), [("joint_6", "wrist"), ("base_link", "foot"), ("tool", "hand")]
 )
 def test_robots_that_cannot_be_compared(old, new, chain, recorded, record):
     text = chain.robot.source.decode().replace(f'"{old}"', f'"{new}"')

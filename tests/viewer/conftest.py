@@ -85,9 +85,7 @@ def measured_rows() -> Callable[..., Observations]:
 
 @pytest.fixture
 def scene(
-    panda: Chain,
-    calibrated: Callable[..., Any],
-    measured_rows: Callable[..., Any],
+    panda: Chain, calibrated: Callable[..., Any], measured_rows: Callable[..., Any]
 ) -> Scene:
     """Triangles for links: what is asked for is not their looks."""
     model = calibrated(panda, Position())

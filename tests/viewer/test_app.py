@@ -122,7 +122,7 @@ def test_from_two_files_to_a_corrected_robot(tab):
 
 def test_untrusted_there_is_a_reason_and_no_robot_until_its_lines_are_applied(tab):
     tab.job.add("pa10")
-    tab.job.give("rows.csv", table(reversed_joint, 30))
+    tab.job.give("rows.csv", table(reversed_joint, 18))
     assert "no reading of the columns fits" in tab.said("Now")
     tab.job.calibrate()
     first = tab.shown("Result")[0]
@@ -140,7 +140,7 @@ def test_untrusted_there_is_a_reason_and_no_robot_until_its_lines_are_applied(ta
 
 def test_what_was_found_can_be_changed(tab):
     tab.job.add("pa10")
-    tab.job.give("rows.csv", table(foreign))
+    tab.job.give("rows.csv", table(foreign, 20))
     tab.widget("Found in the files", "tip").do("link_7")
     assert tab.job.read.opened.setup.tip == "link_7"
     tab.widget("Columns and units", "x").do("X_ist [m]")

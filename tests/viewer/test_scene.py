@@ -26,14 +26,7 @@ from calib_pin.setup import ChainSetup, Payload, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.model_errors import Registered
-from calib_pin.viewer.scene import (
-    Plan,
-    Rows,
-    Scene,
-    bodies_of,
-    stage_errors,
-    tip_paths,
-)
+from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, stage_errors, tip_paths
 from calib_pin.viewer.stage import sight
 from tests.shared import urdf_of
 

@@ -136,10 +136,7 @@ def innovations(seed: int, sizes, jump=0.0) -> Explanation:
         + sizes[1] * rng.normal(size=COUNT)
         + jump * direction[:, 0]
     )
-    causes = (
-        Cause("drift", E, 0.1, 2.0),
-        Cause("noise", np.eye(COUNT), 1.0, 50.0),
-    )
+    causes = (Cause("drift", E, 0.1, 2.0), Cause("noise", np.eye(COUNT), 1.0, 50.0))
     return Explanation(values, half @ half.T, causes)
 
 

@@ -141,7 +141,14 @@ def off(found: CalibratedModel, true: CalibratedModel) -> float:
     return float(np.sqrt(np.mean(np.sum((a @ U @ Vt - b) ** 2, axis=1))))
 
 
-@pytest.mark.parametrize("model", STATED)
+@pytest.mark.parametrize(
+    "model",
+    [
+        "fixed-point",
+        pytest.param("plane-contact", marks=pytest.mark.slow),
+        pytest.param("sphere-contact", marks=pytest.mark.slow),
+    ],
+)
 def test_readings_count(gauged, model: str) -> None:
     """With them the true error is of the size of the noise; without, of the readings.
 

@@ -340,7 +340,18 @@ MISHAPS = [
 ]
 
 
-@pytest.mark.parametrize("mishap", MISHAPS, ids=lambda mishap: mishap.code)
+LIKE = {"axes-negated", "joints-exchanged", "lines-reversed", "pose-inverted"}
+"""Mishaps of the slow tier: another member of their family is in the quick one."""
+
+
+@pytest.mark.parametrize(
+    "mishap",
+    [
+        pytest.param(one, marks=[pytest.mark.slow] if one.code in LIKE else [])
+        for one in MISHAPS
+    ],
+    ids=lambda mishap: mishap.code,
+)
 def test_a_mishap_is_named_and_its_lines_undo_it(
     mishap: Mishap, tmp_path: Path
 ) -> None:

@@ -211,10 +211,10 @@ def test_the_next_configuration_is_that_of_the_plan_then_a_new_one(
 def test_what_was_planned_together_is_measured_one_after_another(job: Job):
     job.look(9)
     assert job.watch.next is not None
-    first, together = job.watch.next.q, job.watch._proposals._together
+    first, together = job.watch.next.q, job.watch.proposals._together
     assert together is not None and any((first == q).all() for q in together[0])
     job.look(10)  # Elsewhere: what was planned is still to be measured.
-    assert job.watch._proposals._together is together
+    assert job.watch.proposals._together is together
     q = job.rows.q.copy()
     q[10] = first
     job.rows = replace(job.rows, q=q)

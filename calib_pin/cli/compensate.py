@@ -26,7 +26,7 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.exchange.motions import PROGRAMS, moving_times, paced, speed_limits
 from calib_pin.io.json_text import Json, format_keys
-from calib_pin.io.results import read_result, written_before
+from calib_pin.io.results import document_file, read_result, written_before
 from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -86,7 +86,8 @@ class Commanded:
 
 def compensate(asked: Compensate, words: Sequence[str]) -> int:
     """Do what `Compensate` asks for."""
-    stated, file, output = checked(asked), asked.calibration, asked.output
+    stated, output = checked(asked), asked.output
+    file = document_file(asked.calibration)
     result = read_result(file)
     doubt = ""
     if result.verdict not in TRUSTED:
@@ -176,11 +177,8 @@ def checked(asked: Compensate) -> Setup:
         raise OptionError("--degrees is for --format csv")
     stated, avoided = files.open_setup(asked.setup), asked.avoid_collisions
     files.require_folders(asked.package_dir or [])
-    if not avoided:
-        asked.refuse_unused("--avoid-collisions belongs to", "package_dir")
     files.require_joints_only(asked.setup, stated, *["obstacles"] * avoided)
-    files.require_file(asked.calibration)
-    inputs = (asked.calibration, asked.targets, asked.setup, asked.srdf)
+    inputs = (document_file(asked.calibration), asked.targets, asked.setup, asked.srdf)
     files.check_outputs([asked.output], inputs, asked.force)
     return stated
 

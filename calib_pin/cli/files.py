@@ -148,7 +148,7 @@ def tell_limits(chains: Chains) -> None:
 
 
 def open_calibration(
-    name: str,
+    path: Path,
     file: Path | None,
     setup: Setup,
     doubted: Callable[[str], None],
@@ -165,7 +165,7 @@ def open_calibration(
     """
     from calib_pin.io.results import model_name, read_calibration
 
-    model = read_calibration(name, notice=doubted)
+    model = read_calibration(path, notice=doubted)
     chain, models = model.of().chain, model_name(model)
     known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
     require_joints_only(file, setup, *also, known=known)
@@ -252,17 +252,6 @@ def open_older(
     given, empty = vars(setup), vars(type(setup)())
     taken = {n: value for n, value in before.items() if given[n] == empty[n]}
     return found, replace(setup, **taken)
-
-
-def require_file(path: str | Path, other: str = "") -> None:
-    """Refuse the folder of a calibration in its place, or in that of another input.
-
-    Raises:
-        OptionError: If it is such a folder.
-    """
-    inside = Path(path, "calibration.json")
-    if exists(inside):
-        raise OptionError("is a folder", file=path, allowed=f"{inside}{other}")
 
 
 def open_measurements(

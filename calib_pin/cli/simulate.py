@@ -15,6 +15,7 @@ from calib_pin.errors import OptionError, stated_in
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import measurements, results, setup
 from calib_pin.io.table import read_table
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.simulation import draw_errors
 from calib_pin.simulation import simulate as run
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -66,7 +67,9 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
             with stated_in(str(file)):
                 rows = measure(q=q, target=target, places=named, conditions=held)
         comment = f"simulated by: {told_command(words)}"
-        columns = measurements.measurement_columns(rows)
+        # With a map of joints the file has the columns of their controller.
+        own = JointColumns.of(chains, stated.joints) if stated.joints else None
+        columns = measurements.measurement_columns(rows, own)
         data = measurements.encode_table(columns, [comment], stage(bar, "write"))
     contents = {asked.output: data}
     told = [f"wrote {len(rows)} measurements to {asked.output}"]

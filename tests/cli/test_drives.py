@@ -127,7 +127,8 @@ def test_simulated_files_have_the_columns_of_the_controller(job, run):
     np.testing.assert_allclose(
         job.poses(drives.positions(moved))[:, :3, 3], positions, atol=1e-9
     )
-    assert run("evaluate lift.urdf exact.csv --setup map.yaml").status == 0
+    result = run("evaluate lift.urdf exact.csv --setup map.yaml")
+    assert result.status == 2 and "which no\ninstrument does" in result.out
 
 
 def test_continuous_joints_go_the_short_way(job, run):

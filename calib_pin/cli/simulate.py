@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -45,14 +44,15 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
     else:
         given = setup.read_true_errors(asked.errors, problem.parameters.names)
         theta = problem.parameters.vector(given)
-    names = ("noise", "repeats", "average")
-    about: dict[str, Any] = {name: getattr(asked, name) for name in names}
     measure = partial(
         run,
-        *(problem, theta, rng),
+        problem,
+        theta,
+        rng,
+        noise=asked.noise,
+        repeats=asked.repeats,
         # An image shows all corners of a board.
         per_configuration=asked.all_targets or stated.board is not None,
-        **about,
     )
     with progress_bar() as bar:
         stage(bar, "measure")

@@ -328,13 +328,19 @@ def check_outputs(
     """Complain about files that must not be written, before the work is done.
 
     Raises:
-        OptionError: If an output exists without `force`, is a folder or an input, or
-            is given twice, or would be the folder of another.
+        OptionError: If an output exists without `force`, is a folder or an input, is
+            given twice, would be the folder of another, or can have no place.
     """
     read = [locate_robot(str(file)) for file in inputs if file is not None]
     written = [path for path in outputs if path is not None]
     for k, path in enumerate(written):
         whole, others = path.absolute(), [other.absolute() for other in written]
+        place = next(filter(exists, path.parents))
+        if not place.is_dir():
+            raise OptionError("is a file, not a folder", file=place)
+        if not (exists(path) or os.access(place, os.W_OK)):
+            reason = "is a folder in which nothing can be written"
+            raise OptionError(reason, file=place)
         reason, allowed = "", None
         if any(_same(path, file) for file in read):
             reason = "is an input of this run, and inputs are never changed"

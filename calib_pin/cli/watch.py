@@ -102,7 +102,13 @@ def watch(asked: Watch) -> int:
             f"following {enumerated(map(str, request.measurements))}; Ctrl-C {end}"
         )
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
-        follow(job, tell, before if not asked.once else None)
+
+        def told(event: Event) -> None:
+            # Where rows are typed, the question says where to go.
+            if not (asked.type and event.kind == "next"):
+                tell(event)
+
+        follow(job, told, before if not asked.once else None)
     if job.fit is None:
         notice("no result: nothing could be fitted yet")
         return 1

@@ -35,12 +35,13 @@ def accept(asked: Accept) -> int:
     made = [output / name for name in NAMES] if output is not None else []
     without = [] if can_write_pdf() else made[-1:]
     made = [file for file in made if file not in without]
-    files.check_outputs(made, [asked.robot, asked.setup, *rows_in], asked.force)
+    file = asked.calibration
+    files.check_outputs(made, [file or asked.robot, asked.setup, *rows_in], asked.force)
     with printing.progress_bar(quiet=asked.quiet) as bar:
         measured, rows = asked.read(rows_in, chains, used, bar=bar)
         with stated_in(str(rows_in[0])):
             found = acceptance.tested(
-                measured if calibrated is None else results.read_result(asked.robot),
+                results.read_result(file) if file else measured,
                 rows,
                 used,
                 registration=asked.register,

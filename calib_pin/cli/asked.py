@@ -88,12 +88,12 @@ class Watch(options.QuietAnswer, Request):
 
     output: Annotated[Path | None, Told("DIR", "Output")] = None
     plan: Annotated[Path | None, Told("CSV", "Watch")] = None
-    type: Annotated[bool, Told("", "Watch")] = False
+    type: Annotated[bool, Told("", "Watch", needs="plan", excludes=("json",))] = False
     board: Annotated[str | None, Told("SPEC", "Watch")] = None
-    joints: Annotated[Path | None, Told("CSV", "Watch")] = None
+    joints: Annotated[Path | None, Told("CSV", "Watch", needs="board")] = None
     limit: Annotated[float | None, Told("S", "Watch", (1e-6, 1))] = None
     srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
-    once: Annotated[bool, Told("", "Watch")] = False
+    once: Annotated[bool, Told("", "Watch", excludes=("output", "type"))] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +185,6 @@ class Simulate(options.Answer, options.OfParameters):
         noise: Standard deviation of every component [m, rad]; by default that of the
             setup file, or 0.1 mm and 0.1 mrad.
         repeats: Readings per configuration.
-        average: Average the readings of a configuration into one measurement.
         all_targets: Measure all targets that the instrument sees at each configuration,
             as the corners of a board in an image.
         truth: Write the robot with its true errors.
@@ -198,12 +197,14 @@ class Simulate(options.Answer, options.OfParameters):
     seed: Annotated[int, Told("N", "Simulation", SEED)] = 0
     noise: Annotated[float | None, Told("S", "Simulation", (0, 1))] = None
     repeats: Annotated[int, Told("K", "Simulation", MANY)] = 1
-    average: Annotated[bool, Told("", "Simulation")] = False
     all_targets: Annotated[bool, Told("", "Simulation")] = False
     truth: Annotated[Path | None, Told("URDF", "Output")] = None
 
 
 MOUNT = known("mount", "", "hand", "world")
+
+IMAGED = ("images", "output", "joints", "mount", "setup_output")
+"""Fields that are for images of a board, not for the board itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,13 +239,13 @@ class Detect(options.QuietAnswer):
 
     images: Annotated[list[Path] | None, Told("IMAGES...", "")] = None
     output: Annotated[Path | None, Told("CSV", "Output")] = None
-    board: Annotated[str | None, Told("SPEC", "Images")] = None
+    board: Annotated[str | None, Told("SPEC", "Images", excludes=("setup",))] = None
     setup: Annotated[Path | None, Told("FILE", "Images")] = None
     joints: Annotated[Path | None, Told("CSV", "Images")] = None
-    times: Annotated[Path | None, Told("CSV", "Images")] = None
+    times: Annotated[Path | None, Told("CSV", "Images", needs="joints")] = None
     mount: Annotated[str, Told("WHERE", "Images", MOUNT)] = "hand"
     setup_output: Annotated[Path | None, Told("FILE", "Output")] = None
-    draw: Annotated[Path | None, Told("PNG", "Output")] = None
+    draw: Annotated[Path | None, Told("PNG", "Output", excludes=IMAGED)] = None
 
 
 SECONDS = (1e-3, 60)
@@ -295,6 +296,16 @@ def added(text: str) -> int:
     return number(int, "--add", 1, 1000)(text) if text else 0
 
 
+SELECTED = (
+    *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
+    *("seed", "distance", "motion", "parameters", "figures", "json"),
+)
+"""Fields of plans that an acceptance test has no use for."""
+
+SOLID = ("srdf", "clearance", "motion")
+"""Fields that are for collisions."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Plan(
     options.Untouched,
@@ -336,19 +347,19 @@ class Plan(
     """
 
     count: Annotated[int | None, Told("N", "Plan", (1, 1000))] = None
-    add: Annotated[int | None, Told("[N]", "Plan", added)] = None
-    to: Annotated[list[Path] | None, Told("CSV", "Plan")] = None
+    add: Annotated[int | None, Told("[N]", "Plan", added, needs="to")] = None
+    to: Annotated[list[Path] | None, Told("CSV", "Plan", needs="add")] = None
     criterion: Annotated[str, Told("NAME", "Plan", CRITERION)] = "prediction"
     method: Annotated[str, Told("NAME", "Plan", METHOD)] = "auto"
     candidates: Annotated[int, Told("N", "Plan", (1, 1e5))] = 1000
     seed: Annotated[int, Told("N", "Plan", SEED)] = 0
     start: Annotated[Path | None, Told("CALIBRATION", "Plan")] = None
     tests: Annotated[Path | None, Told("CSV", "Plan")] = None
-    accept: Annotated[bool, Told("", "Plan")] = False
-    cycles: Annotated[int, Told("N", "Plan", (3, 1000))] = 30
+    accept: Annotated[bool, Told("", "Plan", excludes=SELECTED)] = False
+    cycles: Annotated[int, Told("N", "Plan", (3, 1000), needs="accept")] = 30
     distance: Annotated[float, Told("D", "Constraints", (0, 10))] = 0.0
     limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
-    ignore_collisions: Annotated[bool, Told("", "Constraints")] = False
+    ignore_collisions: Annotated[bool, Told("", "Constraints", excludes=SOLID)] = False
     output: Annotated[Path, Told("CSV", "Output")]
     motion: Annotated[Path | None, Told("CSV", "Output")] = None
 
@@ -456,8 +467,10 @@ class Fleet(options.QuietAnswer, options.Shared):
     """
 
     table: Annotated[Path | None, Told("JOBS", "")] = None
-    monte_carlo: Annotated[Path | None, Told("SETUP", "Study")] = None
-    seed: Annotated[int, Told("N", "Study", SEED)] = 0
+    monte_carlo: Annotated[
+        Path | None, Told("SETUP", "Study", excludes=("table", "no_pages"))
+    ] = None
+    seed: Annotated[int, Told("N", "Study", SEED, needs="monte_carlo")] = 0
     output: Annotated[Path, Told("DIR", "Output")]
     resume: Annotated[bool, Told("", "Output")] = False
     no_pages: Annotated[bool, Told("", "Output")] = False

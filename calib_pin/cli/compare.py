@@ -6,7 +6,7 @@ from calib_pin.cli import files, results
 from calib_pin.cli.asked import Compare
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.json_text import Json, format_keys, plain
-from calib_pin.io.results import model_name, read_result
+from calib_pin.io.results import document_file, model_name, read_result
 from calib_pin.report.comparison import comparison_report
 from calib_pin.validation.comparison import BOUND, Comparison, faults
 from calib_pin.validation.comparison import compare as run
@@ -15,9 +15,7 @@ from calib_pin.validation.result import CalibrationResult
 
 def compare(asked: Compare) -> int:
     """Do what `Compare` asks for."""
-    both = (asked.first, asked.second)
-    for file in both:
-        files.require_file(file)
+    both = document_file(asked.first), document_file(asked.second)
     files.require_distinct(both)
     pictures = results.figure_files(asked, "comparison")
     files.check_outputs(pictures, both, asked.force)

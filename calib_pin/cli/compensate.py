@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +15,6 @@ from calib_pin.cli import files, printing
 from calib_pin.cli.asked import FRAMES, POINTS, Compensate
 from calib_pin.control import calibrated, joints
 from calib_pin.control.calibrated import (
-    Frame,
-    Point,
     block_of,
     model_errors,
     with_payload,
@@ -26,7 +24,7 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.exchange.motions import PROGRAMS, moving_times, paced, speed_limits
 from calib_pin.io.json_text import Json, format_keys
-from calib_pin.io.results import read_result, written_before
+from calib_pin.io.results import document_file, read_result, written_before
 from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -35,7 +33,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.observations import BlockKey, Indices
 from calib_pin.planning.travel import Passage, Ways
-from calib_pin.progress import Progress
 from calib_pin.report import blocks, trust
 from calib_pin.report.blocks import Block
 from calib_pin.report.compensation_text import line_list
@@ -86,7 +83,8 @@ class Commanded:
 
 def compensate(asked: Compensate, words: Sequence[str]) -> int:
     """Do what `Compensate` asks for."""
-    stated, file, output = checked(asked), asked.calibration, asked.output
+    stated, output = checked(asked), asked.output
+    file = document_file(asked.calibration)
     result = read_result(file)
     doubt = ""
     if result.verdict not in TRUSTED:
@@ -176,11 +174,8 @@ def checked(asked: Compensate) -> Setup:
         raise OptionError("--degrees is for --format csv")
     stated, avoided = files.open_setup(asked.setup), asked.avoid_collisions
     files.require_folders(asked.package_dir or [])
-    if not avoided:
-        asked.refuse_unused("--avoid-collisions belongs to", "package_dir")
     files.require_joints_only(asked.setup, stated, *["obstacles"] * avoided)
-    files.require_file(asked.calibration)
-    inputs = (asked.calibration, asked.targets, asked.setup, asked.srdf)
+    inputs = (document_file(asked.calibration), asked.targets, asked.setup, asked.srdf)
     files.check_outputs([asked.output], inputs, asked.force)
     return stated
 
@@ -220,8 +215,19 @@ def commanded(
 ) -> Commanded:
     """Commands for targets that are reached by times (N,) [s], and what is wrong."""
     motion, lines = targets.T is None, targets.table.lines
+    free = None if ways is None else ways.collisions.free
     with printing.progress_bar(quiet=asked.quiet) as bar:
-        found = commands(asked, model, targets, ways, printing.stage(bar, "compensate"))
+        about: dict[str, Any] = {"free": free}
+        about["progress"] = printing.stage(bar, "compensate")
+        if targets.T is not None:
+            about["orientation"] = targets.oriented and not asked.position
+            about["frame"] = asked.frame or FRAMES[0]
+            about["point"] = asked.point or POINTS[0]
+            found = compensation.compensate(model, targets.T, targets.q, **about)
+        else:
+            assert targets.q is not None
+            turned = not asked.position and len(targets.columns.tells) >= 6
+            found = compensation.follow(model, targets.q, orientation=turned, **about)
         (rows,) = np.nonzero(found.good)
         passage = Passage.straight(found.q[rows])
         if ways is not None:
@@ -236,33 +242,6 @@ def commanded(
     named = {fault: lines[of].tolist() for fault, of in faults}
     chain = model.chain
     return Commanded(chain, targets, ways, found, passage, row, times, named)
-
-
-def commands(
-    asked: Compensate,
-    model: CalibratedChain,
-    targets: Targets,
-    ways: Ways | None,
-    progress: Progress | None,
-) -> Compensation:
-    """The commands for targets, or for a motion of the nominal robot."""
-    free = None if ways is None else ways.collisions.free
-    if targets.T is None:
-        assert targets.q is not None
-        oriented = not asked.position and len(targets.columns.tells) >= 6
-        return compensation.follow(
-            model, targets.q, orientation=oriented, free=free, progress=progress
-        )
-    return compensation.compensate(
-        model,
-        targets.T,
-        targets.q,
-        frame=cast(Frame, asked.frame or FRAMES[0]),
-        point=cast(Point, asked.point or POINTS[0]),
-        orientation=targets.oriented and not asked.position,
-        free=free,
-        progress=progress,
-    )
 
 
 def encoded(asked: Compensate, done: Commanded, comments: Sequence[str]) -> bytes:

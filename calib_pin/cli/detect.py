@@ -36,8 +36,6 @@ ASSUMED = "the focal lengths are assumed: the images do not determine them"
 
 def detect(asked: Detect, words: Sequence[str]) -> int:
     """Do what `Detect` asks for."""
-    if asked.board is not None and asked.setup is not None:
-        raise OptionError("give --board or --setup, not both")
     board = asked.board and boards.board_of(asked.board)
     board = board or files.open_setup(asked.setup).board
     if board is None:
@@ -51,8 +49,6 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     files.require_distinct(images)
     inputs = (*images, asked.setup, asked.joints, asked.times)
     files.check_outputs((output, extra), inputs, asked.force)
-    if asked.times is not None and asked.joints is None:
-        raise OptionError("--times needs --joints: a log of the joints, with times")
     images, rows = configurations_of(asked, sorted(images, key=numbers_in))
     with printing.progress_bar(quiet=asked.quiet) as bar:
         size, every = boards.find_board(detector, images, printing.stage(bar, "images"))
@@ -95,8 +91,6 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
 
 def _drawn(asked: Detect, file: Path, detector: Detector) -> int:
     """Write the board to print."""
-    if asked.images or asked.output or asked.joints or asked.setup_output:
-        raise OptionError("--draw takes --board or --setup, and nothing else")
     files.check_outputs([file], [asked.setup], asked.force)
     picture = encode_png(detector.drawn(SHEET), SHEET / detector.board.square)
     width, height = 1e3 * detector.extent

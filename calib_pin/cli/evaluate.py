@@ -19,9 +19,9 @@ def evaluate(asked: Evaluate) -> int:
     """Do what `Evaluate` asks for."""
     doubts, rows_in, sockets = list[str](), asked.measurements, list[str]()
     calibrated, chains, stated = asked.subject(doubts.append, asked.chain)
-    if calibrated is not None:
+    if calibrated is not None and asked.calibration is not None:
         sockets = [reference.name for reference in calibrated.references.values()]
-        for file in used_files(asked.robot, rows_in):
+        for file in used_files(asked.calibration, rows_in):
             notice(f"{file}: the calibration has used it already, to fit or to check")
     with progress_bar() as bar:
         measured, rows = asked.read(rows_in, chains, stated, sockets=sockets, bar=bar)

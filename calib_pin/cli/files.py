@@ -148,7 +148,7 @@ def tell_limits(chains: Chains) -> None:
 
 
 def open_calibration(
-    name: str,
+    path: Path,
     file: Path | None,
     setup: Setup,
     doubted: Callable[[str], None],
@@ -165,7 +165,7 @@ def open_calibration(
     """
     from calib_pin.io.results import model_name, read_calibration
 
-    model = read_calibration(name, notice=doubted)
+    model = read_calibration(path, notice=doubted)
     chain, models = model.of().chain, model_name(model)
     known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
     require_joints_only(file, setup, *also, known=known)
@@ -254,17 +254,6 @@ def open_older(
     return found, replace(setup, **taken)
 
 
-def require_file(path: str | Path, other: str = "") -> None:
-    """Refuse the folder of a calibration in its place, or in that of another input.
-
-    Raises:
-        OptionError: If it is such a folder.
-    """
-    inside = Path(path, "calibration.json")
-    if exists(inside):
-        raise OptionError("is a folder", file=path, allowed=f"{inside}{other}")
-
-
 def open_measurements(
     files: Sequence[Path],
     chains: Chains,
@@ -339,13 +328,19 @@ def check_outputs(
     """Complain about files that must not be written, before the work is done.
 
     Raises:
-        OptionError: If an output exists without `force`, is a folder or an input, or
-            is given twice, or would be the folder of another.
+        OptionError: If an output exists without `force`, is a folder or an input, is
+            given twice, would be the folder of another, or can have no place.
     """
     read = [locate_robot(str(file)) for file in inputs if file is not None]
     written = [path for path in outputs if path is not None]
     for k, path in enumerate(written):
         whole, others = path.absolute(), [other.absolute() for other in written]
+        place = next(filter(exists, path.parents))
+        if not place.is_dir():
+            raise OptionError("is a file, not a folder", file=place)
+        if not (exists(path) or os.access(place, os.W_OK)):
+            reason = "is a folder in which nothing can be written"
+            raise OptionError(reason, file=place)
         reason, allowed = "", None
         if any(_same(path, file) for file in read):
             reason = "is an input of this run, and inputs are never changed"

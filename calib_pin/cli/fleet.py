@@ -23,11 +23,11 @@ from calib_pin.io.measurements import read_configurations
 from calib_pin.io.results import model_name
 from calib_pin.io.setup import setup_document
 from calib_pin.io.trials import kept, read_trials
-from calib_pin.monte_carlo import Outlook, Study, Trial, outlooks, study_of, try_robot
+from calib_pin.monte_carlo import Study, Trial, outlooks, study_of, try_robot
 from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report import fleet_text, html
 from calib_pin.report.figures import drawn
-from calib_pin.setup import LimitSetup, Setup
+from calib_pin.setup import Setup
 from calib_pin.validation.fleet import FleetRow, by_urgency, fleet_columns, with_joint
 from calib_pin.workers import Workers
 
@@ -217,7 +217,16 @@ def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
     found = outlooks(done(), limit)
     blocks = [*fleet_text.outlook_report(study, found, limit)]
     title = f"Expected accuracy of {study.chains.robot.name}"
-    document = outlook_document(study, found, limit)
+    # In SI units; quantiles are those of `levels`.
+    document: Json = {
+        **format_keys("calib-pin/monte-carlo"),
+        "robot": study.chains.robot.name,
+        "model": model_name(study.truth),
+        "seed": study.seed,
+        "limit": limit,
+        "levels": LEVELS,
+        "outlooks": found,
+    }
     figures = [*drawn("outlook", found, limit)]
     data = json_text.encode(document), html.blocks_page(title, blocks, figures, NUMBERS)
     contents = dict(zip(made, data, strict=True))
@@ -253,16 +262,3 @@ def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
         "seed": seed,
     }
     return study, sha256(encode(about))
-
-
-def outlook_document(study: Study, found: Sequence[Outlook], limit: LimitSetup) -> Json:
-    """Outlooks of a Monte Carlo study, in SI units; quantiles are those of `levels`."""
-    return {
-        **format_keys("calib-pin/monte-carlo"),
-        "robot": study.chains.robot.name,
-        "model": model_name(study.truth),
-        "seed": study.seed,
-        "limit": limit,
-        "levels": LEVELS,
-        "outlooks": found,
-    }

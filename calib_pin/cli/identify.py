@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import partial
+from itertools import chain
 
 from calib_pin.calibration import calibrate as run
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Identify
-from calib_pin.estimation.evidence import TRUSTED, Finding
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.json_text import Json, format_keys, merged, plain
 from calib_pin.io.urdf import other_robots
 from calib_pin.observations import BlockKey
-from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
+from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.identification import identified
 from calib_pin.report.trust import below, findings, judged
 from calib_pin.validation.assessment import identify as structural
@@ -47,38 +48,19 @@ def identify(asked: Identify) -> int:
     doubts = [judged(below(reason, faults), verdict)] if verdict not in TRUSTED else []
     fitted = bool(asked.measurements)
     told = identified(found, fitted=fitted, suggestions=better, details=asked.details)
-    asked.give(
-        {},
-        lambda: identification_document(found, better, verdict, reason, faults),
-        (part for of in (doubts, findings(faults, reason), told) for part in of),
-    )
+
+    def document() -> Json:
+        # A fit has found more than this.
+        own = {part.name: getattr(found, part.name) for part in fields(Identification)}
+        return merged(
+            format_keys("calib-pin/identification"),
+            plain(Identification(**own)),
+            {
+                "identifiability": {"remedies": better},
+                "verdict": {"status": verdict, "reason": reason},
+                "findings": faults,
+            },
+        )
+
+    asked.give({}, document, chain(doubts, findings(faults, reason), told))
     return 2 if doubts else 0
-
-
-def identification_document(
-    found: Identification,
-    suggestions: Sequence[Suggestion],
-    verdict: str,
-    reason: str,
-    findings: Sequence[Finding] = (),
-) -> Json:
-    """The identifiability of a robot.
-
-    Args:
-        found: It.
-        suggestions: Suggested measurements.
-        verdict: Verdict of the fit that it is of; `good` without one.
-        reason: Why; empty where there is nothing to say.
-        findings: Defects of the measurements.
-    """
-    # A fit has found more than this.
-    own = {part.name: getattr(found, part.name) for part in fields(Identification)}
-    return merged(
-        format_keys("calib-pin/identification"),
-        plain(Identification(**own)),
-        {
-            "identifiability": {"remedies": suggestions},
-            "verdict": {"status": verdict, "reason": reason},
-            "findings": findings,
-        },
-    )

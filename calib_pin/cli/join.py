@@ -9,7 +9,9 @@ from pathlib import Path
 import calib_pin.io.rosbag as rosbag
 from calib_pin.cli import printing
 from calib_pin.cli.asked import Join
-from calib_pin.cli.files import check_outputs, open_setup, require_file
+from calib_pin.cli.files import check_outputs, open_setup
+from calib_pin.cli.options import as_option
+from calib_pin.errors import OptionError
 from calib_pin.io import logs, table
 from calib_pin.io.table import Table
 from calib_pin.observations.joining import Joined
@@ -19,9 +21,11 @@ def join(asked: Join) -> int:
     """Do what `Join` asks for."""
     columns = open_setup(asked.setup).columns
     files = joints, measurements = asked.log, asked.measurements
-    for path in files:
-        require_file(path)
     check_outputs([asked.output], [*files, asked.setup], asked.force)
+    for path, option in (joints, "joint_topic"), (measurements, "topic"):
+        if getattr(asked, option) is not None and not rosbag.is_bag(path):
+            reason = f"{as_option(option)} is of a bag, and this is none"
+            raise OptionError(reason, file=path)
 
     def read(path: Path, part: str, kinds: Collection[str], topic: str | None) -> Table:
         if rosbag.is_bag(path):

@@ -53,11 +53,15 @@ class Told(NamedTuple):
         heading: Heading of the option there; empty for an argument.
         parse: Makes the value of a text where that is more than its type, or the least
             and the largest of a number.
+        needs: The field without which this one means nothing, in commands that have it.
+        excludes: The fields that mean nothing beside this one.
     """
 
     word: str = ""
     heading: str = "Fit"
     parse: Callable[[str], Any] | tuple[float, float] | None = None
+    needs: str = ""
+    excludes: tuple[str, ...] = ()
 
     def parser(
         self, name: str, kind: Any, unit: str = ""
@@ -68,10 +72,39 @@ class Told(NamedTuple):
         whole = int in (kind, *get_args(kind))
         return number(int if whole else float, as_option(name), *self.parse, unit)
 
+    def called(self, name: str) -> str:
+        """A field as a user knows it."""
+        return as_option(name) if self.heading else self.word.strip("[]")
+
 
 def as_option(name: str) -> str:
     """The option of a field."""
     return f"--{name.replace('_', '-')}"
+
+
+def require_partners(asked: object) -> None:
+    """Refuse what would be ignored beside, or without, something else.
+
+    Raises:
+        OptionError: If there is such an argument or option; names both.
+    """
+    kind = type(asked)
+    hints = get_type_hints(kind, include_extras=True)
+    told: dict[str, Told] = {name: hint.__metadata__[0] for name, hint in hints.items()}
+    given = {
+        name: one
+        for name, one in told.items()
+        if getattr(asked, name) not in (getattr(kind, name, None), [])
+    }
+    for name, one in given.items():
+        if one.needs in told and one.needs not in given:
+            other = told[one.needs].called(one.needs)
+            raise OptionError(f"{one.called(name)} needs {other}")
+        for excluded in one.excludes:
+            if excluded not in given:
+                continue
+            other = given[excluded].called(excluded)
+            raise OptionError(f"{one.called(name)} and {other} exclude each other")
 
 
 def number(
@@ -203,9 +236,11 @@ def command(name: str, kind: type) -> Callable[..., int]:
         parameters.append(given[field].replace(annotation=made, kind=only))
 
     def run(context: typer.Context, **given: Any) -> int:
+        asked = kind(**given)
+        require_partners(asked)
         work = getattr(import_module(f"calib_pin.cli.{name}"), name)
         words = (context.obj,)[: len(signature(work).parameters) - 1]
-        return int(work(kind(**given), *words))
+        return int(work(asked, *words))
 
     run.__doc__ = cleandoc(kind.__doc__ or "").partition("\n\nAttributes:")[0]
     run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
@@ -241,7 +276,9 @@ class OfPackages:
             repeated.
     """
 
-    package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
+    package_dir: Annotated[
+        list[Path] | None, Told("DIR", "Robot", needs="avoid_collisions")
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -332,10 +369,20 @@ class OfCalibration(OfRobot):
 
     Attributes:
         robot: URDF or xacro file (with its arguments, name:=value), bundled robot,
-            example:NAME, or a calibration.
+            example:NAME, or a calibration: its file or folder.
     """
 
     robot: Annotated[str, Told("ROBOT|calibration.json", "")]
+
+    @property
+    def calibration(self) -> Path | None:
+        """The file of the calibration that is named; None for a robot."""
+        from calib_pin.cli.files import exists
+        from calib_pin.io.results import DOCUMENT
+
+        if exists(inside := Path(self.robot, DOCUMENT)):
+            return inside
+        return Path(self.robot) if self.robot.endswith(".json") else None
 
     def subject(
         self, doubted: Callable[[str], None], chain: str | None = None, *also: str
@@ -346,13 +393,10 @@ class OfCalibration(OfRobot):
         """
         from calib_pin.cli import files
 
-        stated = self.stated()
-        files.require_file(self.robot, ", or a robot")
-        if not self.robot.endswith(".json"):
+        stated, file = self.stated(), self.calibration
+        if file is None:
             return None, self.chains(stated, chain), stated
-        found, stated = files.open_calibration(
-            self.robot, self.setup, stated, doubted, *also
-        )
+        found, stated = files.open_calibration(file, self.setup, stated, doubted, *also)
         if chain is not None:
             require_known("chain", chain, found.measured_chains)
         return found, found.chains, stated
@@ -400,7 +444,9 @@ class Request(OfStations, OfParameters):
     validation: Annotated[Path | None, Told("FILE")] = None
     holdout: Annotated[float | None, Told("PART", parse=(0, 1))] = None
     start: Annotated[Path | None, Told("CALIBRATION")] = None
-    process_noise: Annotated[float | None, Told("S", parse=(1e-9, 1e-2))] = None
+    process_noise: Annotated[
+        float | None, Told("S", parse=(1e-9, 1e-2), needs="start")
+    ] = None
     seed: Annotated[int, Told("N", parse=SEED)] = 0
 
     def words(self, output: Path) -> tuple[str, ...]:
@@ -538,7 +584,9 @@ class Pictured:
     """
 
     figures: Annotated[Path | None, Told("DIR", "Output")] = None
-    figure_format: Annotated[str, Told("FORMAT", "Output", PICTURES)] = "png"
+    figure_format: Annotated[
+        str, Told("FORMAT", "Output", PICTURES, needs="figures")
+    ] = "png"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -553,7 +601,9 @@ class Shared:
     """
 
     workers: Annotated[int | None, Told("N", "Workers", (1, 1000))] = None
-    cluster: Annotated[str | None, Told("ADDRESS", "Workers")] = None
+    cluster: Annotated[
+        str | None, Told("ADDRESS", "Workers", excludes=("workers",))
+    ] = None
 
 
 @contextmanager
@@ -569,11 +619,9 @@ def asked_workers(
             [s]; None for the default, zero where an item may end its process.
 
     Raises:
-        OptionError: If both are asked for, or the cluster cannot be used.
+        OptionError: If the cluster cannot be used.
     """
     if cluster is not None:
-        if count is not None:
-            raise OptionError("--workers and --cluster exclude each other")
         from calib_pin.workers.cluster import Cluster
 
         with Cluster(cluster) as workers:
@@ -594,19 +642,12 @@ class Untouched(QuietAnswer, OfPackages):
         clearance: Least distance from obstacles and between links [m]; default 0.01.
     """
 
-    srdf: Annotated[Path | None, Told("FILE", "Constraints")] = None
-    clearance: Annotated[float | None, Told("S", "Constraints", (0, 1))] = None
-
-    def refuse_unused(self, reason: str, *options: str) -> None:
-        """Refuse options of checks that are not made.
-
-        Raises:
-            OptionError: If there is one, with the reason.
-        """
-        own = ("srdf", *options, "clearance")
-        if any(getattr(self, name) not in (None, []) for name in own):
-            *most, last = map(as_option, own)
-            raise OptionError(f"{reason} {', '.join(most)} and {last}")
+    srdf: Annotated[
+        Path | None, Told("FILE", "Constraints", needs="avoid_collisions")
+    ] = None
+    clearance: Annotated[
+        float | None, Told("S", "Constraints", (0, 1), needs="avoid_collisions")
+    ] = None
 
     def collisions(
         self, chain: Chain | Chains, obstacles: Sequence[Obstacle], file: str

@@ -16,7 +16,7 @@ from calib_pin.cli import files, options, printing, results
 from calib_pin.cli.asked import Plan
 from calib_pin.cli.compensate import require_solids, ways_of
 from calib_pin.control.acceptance_poses import acceptance_poses
-from calib_pin.errors import CalibPinError, OptionError
+from calib_pin.errors import CalibPinError, OptionError, enumerated
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import measurements, targets
 from calib_pin.io.columns import ANGLE, LENGTH, split_header
@@ -41,35 +41,14 @@ from calib_pin.units import as_number
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.robot_state import expected_setup
 
-UNCHECKED = "--ignore-collisions contradicts"
-
-ALONE = (
-    *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
-    *("seed", "distance", "motion", "parameters", "figures", "figure_format", "json"),
-)
-"""Options of plans that an acceptance test has no use for."""
-
 
 def check(asked: Plan) -> None:
-    """Refuse options that exclude one another."""
-    alone, add, count, to = "", asked.add, asked.count, asked.to
-    for name in reversed(ALONE):
-        if getattr(asked, name) != getattr(Plan, name):
-            alone = options.as_option(name)
-    many, other = "say how many", not asked.accept
-    for wrong, reason in (
-        (alone and not other, f"--accept plans an acceptance test, without {alone}"),
-        (other and asked.cycles != Plan.cycles, "--cycles belongs to --accept"),
-        (add is not None and not to, "--add needs measurements to add to: --to CSV"),
-        (to and add is None, f"--to names measurements; {many} to add with --add N"),
-        (add and count not in (None, add), f"--add {add} contradicts --count {count}"),
-        (other and not (add or count), f"{many} configurations to plan with --count N"),
-        (asked.motion and asked.ignore_collisions, f"{UNCHECKED} --motion"),
-    ):
-        if wrong:
-            raise OptionError(reason)
-    if asked.ignore_collisions:
-        asked.refuse_unused(UNCHECKED)
+    """Refuse a plan of no number of configurations, or of two."""
+    add, count = asked.add, asked.count
+    if add and count not in (None, add):
+        raise OptionError(f"--add {add} contradicts --count {count}")
+    if not (asked.accept or add or count):
+        raise OptionError("say how many configurations to plan with --count N")
 
 
 def plan(asked: Plan, words: Sequence[str]) -> int:
@@ -87,7 +66,7 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     if not asked.ignore_collisions:
         collisions = asked.collisions(chains, stated.obstacles, stated.file)
     if asked.accept:
-        return _acceptance(asked, chains, stated, collisions, command)
+        return _acceptance(asked, chains, keys, stated, collisions, command)
     if asked.motion is not None:
         require_solids("--motion", chains, collisions)
     if asked.tests is not None:
@@ -244,6 +223,7 @@ def parse_limits(
 def _acceptance(
     asked: Plan,
     chains: Chains,
+    keys: Sequence[BlockKey],
     setup: Setup,
     collisions: Collisions | None,
     command: str,
@@ -253,18 +233,26 @@ def _acceptance(
     Args:
         asked: What is asked for.
         chains: The robot, of a single chain.
+        keys: What may be measured there: by one instrument, with one tool.
         setup: The setup, with limits, region and tool.
         collisions: Collisions to avoid.
         command: The command line that asks for it.
 
     Raises:
-        OptionError: If there are several chains, or no cube is found.
+        OptionError: If there are several chains, stations or tools, or no cube is
+            found.
     """
     if len(chains.names) > 1:
         reason = "an acceptance test is of one chain; say which one with --chain"
         raise OptionError(reason, allowed=", ".join(chains.names))
+    for kind in ("station", "tool"):
+        if len(names := {getattr(key, kind): None for key in keys}) > 1:
+            reason = f"an acceptance test is of one {kind}, the setup states several"
+            file, value = setup.file or None, enumerated(names)
+            allowed = f"one of '{kind}s'"
+            raise OptionError(reason, file=file, value=value, allowed=allowed)
     chain = chains[chains.names[0]]
-    problem, count = nominal_problem(chain, "position", setup), len(chain.joints)
+    problem, count = nominal_problem(chains, keys, setup), len(chain.joints)
     lower, upper = joint_limits(problem)
     ways = None
     if collisions is not None:
@@ -291,6 +279,8 @@ def _acceptance(
     q, poses, each = found.cycles(cycles)
     shown = shown_columns(q, JointColumns.of(chain, setup.joints), asked.degrees)
     columns: dict[str, Sequence[object]] = {n: c.tolist() for n, c in shown.items()}
+    for kind, name in zip(BlockKey._fields[1:], keys[0][1:], strict=True):
+        columns |= {kind: [name] * len(q)} if name else {}
     columns |= {"cycle": each, "pose": [f"P{pose}" for pose in poses]}
     columns |= {f"{axis} [mm]": [""] * len(q) for axis in "xyz"}  # To be filled in.
     text = encode_table(columns, [f"planned by: {command}", "", *schedule.splitlines()])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,7 +13,6 @@ from typing import TYPE_CHECKING
 from calib_pin.cli.files import check_outputs, exists
 from calib_pin.cli.options import Pictured
 from calib_pin.cli.printing import Bar, notice
-from calib_pin.errors import OptionError
 from calib_pin.io import json_text, measurement_errors, results, urdf
 from calib_pin.io.files import listed, sha256, write_files
 from calib_pin.io.measurement_errors import MEASUREMENTS
@@ -30,13 +28,7 @@ if TYPE_CHECKING:  # Drawing loads slowly, and is not always asked for.
 
 
 def result_files(folder: Path, robot: Robot) -> list[Path]:
-    """Where the results of a robot go, the corrected one first.
-
-    Raises:
-        OptionError: If a file stands in the place of the folder.
-    """
-    if exists(folder) and not folder.is_dir():
-        raise OptionError("is a file, not a folder", file=folder)
+    """Where the results of a robot go, the corrected one first."""
     names = (urdf_name(robot.name), NOMINAL, DOCUMENT, MEASUREMENTS, REPORT)
     return [folder / name for name in names]
 
@@ -53,7 +45,7 @@ def check_results(
     Files of an earlier run in the folder are removed, so none of them may be an input.
 
     Raises:
-        OptionError: See `result_files` and `cli.files.check_outputs`.
+        OptionError: See `cli.files.check_outputs`.
     """
     outputs = dict.fromkeys(pictures)
     if folder is not None:
@@ -149,19 +141,9 @@ def _tell_others(files: Sequence[Path], written: Collection[Path], kind: str) ->
 
 
 def figure_files(asked: Pictured, of: str) -> list[Path]:
-    """The files of the figures of some subject, as far as they are asked for.
-
-    Raises:
-        OptionError: If there can be no such folder.
-    """
+    """The files of the figures of some subject, as far as they are asked for."""
     if (folder := asked.figures) is None:
         return []
-    # Known before the work, not after it.
-    place = next(filter(exists, (folder, *folder.absolute().parents)))
-    if not place.is_dir():
-        raise OptionError("is a file, not a folder", file=place)
-    if not os.access(place, os.W_OK):
-        raise OptionError("is a folder in which nothing can be written", file=place)
     # It takes half a second to load what draws.
     from calib_pin.report.figures import NAMES
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from calib_pin.errors import OptionError, stated_in
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import measurements, results, setup
 from calib_pin.io.table import read_table
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.simulation import draw_errors
 from calib_pin.simulation import simulate as run
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -44,14 +44,15 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
     else:
         given = setup.read_true_errors(asked.errors, problem.parameters.names)
         theta = problem.parameters.vector(given)
-    names = ("noise", "repeats", "average")
-    about: dict[str, Any] = {name: getattr(asked, name) for name in names}
     measure = partial(
         run,
-        *(problem, theta, rng),
+        problem,
+        theta,
+        rng,
+        noise=asked.noise,
+        repeats=asked.repeats,
         # An image shows all corners of a board.
         per_configuration=asked.all_targets or stated.board is not None,
-        **about,
     )
     with progress_bar() as bar:
         stage(bar, "measure")
@@ -66,7 +67,9 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
             with stated_in(str(file)):
                 rows = measure(q=q, target=target, places=named, conditions=held)
         comment = f"simulated by: {told_command(words)}"
-        columns = measurements.measurement_columns(rows)
+        # With a map of joints the file has the columns of their controller.
+        own = JointColumns.of(chains, stated.joints) if stated.joints else None
+        columns = measurements.measurement_columns(rows, own)
         data = measurements.encode_table(columns, [comment], stage(bar, "write"))
     contents = {asked.output: data}
     told = [f"wrote {len(rows)} measurements to {asked.output}"]

@@ -80,18 +80,20 @@ def watch(asked: Watch) -> int:
         file, before = images_of(folder, asked.board, asked.joints, PAUSE)
         own["measurements"] = [file]
     request = Request(**own)
+    job = watched(request, asked.plan, asked.limit, srdf=asked.srdf)
     try:
-        opened(request, None if asked.once else asked.output, force=asked.force)
+        found = opened(request, asked.output, force=asked.force)
     except (OptionError, RobotError):
         raise
     except InputError:
         pass  # There may be no rows yet.
+    else:
+        job.proposals.check(found.chains, found.setup)
     taken_notices()
-    if asked.type:
-        if asked.plan is None or len(request.measurements) != 1 or asked.json:
-            raise OptionError("--type needs --plan and one file of measurements")
+    if asked.type and asked.plan is not None:
+        if len(request.measurements) != 1:
+            raise OptionError("--type needs one file of measurements")
         before = typed(request, asked.plan)
-    job = watched(request, asked.plan, asked.limit, srdf=asked.srdf)
     lines = asked.type or asked.json or asked.quiet or not sys.stdout.isatty()
     live = None if lines else console()
     if live is not None and not asked.once:
@@ -100,7 +102,13 @@ def watch(asked: Watch) -> int:
             f"following {enumerated(map(str, request.measurements))}; Ctrl-C {end}"
         )
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
-        follow(job, tell, before if not asked.once else None)
+
+        def told(event: Event) -> None:
+            # Where rows are typed, the question says where to go.
+            if not (asked.type and event.kind == "next"):
+                tell(event)
+
+        follow(job, told, before if not asked.once else None)
     if job.fit is None:
         notice("no result: nothing could be fitted yet")
         return 1

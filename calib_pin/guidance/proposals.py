@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calib_pin.errors import CalibPinError
+from calib_pin.errors import OptionError
 from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.guidance.fitted import Fitted
 from calib_pin.io.collision import load_collisions
@@ -17,6 +17,7 @@ from calib_pin.io.measured_columns import own_columns, read_positions
 from calib_pin.io.measurements import encode_configurations
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations, states_sigmas
 from calib_pin.planning.criteria import Prediction
@@ -91,6 +92,23 @@ class Proposals:
     _known: tuple[Workspace, Candidates] | None = None
     _together: tuple[Floats, Indices] | None = None
 
+    def check(self, chains: Chains, setup: Setup) -> None:
+        """Read the plan, and what says which collisions count.
+
+        Raises:
+            InputError: If one of the files cannot be used.
+        """
+        if self.plan is not None:
+            _read(read_table(self.plan, columns=setup.columns), chains, setup)
+        if self.srdf is not None:
+            self._collisions(chains, setup)
+
+    def _collisions(self, chains: Chains, setup: Setup) -> Collisions | None:
+        folders = self.package_dirs
+        return load_collisions(
+            chains, setup.obstacles, srdf=self.srdf, package_dirs=folders
+        )
+
     def ahead(
         self, fitted: Fitted, every: Observations
     ) -> tuple[Proposal | None, tuple[float, ...]]:
@@ -98,9 +116,14 @@ class Proposals:
 
         The error is that after 0, 1, ... further rows [m]; of instruments that cannot
         be planned for, and before there is a fit, nothing is known.
+
+        Raises:
+            CalibPinError: If a file cannot be used, or no configuration is allowed.
         """
         left = planned(self.plan, fitted, every)
         first = self._shown(fitted, *left[0], len(left)) if left else None
+        if fitted.model is None:
+            return first, ()
         try:
             search, names = self._search(fitted)
             table = None
@@ -114,7 +137,7 @@ class Proposals:
                 errors.append(selection.value)
             if first is None:
                 first = self._shown(fitted, *self._best(search, names, every), 0)
-        except (CalibPinError, np.linalg.LinAlgError):
+        except (OptionError, np.linalg.LinAlgError):
             return first, ()
         return first, tuple(errors)
 
@@ -133,9 +156,8 @@ class Proposals:
     def _search(self, fitted: Fitted) -> tuple[Search, list[str]]:
         """A search with all that the rows tell already, and the names of targets."""
         keys, model = fitted.rows.keys, fitted.model
+        assert model is not None
         require_plannable(keys)
-        if model is None:
-            raise CalibPinError(fitted.reason)
         noise = {} if fitted.early else {n.quantity: n for n in model.fit.noise}
         # What rows state weighs them; what is planned then is measured as they are.
         stated = states_sigmas(fitted.rows)
@@ -148,12 +170,7 @@ class Proposals:
         if self._known is None:
             solid, rng = None, np.random.default_rng(fitted.seed)
             if self.free:
-                solid = load_collisions(
-                    fitted.chains,
-                    setup.obstacles,
-                    srdf=self.srdf,
-                    package_dirs=self.package_dirs,
-                )
+                solid = self._collisions(fitted.chains, setup)
             workspace = Workspace.create(problem, solid, 0.0, aims)
             self._known = workspace, workspace.candidates(SAMPLES, rng)
         workspace, spread = self._known

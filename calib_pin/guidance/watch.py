@@ -58,6 +58,7 @@ class Watch:
         seed: Seed of whatever is random.
 
     Attributes:
+        proposals: Chooses the configuration to measure next.
         fit: The model so far; None before there is one.
         state: The last state; None before there is one.
         next: The configuration to measure next; None where nobody knows.
@@ -73,10 +74,11 @@ class Watch:
     ) -> None:
         """Begin with nothing."""
         self._read, self._files, self._limit = read, tuple(files), limit
-        self._proposals = proposals
+        self.proposals = proposals
         self._seed, self._searched, self._reviewed = seed, 0, 2 * FEW
         self._stamp: tuple[Any, ...] | None = None
         self._told, self._reached, self._found = "", False, set[str]()
+        self._unplanned = ""
         self._known, self._aside = dict[Key, str](), set[Key]()
         self._gone = list[str]()
         self._fitted: Fitted | None = None
@@ -220,7 +222,13 @@ class Watch:
             self._searched = count
             others = partial(other_robots, fitted.chains, fitted.setup)
             yield from self._causes(fitted.causes(rows, others))
-        self.next, ahead = self._proposals.ahead(fitted, rows)
+        try:
+            self.next, ahead = self.proposals.ahead(fitted, rows)
+        except CalibPinError as error:  # What is known of the rows stands.
+            self.next, ahead, told = None, (), one_line(str(error))
+            if told != self._unplanned:
+                yield Event("problem", told)
+            self._unplanned = told
         if fitted.model is None:
             yield Event("waiting", f"{count} rows: {fitted.reason}")
         else:

@@ -574,17 +574,24 @@ def write_measurements(
 
 
 def measurement_columns(
-    measurements: Measurements | Observations,
+    measurements: Measurements | Observations, own: JointColumns | None = None
 ) -> dict[str, Labels | NDArray[Any]]:
     """Cells of the columns that hold measurements, by name.
 
+    Args:
+        measurements: The measurements.
+        own: Columns of the joints; default one of its name for each.
+
     Raises:
+        InputError: If the couplings of the joint map cannot be undone.
         OptionError: If there is no measurement model of a name.
         OutputError: If a name or a relative distance would not read back.
     """
     data = _with_starts(Observations.of(measurements))
     names, held = map(measured_columns.column_name, data.joints), data.conditions
     columns = dict[str, Any](zip(names, data.q.T, strict=True))
+    if own is not None:
+        columns = dict(measured_columns.shown_columns(data.q, own))
     for field in BlockKey._fields:
         of_block = Labels.of([getattr(block, field) for block in data.blocks])
         if len(of_block.distinct) > 1 or (field != "model" and any(of_block)):

@@ -185,8 +185,10 @@ def link_of(joint: Element, role: str) -> str:
     return "" if element is None else element.get("link", "")
 
 
-def parse_document(source: bytes, file: str | None = None) -> Document:
-    """Parse XML as far as a URDF needs it.
+def parse_document(
+    source: bytes, file: str | None = None, kind: str = "a URDF"
+) -> Document:
+    """Parse XML as far as a URDF, or what else is named, needs it.
 
     Raises:
         RobotError: If the bytes are not well-formed XML in a known encoding, declare
@@ -197,7 +199,7 @@ def parse_document(source: bytes, file: str | None = None) -> Document:
     if not re.match(rb"[\s\0]*<", body):
         found = body[:16] if body.strip(b"\0 \t\r\n") else None
         reason = "the file is empty" if found is None else "is not XML"
-        raise RobotError(reason, file=file, value=found, allowed="a URDF, as text")
+        raise RobotError(reason, file=file, value=found, allowed=f"{kind}, as text")
     declaration = _DECLARATION.match(body)
     declared = declaration and _ENCODING.search(declaration[1])
     codec = declared[1].decode() if declared else "utf-8"

@@ -175,6 +175,8 @@ def join(joints: Log, readings: Log, settle: float, gap: float) -> Joined:
         within = (time >= start + guard) & (time <= end - guard)
         empty += not within.any()
         inside = (joints.time >= start) & (joints.time <= end)
+        # A slow log has no sample between both; the one that is nearest stood as well.
+        inside[np.argmin(np.abs(joints.time - 0.5 * (start + end)))] = True
         for kind in readings.kinds:
             rows = kind[within[kind]]
             kept = rows[_together(readings.values[rows])]

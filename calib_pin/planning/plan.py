@@ -30,7 +30,14 @@ from calib_pin.planning.planned_problem import (
 )
 from calib_pin.planning.search import METHODS, Found, Progress, Search
 from calib_pin.planning.travel import visits
-from calib_pin.planning.workspace import TIDY, Aim, Aims, Workspace, require_plannable
+from calib_pin.planning.workspace import (
+    TIDY,
+    Aim,
+    Aims,
+    Candidates,
+    Workspace,
+    require_plannable,
+)
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates, robot_errors
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate, Printed
@@ -211,7 +218,7 @@ def plan(
     spread.require(count)
     # A part of an even spread is one too.
     first = slice(max(candidates, count))
-    found = replace(spread, q=spread.q[first], aim=spread.aim[first])
+    found = Candidates(spread.q[first], spread.aim[first], spread.drawn[first])
     structure, rows, known = identification(problem, workspace.aims, spread, data)
     at = TipTests.among(rows, spread, tests)
     search = Search(

@@ -248,12 +248,17 @@ class Candidates:
     Attributes:
         q: Joint positions, shape (C, n) [rad, m].
         aim: Position of what is measured there among those of the workspace, (C,).
-        tried: Number of configurations within the limits that were tried for them.
+        drawn: Position of each among the configurations that were tried, (C,).
     """
 
     q: Floats
     aim: Indices
-    tried: int
+    drawn: Indices
+
+    @property
+    def tried(self) -> int:
+        """Number of configurations that were tried for them."""
+        return int(self.drawn[-1]) + 1
 
     def require(self, count: int) -> None:
         """Check that there are enough of them.
@@ -392,7 +397,7 @@ class Workspace:
             InputError: If none of many is allowed; says what refused them.
         """
         shift, taken = rng.random(len(self.lower)), 0
-        q, aim = np.empty((0, len(shift))), np.empty(0, int)
+        q, aim, drawn = np.empty((0, len(shift))), np.empty(0, int), np.empty(0, int)
         refused: dict[str, int] = {}
         budget = max(LEAST_DRAWS, DRAWS * count)
         blocks = workers.map(_block, (self, shift), range(0, budget, BLOCK))
@@ -402,13 +407,14 @@ class Workspace:
             enough = progress is not None and progress("candidates", part)
             if enough and len(q) >= max(least, 1):
                 break
-            (new, of_new, reasons), taken = next(blocks), taken + BLOCK
+            (new, of_new, places, reasons), taken = next(blocks), taken + BLOCK
             for reason, number in reasons.items():
                 refused[reason] = refused.get(reason, 0) + number
             if self.distance > 0.0:
                 kept = _apart(new, q, self.distance)
-                new, of_new = new[kept], of_new[kept]
+                new, of_new, places = new[kept], of_new[kept], places[kept]
             q, aim = np.concatenate([q, new]), np.concatenate([aim, of_new])
+            drawn = np.concatenate([drawn, places])
         if not len(q):
             why = ", ".join(f"{n} {reason}" for reason, n in refused.items() if n)
             allowed = "wider limits, a larger region, or fewer obstacles"
@@ -421,7 +427,7 @@ class Workspace:
                 file=self.problem.setup.file or None,
                 allowed=allowed,
             )
-        return Candidates(q[:count], aim[:count], taken)
+        return Candidates(q[:count], aim[:count], drawn[:count])
 
     def unmeasurable(self, candidates: Candidates) -> tuple[str, ...]:
         """The targets that no candidate can measure."""
@@ -490,12 +496,12 @@ class Workspace:
 
 def _block(
     shared: tuple[Workspace, Floats], begin: int
-) -> tuple[Floats, Indices, dict[str, int]]:
+) -> tuple[Floats, Indices, Indices, dict[str, int]]:
     """Try the configurations of the sequence from one on.
 
     Returns:
-        Those that may be measured, shape (C, n), what is measured at each, and the
-        number of the others by what refused them.
+        Those that may be measured, shape (C, n), what is measured at each, where they
+        are in the sequence, and the number of the others by what refused them.
     """
     workspace, shift = shared
     unit = quasi_random(shift, begin, BLOCK)
@@ -505,7 +511,7 @@ def _block(
     refusals = workspace.refusals(q, aim)
     free = sum(refusals.values()) == 0
     refused = {reason: int(rows.sum()) for reason, rows in refusals.items()}
-    return q[free], aim[free], refused
+    return q[free], aim[free], begin + np.flatnonzero(free), refused
 
 
 def _apart(points: Floats, others: Floats, distance: float) -> Indices:

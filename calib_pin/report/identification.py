@@ -245,13 +245,16 @@ def error_table(found: Sequence[RobotError], title: str, shown: Sequence[str]) -
         title: Title of the table.
         shown: Some of `ESTIMATE`, or `formula|name`.
     """
-    rows = []
+    rows, alike = [], Counter((error.kind, error.of) for error in found)
     for error in found:
+        owner = _of(error)
+        if alike[error.kind, error.of] > 1 and error.terms:  # A link with two branches.
+            owner += f" to {error.terms[0].parameter.rsplit('.', 2)[0]}"
         cells = dict(
             zip(ESTIMATE, estimate(error.value, error.sigma, error.unit), strict=True)
         )
         cells["formula|name"] = Cell(error.expression)
-        rows.append((error.kind, _of(error), *(cells[key] for key in shown)))
+        rows.append((error.kind, owner, *(cells[key] for key in shown)))
     return table(title, ("|word", "|name", *shown), rows, grouped=1)
 
 

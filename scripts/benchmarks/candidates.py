@@ -105,7 +105,7 @@ def values(job: Job) -> list[tuple[float, ...]]:
         criterion = Prediction(TipTests.of(rows, {"": every.q[:SAMPLES]}).position)
     result = []
     for size in job.sizes:
-        first = Candidates(every.q[:size], every.aim[:size], every.tried)
+        first = Candidates(every.q[:size], every.aim[:size], every.drawn[:size])
         own, begin = np.random.default_rng(job.seed), time.process_time()
         search = OneExchange(rows, workspace, criterion, known, first, case.count, own)
         found = [search.by_exchange()]

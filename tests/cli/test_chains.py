@@ -157,6 +157,46 @@ def test_commands_of_one_chain(
     np.testing.assert_allclose(arm.poses(found)[:, :3, 3], positions, atol=1e-9)
 
 
+def test_a_calibration_is_named_by_its_folder(
+    two_arms: None, run: Callable[..., Any], refuses: Callable[..., None]
+) -> None:
+    folder, file = (
+        run(f"evaluate {name} arms.csv") for name in ("both", "both/calibration.json")
+    )
+    assert folder.status == 0
+    assert (folder.out, folder.err) == (file.out, file.err)
+    refuses("compare both both/calibration.json", reason="twice")
+    write("targets.csv", "x,y,z", [[0.5, 0.4, 0.6]])
+    words = "compensate both targets.csv --chain left --frame base -o commands.csv"
+    assert run(words).status in (0, 2)
+
+
+def test_frames_of_one_chain(two_arms: None, run: Callable[..., Any]) -> None:
+    for option, ends in (("", {"left_3", "right_3"}), (" --chain left", {"left_3"})):
+        words = f"export both --format tf -o frames.yaml --force{option}"
+        assert run(words).status == 0
+        text = Path("frames.yaml").read_text()
+        assert {
+            end for end in ("left_3", "right_3") if f"frame_id: {end}" in text
+        } == ends
+
+
+def test_visits_of_one_chain_are_read_back(
+    two_arms: None, run: Callable[..., Any]
+) -> None:
+    """The command that the schedule names takes the file, once it is filled in."""
+    plan = "plan twins.urdf --setup chains.yaml --accept --cycles 3 -o visits.csv"
+    result = run(f"{plan} --chain left --ignore-collisions")
+    assert result.status == 0, result.err
+    assert set(column("visits.csv", "chain")) == {"left"}
+    assert set(column("visits.csv", "tool")) == {"lamp"}
+    header, rows, _ = table("visits.csv")
+    measured = [[*row[:-3], "500", str(k), "700"] for k, row in enumerate(rows)]
+    write("visits.csv", ",".join(header), measured)
+    (words,) = [line for line in result.out.splitlines() if "calib-pin accept" in line]
+    assert run(words.split("calib-pin ")[1]).status in (0, 2)
+
+
 def test_a_plan_for_one_chain_and_for_both(
     two_arms: None, run: Callable[..., Any]
 ) -> None:

@@ -540,14 +540,10 @@ def test_simulation_without_noise_and_with_its_truth(here, run):
 def test_repeated_readings(here, run):
     words = "simulate arm.urdf --model position --count 4 --noise 1e-3 --repeats 25"
     assert run(f"{words} -o kept.csv").status == 0
-    assert run(f"{words} -o mean.csv --average").status == 0
-    kept, mean, header = numbers("kept.csv"), numbers("mean.csv"), table("mean.csv")[0]
-    assert (len(kept), len(mean)) == (100, 4)
-    sigma, x = header.index("sigma_x"), header.index("x")
-    assert (kept[:, sigma] == 1e-3).all()
-    np.testing.assert_allclose(mean[:, sigma], 2e-4)
-    np.testing.assert_array_equal(kept[:25, :4], np.tile(mean[0, :4], (25, 1)))
-    assert kept[:25, x].mean() == pytest.approx(mean[0, x], abs=1e-3)
+    kept, header = numbers("kept.csv"), table("kept.csv")[0]
+    assert len(kept) == 100 and (kept[:, header.index("sigma_x")] == 1e-3).all()
+    np.testing.assert_array_equal(kept[:25, :4], np.tile(kept[0, :4], (25, 1)))
+    assert 5e-4 < kept[:25, header.index("x")].std() < 2e-3
 
 
 def test_images_of_a_board(here, run):

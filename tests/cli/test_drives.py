@@ -102,6 +102,31 @@ def test_commands_are_those_of_the_drives(job, run):
     np.testing.assert_allclose(tips, job.poses(q)[:, :3, 3], atol=1e-9)
 
 
+def test_simulated_files_have_the_columns_of_the_controller(job, run):
+    """So the setup that plans them reads them, too."""
+    Path("map.yaml").write_text(
+        "tip: tool\njoints: {A: {joint: turn, sign: -1, offset: 0.3}, "
+        "B: {joint: last, gear: 2, coupled: {A: 0.5}}}\n"
+    )
+    Path("none.yaml").write_text("turn.joint-offset.q: 0\n")
+    words = "--setup map.yaml --parameters joint-offset --model position"
+    words += " --errors none.yaml --noise 0 --count 12 -o exact.csv"
+    assert run(f"simulate lift.urdf {words}").status == 0
+    header, rows, _ = table("exact.csv")
+    assert [header[k] for k in (0, 1, 3)] == ["lift", "A", "B"]
+    q = np.array([row[:4] for row in rows], float)
+    positions = np.array([row[4:7] for row in rows], float)
+    moved = np.column_stack(
+        [q[:, 0], 0.3 - q[:, 1], q[:, 2], 2.0 * (q[:, 3] + 0.5 * q[:, 1])]
+    )
+    drives = JointColumns.of(job)
+    np.testing.assert_allclose(
+        job.poses(drives.positions(moved))[:, :3, 3], positions, atol=1e-9
+    )
+    result = run("evaluate lift.urdf exact.csv --setup map.yaml")
+    assert result.status == 2 and "which no\ninstrument does" in result.out
+
+
 def test_continuous_joints_go_the_short_way(job, run):
     assert run(CALIBRATE).status == 0
     turn = np.radians(np.arange(350.0, 371.0, 2.0))

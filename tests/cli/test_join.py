@@ -304,6 +304,11 @@ def test_logs_that_cannot_be_joined(logs, fails, file, change, named):
     fails(JOIN, named)
 
 
+def test_a_topic_of_no_bag_is_refused(logs, fails):
+    fails(f"{JOIN} --topic /points", "--topic", "tracker.txt")
+    fails(f"{JOIN} --joint-topic /joints", "--joint-topic", "joints.csv")
+
+
 def test_logs_of_no_common_time(logs, fails):
     text = Path("tracker.txt").read_text("utf-8-sig").splitlines()
     Path("tracker.txt").write_text("\n".join([*text[:2], *text[2::40]]))

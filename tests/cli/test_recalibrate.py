@@ -97,7 +97,7 @@ def test_a_plan_for_it(run) -> None:
         ("space6 later.csv --start first --learned network", "learned"),
         ("space6 later.csv --start first --parameters dh", "parameters"),
         ("space6 later.csv --start first --process-noise 1", "--process-noise"),
-        ("space6 later.csv --process-noise 1e-5", "older calibration"),
+        ("space6 later.csv --process-noise 1e-5", "needs --start"),
         ("space6 later.csv --start first.csv", "first.csv"),
         ("space6 later.csv --start nowhere", "nowhere"),
         ("space6 hit.csv --start first -o first --force", "input"),

@@ -107,7 +107,7 @@ def test_typed_readings_survive_a_kill(here: Path, run):
     assert second == f"{planned[4]},0.69,0.015,1.2405"
     with watching(*words) as process:
         said, _ = process.communicate("back\n0.69 0.015 1.24 m\n")
-    assert "10 left" in said and "11 left" in said
+    assert "10 left" in said and "11 left" in said and "next: " not in said
     assert Path("watched.csv").read_text().splitlines()[2] != second
     assert len(Path("watched.csv").read_text().splitlines()) == 3
 

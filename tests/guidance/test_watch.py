@@ -64,8 +64,8 @@ class Job:
 
     def proposing(self, plan: Path | None = None) -> Proposals:
         """From now on it proposes configurations."""
-        self.watch._proposals = Proposals(None, plan, None, (), False)
-        return self.watch._proposals
+        self.watch.proposals = Proposals(None, plan, None, (), False)
+        return self.watch.proposals
 
     def read(self) -> tuple[Chains, Setup, Observations]:
         if self.error is not None:
@@ -195,7 +195,7 @@ def test_a_limit_is_reached_once(chains: Chains, rows: Measurements, tmp_path: P
     state = job.watch.state
     assert state is not None and state.more and not state.reached
     assert f"about {state.more} more reach" in state.text
-    job.watch._proposals = Silent()  # type: ignore[assignment]
+    job.watch.proposals = Silent()  # type: ignore[assignment]
     said = [e for k in (16, 20, 24) for e in job.look(k)]
     assert len(texts(said, "reached")) == 1
     assert job.watch.state is not None and job.watch.state.bound <= limit

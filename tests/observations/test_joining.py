@@ -119,6 +119,16 @@ def test_positions_of_a_stand_are_those_of_its_robot():
         assert np.abs(measured - expected).max() < 5.0 * NOISE
 
 
+def test_a_slow_log_has_positions_at_every_stand():
+    """Of the joints, where none of its samples is between a stand's both ends."""
+    t = np.round(0.2 * np.arange(15), 1)
+    q = np.repeat([0.1, 0.25, 0.4], [7, 1, 7])
+    joints = Log(t, q[:, None])
+    readings = Log(np.array([0.35, 0.55, 1.95, 2.15]), np.arange(4.0)[:, None])
+    found = join(joints, readings, SETTLE, GAP)
+    assert [standstill.q[0] for standstill in found.standstills] == [0.1, 0.4]
+
+
 def test_a_reading_that_jumped_is_left_out():
     made = recording(5)
     values = made.readings.values.copy()

@@ -12,11 +12,11 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import visible_directions
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.kinematics.chain import Chain
-from calib_pin.report.identification import corrections, held
+from calib_pin.report.identification import corrections, error_table, held
 from calib_pin.report.terminal import plain_text
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.assessment import identify, robot_errors
-from calib_pin.validation.result import CalibrationResult, RobotError
+from calib_pin.validation.result import CalibrationResult, Coefficient, RobotError
 
 ARM = "example:so101"
 TIP = "gripper_frame_link"
@@ -39,6 +39,16 @@ def result(chain: Chain) -> CalibrationResult:
 
 def known(errors: tuple[RobotError, ...]) -> list[RobotError]:
     return [error for error in errors if error.status == "identifiable"]
+
+
+def test_lengths_of_a_link_with_two_branches_are_told_apart():
+    lengths = [
+        RobotError("link length", ("torso",), "m", 1e-3, 1e-5, "identifiable", terms=of)
+        for of in ((Coefficient(f"{side}.1.placement.x", 1.0),) for side in "lr")
+    ]
+    text = plain_text([error_table(lengths, "Errors", ())])
+    assert "torso to l.1\n" in text and "torso to r.1\n" in text
+    assert " to " not in plain_text([error_table(lengths[:1], "Errors", ())])
 
 
 def test_what_a_denavit_hartenberg_table_says(result):

@@ -7,6 +7,7 @@ transforms and camera files say where base, tools, stations and cameras are.
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -88,6 +89,8 @@ def places(
     found, remarks, known = list[Place](), list[str](), True
     taken = set(result.model.chains.robot.links)
     for term in result.model.terms.values():
+        if exported.name not in (None, term.key.chain):
+            continue
         chain, (station, tool) = term.error.chain, (f for f, _ in frames_of(term))
         start, tip = term.error.base.inverse(), result.model.of(term.key).tool
         seen = {
@@ -287,11 +290,10 @@ def tf(exported: Exported, _: Path | None) -> Encoded:
         pose = {"translation": {k: numbers[k] for k in "xyz"}, "rotation": turn}
         about = {"header": {"frame_id": place.parent}, "child_frame_id": place.child}
         documents.append(about | {"transform": pose})
-        stated = " ".join(f"--{key} {number!r}" for key, number in numbers.items())
-        commands.append(
-            f"# ros2 run tf2_ros static_transform_publisher {stated} "
-            f"--frame-id {place.parent} --child-frame-id {place.child}"
-        )
+        ends = {"frame-id": place.parent, "child-frame-id": place.child}
+        options = {**{key: repr(number) for key, number in numbers.items()}, **ends}
+        stated = " ".join(f"--{key} {shlex.quote(o)}" for key, o in options.items())
+        commands.append(f"# ros2 run tf2_ros static_transform_publisher {stated}")
     if not documents:
         raise exported.error("; ".join(remarks))
     text = yaml.safe_dump({"transforms": documents}, sort_keys=False)

@@ -185,7 +185,7 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
     source, about = tostring(Element("robot", name=exported.nominal.robot.name)), None
     if template is not None:
         source, about = read_bytes(template, TEXT), str(template)
-    document = parse_document(source, about)
+    document = parse_document(source, about, "a robot with transmissions")
     root, joints = document.root, {*errors}
     theirs = {joint.get("name", "") for joint in root.findall("joint")}
     reason, allowed = "is of another robot", f"one with the joints {enumerated(errors)}"

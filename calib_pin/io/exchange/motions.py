@@ -107,9 +107,12 @@ def urscript(
         OptionError: If the robot is not one of six revolute joints, or its URDF states
             no speeds.
     """
-    if columns.revolute.tolist() != [True] * 6:
-        reason = "URScript is for six revolute joints"
-        raise OptionError(reason, value=len(columns.names))
+    sliding = [
+        n for n, turns in zip(columns.names, columns.revolute, strict=True) if not turns
+    ]
+    if sliding or len(columns.names) != 6:
+        found = f"'{sliding[0]}' slides" if sliding else f"{len(columns.names)} joints"
+        raise OptionError("URScript is for six revolute joints", value=found)
     v = float(speed_limits(chain, part).min())
     lines = [f"# {line}" for line in comments] + ["def commands():"]
     for k, row in enumerate(columns.values(q)):

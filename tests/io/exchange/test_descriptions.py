@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -85,13 +86,17 @@ def test_several_each_have_a_name(posed, scara):
     place = FrameSetup((0.1, 0.2, 0.3))
     setup = Setup(
         stations=dict.fromkeys(("s.0", "s/1"), place),
-        tools={"t0": place, "t1": ToolSetup((0.0, 0.0, 0.1), on="t0")},
+        tools={"t 0": place, "t1": ToolSetup((0.0, 0.0, 0.1), on="t 0")},
     )
-    keys = [BlockKey("pose", "", *ends) for ends in (("s.0", "t0"), ("s/1", "t1"))]
+    keys = [BlockKey("pose", "", *ends) for ends in (("s.0", "t 0"), ("s/1", "t1"))]
     problem = nominal_problem(scara, keys, setup)
     model = CalibratedModel.create(problem, np.zeros(len(problem.parameters)))
-    found = transforms(FORMATS["tf"].encode(of_model(model), None))
-    assert [*found] == ["s_0_station", "t0_tool", "s_1_station", "t1_tool"]
+    encoded = FORMATS["tf"].encode(of_model(model), None)
+    found, lines = transforms(encoded), encoded.data.decode().splitlines()
+    assert [*found] == ["s_0_station", "t 0_tool", "s_1_station", "t1_tool"]
+    # A shell takes each name as one word.
+    published = [shlex.split(line)[-1] for line in lines if "# ros2" in line]
+    assert published == [*found]
     assert found["t1_tool"][1][2, 3] == pytest.approx(0.4, abs=1e-12)
 
 

@@ -90,9 +90,7 @@ def test_wrong_link_of_which_the_file_has_the_joints(file, code, ends) -> None:
 def test_a_tool_that_touches_sockets_beyond_the_stated_tip(tmp_path) -> None:
     """A longer chain touches one point the worse, unless it is the one that does."""
     chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
-    sockets = {
-        name: PointSetup((x, 0.3, 0.4)) for name, x in [("a", 0.5), ("b", -0.5)]
-    }
+    sockets = {name: PointSetup((x, 0.3, 0.4)) for name, x in [("a", 0.5), ("b", -0.5)]}
     setup, rng = Setup(tool_frame=TOOL, sockets=sockets), np.random.default_rng(2)
     problem = nominal_problem(chain, "fixed-point", setup)
     theta = calib_pin.draw_errors(problem.parameters, rng)

@@ -50,7 +50,6 @@ from calib_pin.estimation.identifiability import (
     nuisance_basis,
     practical_directions,
     projected,
-    robot_singular_values,
     rounding,
     visible_directions,
 )
@@ -280,15 +279,6 @@ class Fit:
         return problem, result, self.directions.every
 
     @cached_property
-    def singular_values(self) -> Floats:
-        """Of the whitened, scaled Jacobian of the estimated robot directions.
-
-        At the solution, with the nuisances projected out, descending.
-        """
-        parameters = self.problem.parameters
-        return robot_singular_values(self.directions, self.result.jac, parameters)
-
-    @cached_property
     def covariance(self) -> Floats:
         """Of the parameters about the references of the problem, shape (P, P).
 
@@ -303,6 +293,13 @@ class Fit:
         return posterior_with(
             self, None if self.evidence is None else self.evidence.sizes
         )
+
+    @cached_property
+    def likely_posteriors(self) -> tuple[Posterior, ...]:
+        """Posteriors for each of the likely sizes of errors, see `Evidence.likely`."""
+        if self.evidence is None:
+            return (self.posterior,)
+        return tuple(posterior_with(self, sizes) for sizes in self.evidence.likely)
 
     @cached_property
     def registered(self) -> tuple[Floats, Floats]:
@@ -372,13 +369,6 @@ def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
     by_noise = unit * with_response(stations, by_noise)
     by_station = unit * own_deviations(stations, len(theta))
     return Posterior(problem, theta, by_noise, by_effects, by_station, effects, noise)
-
-
-def likely_posteriors(fitted: Fit) -> tuple[Posterior, ...]:
-    """Posteriors for each of the likely sizes of errors, see `Evidence.likely`."""
-    if fitted.evidence is None:
-        return (fitted.posterior,)
-    return tuple(posterior_with(fitted, sizes) for sizes in fitted.evidence.likely)
 
 
 SURPRISE = 10.0

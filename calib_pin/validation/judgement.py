@@ -16,7 +16,7 @@ import numpy as np
 
 from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, Gain, PoseErrors
 from calib_pin.estimation.fit import FittedModel
-from calib_pin.estimation.fitted import Fit, likely_posteriors
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import distinct_values, known_count, known_values
 from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
 from calib_pin.estimation.terms import Term
@@ -536,7 +536,7 @@ def expected_accuracy(
         absorbed = J @ np.where(nuisance[:, None], 0.0, absorbed)
         effects = without_frames(absorbed - fitted.effects.twists(term, q), J)
     mean, own_scales = (theta[index] / scales)[robot], scales[robot, None]
-    likely = (one.by_noise[index[robot]] for one in likely_posteriors(fitted))
+    likely = (one.by_noise[index[robot]] for one in fitted.likely_posteriors)
     C = np.array([half @ half.T for half in (by / own_scales for by in likely)])
     pair = []
     for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad")):

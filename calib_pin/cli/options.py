@@ -257,8 +257,8 @@ def same(asked: object, function: Callable[..., Any]) -> dict[str, Any]:
 # --- options that several commands share --------------------------------------------
 
 SEED = (0, math.inf)
-SOLVER = known("solver", "estimation.solve:SOLVERS")
-LOSS = known("loss", "estimation.robust:LOSSES")
+SOLVER = known("solver", "setup:SOLVERS")
+LOSS = known("loss", "setup:LOSSES")
 LEARNED = known("residual model", "residual_models:RESIDUAL_MODELS")
 USE = known("use", "validation.model_selection:USES")
 PICTURES = known("figure format", "", "png", "pdf", "svg")

@@ -18,10 +18,10 @@ from calib_pin.io.results import document_file
 from calib_pin.io.urdf import other_robots
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
-from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
+from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.setup import Setup
 from calib_pin.validation.model_selection import USES
-from calib_pin.validation.result import CalibrationResult, Provenance
+from calib_pin.validation.result import CalibrationResult, Provenance, Suggestion
 from calib_pin.workers import SERIAL, Workers
 
 

@@ -19,9 +19,8 @@ from calib_pin.io.measurement_errors import MEASUREMENTS
 from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name, written_before
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Shape
-from calib_pin.planning.suggestions import Suggestion
 from calib_pin.setup import ReportSetup
-from calib_pin.validation.result import CalibrationResult, Provenance
+from calib_pin.validation.result import CalibrationResult, Provenance, Suggestion
 
 if TYPE_CHECKING:  # Drawing loads slowly, and is not always asked for.
     from calib_pin.report.figures import Drawn

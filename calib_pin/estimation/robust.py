@@ -70,9 +70,7 @@ from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import AT, Indices, Observations, states_sigmas
 from calib_pin.parameterizations.base import expected_size
-
-LOSSES = ("auto", "squared", "huber", "gnc")
-"""Names of the losses."""
+from calib_pin.setup import LOSSES
 
 Flags: TypeAlias = NDArray[np.bool_]
 

@@ -24,6 +24,7 @@ from calib_pin.estimation.problem import (
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
 from calib_pin.progress import Progress
+from calib_pin.setup import SOLVERS
 from calib_pin.solvers import (
     DifferentialEvolution,
     EvolutionResult,
@@ -33,9 +34,6 @@ from calib_pin.solvers import (
     differential_evolution,
     gauss_newton,
 )
-
-SOLVERS = ("gauss-newton", "two-step", "de", "hybrid")
-"""Names of the solvers."""
 
 MARGIN = 4.0
 """Size of the box of an evolution, in sizes of the linear solution.

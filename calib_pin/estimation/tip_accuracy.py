@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import FoundCurve, PoseErrors, TipAccuracy, rms
-from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.identifiability import visible_nuisances
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
+
+if TYPE_CHECKING:
+    from calib_pin.estimation.fitted import Fit
 
 SAMPLES = 300
 """Configurations that stand for the workspace."""

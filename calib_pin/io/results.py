@@ -33,8 +33,8 @@ import calib_pin.io.measurement_errors as measurement_errors
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.estimation.fit import with_learned
 from calib_pin.estimation.formulation import make_terms
+from calib_pin.estimation.statistics.distributions import chi2_interval
 from calib_pin.estimation.terms import Terms
 from calib_pin.io.files import listed, read_bytes, settled, sha256, write_atomically
 from calib_pin.io.json_text import Json, decoded, encode, merged, plain, reading, typed
@@ -49,17 +49,16 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import frame_pose
-from calib_pin.planning.suggestions import Suggestion
 from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
 from calib_pin.setup import FrameSetup
-from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.result import (
     CalibrationResult,
     MeasurementErrors,
     NamedArray,
     Provenance,
+    Suggestion,
     UrdfResult,
 )
 
@@ -494,6 +493,8 @@ def learned_model(
         raise ValueError("'residual_model' and 'setup.learned' need each other")
     if record is None:
         return model
+    from calib_pin.estimation.fit import with_learned  # All that fits comes with it.
+
     if sha256(encode({"": (record.shift, record.model)})) != record.sha256:
         raise ValueError("'residual_model' is not the one that was learned")
     shift = numbers({"shift": record.shift}, "shift", (len(model.given),))

@@ -28,19 +28,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from calib_pin.errors import OptionError, nearest
-from calib_pin.estimation.robust import LOSSES
-from calib_pin.estimation.solve import SOLVERS
 from calib_pin.io.files import read_bytes
 from calib_pin.io.json_text import decoded, format_keys, plain, reading, typed
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import AT
 from calib_pin.parameterizations import NOTHING, PARAMETERIZATIONS, required_keys
 from calib_pin.residual_models import RESIDUAL_MODELS
-from calib_pin.setup import WORLD, JointPrior, PopulationPrior, Setup
+from calib_pin.setup import LOSSES, SOLVERS, WORLD, JointPrior, PopulationPrior, Setup
 from calib_pin.setup.arguments import Path as Place
 from calib_pin.setup.arguments import Refused, Taker, dotted, stated, unknown
 from calib_pin.setup.values import Value
-from calib_pin.solvers.differential_evolution import DifferentialEvolution
 
 if TYPE_CHECKING:
     from calib_pin.io.yaml_tree import Tree
@@ -285,6 +282,10 @@ def _check(setup: Setup) -> None:
 
 def _check_evolution(setup: Setup) -> None:
     """Refuse options that differential evolution does not have or take."""
+    if not setup.solver.evolution:
+        return
+    from calib_pin.solvers import DifferentialEvolution
+
     known = [option.name for option in fields(DifferentialEvolution)]
     for name, value in setup.solver.evolution.items():
         if name not in known:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import pinocchio as pin
@@ -24,7 +24,7 @@ from calib_pin.planning.planned_problem import ASSUMED_TOOL
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.result import Identification
+from calib_pin.validation.result import Identification, Suggestion
 
 LARGEST = 1000
 """Most parameters of which suggestions are sought; each takes the time of an analysis,
@@ -33,24 +33,6 @@ which grows with the third power."""
 POSES = "measure full poses, positions and orientations"
 
 EVERYTHING = "measure full poses with base and tool known"
-
-
-@dataclass(frozen=True)
-class Suggestion:
-    """A change of what is measured or known, and what it would identify.
-
-    Attributes:
-        change: Suggested change, in the imperative.
-        count: Number of independent errors of the robot that can be known then.
-        parameters: Names of those of its parameters that become identifiable.
-        complete: Whether no measurement of the tool tells more: what is in sums then
-            moves it only together.
-    """
-
-    change: str
-    count: int
-    parameters: tuple[str, ...]
-    complete: bool
 
 
 def calibrated_setup(model: CalibratedModel) -> Setup:

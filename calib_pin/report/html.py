@@ -22,7 +22,7 @@ from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.files import write_atomically
 from calib_pin.io.results import calibration_document, read_written
 from calib_pin.io.robot_shapes import robot_shapes
-from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
+from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.accuracy import subject
 from calib_pin.report.blocks import Block, Code, Facts, Line, Table, note, table
 from calib_pin.report.cover import Cover, program
@@ -31,7 +31,7 @@ from calib_pin.report.tables import STATUS, parameter_overview
 from calib_pin.report.text import Section, sections
 from calib_pin.report.tiles import tiles
 from calib_pin.report.trust import FIRST, next_step, opening
-from calib_pin.validation.result import CalibrationResult, Provenance
+from calib_pin.validation.result import CalibrationResult, Provenance, Suggestion
 
 FRONT = ("robot-errors", "cumulative-errors")
 """Figures of the first screen."""

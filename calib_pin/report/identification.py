@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from calib_pin.errors import enumerated
-from calib_pin.planning.suggestions import LARGEST, Suggestion
+from calib_pin.planning.suggestions import LARGEST
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
 from calib_pin.report.tables import ESTIMATE, STATUS, counted, estimate, listed, number
 from calib_pin.validation.joint_errors import FoundOffset, joint_offsets
@@ -18,6 +18,7 @@ from calib_pin.validation.result import (
     CoupledGroup,
     Identification,
     RobotError,
+    Suggestion,
 )
 
 REMARKS = {"weak": " (held wholly or partly at nominal)"}

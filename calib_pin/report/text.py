@@ -11,11 +11,8 @@ from typing import Any
 import calib_pin.report.accuracy as accurate
 import calib_pin.report.trust as trust
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.planning.plan import Plan
-from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.blocks import Block, Line, note
 from calib_pin.report.breakdown import frame_blocks, parts, told
-from calib_pin.report.comparison import comparison_report
 from calib_pin.report.identification import (
     corrections,
     held,
@@ -25,11 +22,14 @@ from calib_pin.report.identification import (
     offsets_alone,
     summary,
 )
-from calib_pin.report.plan_text import plan_report
 from calib_pin.report.tables import listed, outlier_table
 from calib_pin.report.terminal import plain_text
-from calib_pin.validation.comparison import Comparison
-from calib_pin.validation.result import CalibrationResult, Evaluation, Identification
+from calib_pin.validation.result import (
+    CalibrationResult,
+    Evaluation,
+    Identification,
+    Suggestion,
+)
 
 LINES = 16
 """Lines of a report that are shown of it first."""
@@ -64,6 +64,12 @@ def format_report(result: CalibrationResult, *, details: bool = False) -> str:
 
 def brief(found: Any) -> str:
     """The first lines of the report of a result, for its `repr`."""
+    # A calibration shows itself without planning and comparison.
+    from calib_pin.planning.plan import Plan
+    from calib_pin.report.comparison import comparison_report
+    from calib_pin.report.plan_text import plan_report
+    from calib_pin.validation.comparison import Comparison
+
     ways: dict[type, Callable[[Any], Iterator[Block]]] = {
         CalibrationResult: report,
         Identification: partial(identified, fitted=False),

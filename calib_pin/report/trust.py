@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 
 from calib_pin.estimation.evidence import TRUSTED, ExpectedAccuracy, Finding, Severity
+from calib_pin.estimation.statistics.distributions import chi2_interval
 from calib_pin.io.setup import yaml_text
 from calib_pin.report.blocks import (
     Block,
@@ -23,8 +24,6 @@ from calib_pin.report.blocks import (
 from calib_pin.report.tables import UNIT, counted, number, percent, significant, unit_of
 from calib_pin.setup import PopulationPrior
 from calib_pin.units import DISPLAY
-from calib_pin.validation.assessment import chi2_interval
-from calib_pin.validation.findings.sentences import written
 from calib_pin.validation.result import CalibrationResult
 
 FIRST = 3
@@ -119,6 +118,8 @@ def below(text: str, found: Iterable[Finding]) -> str:
     """A text without the lines of findings, which stand below it."""
     for finding in found:
         if finding.setup:
+            from calib_pin.validation.findings.sentences import written
+
             lines = f"in the setup file: {written(finding.setup)}"
             text = text.replace(
                 f"state {lines}", "add the lines below to the setup file"

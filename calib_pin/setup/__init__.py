@@ -850,6 +850,13 @@ def _whole(value: float) -> float:
     return int(value) if value.is_integer() else value
 
 
+SOLVERS = ("gauss-newton", "two-step", "de", "hybrid")
+"""Names of the solvers."""
+
+LOSSES = ("auto", "squared", "huber", "gnc")
+"""Names of the losses."""
+
+
 @dataclass(frozen=True)
 class SolverSetup(Section):
     """The solver of the least-squares problem.

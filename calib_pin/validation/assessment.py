@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.fit import FittedModel
-from calib_pin.estimation.fitted import Fit, likely_posteriors
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import (
     Stated,
     nominal_problem,
@@ -41,7 +41,6 @@ from calib_pin.estimation.identifiability import (
 )
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, absorbed, distinct_values, known_count
-from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.estimation.terms import FRAME, Block, Term, Terms
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
@@ -235,7 +234,8 @@ def _estimate(
 
 def fitted_ranks(fitted: Fit) -> Identifiability:
     """Ranks and observability of the measurements that were fitted."""
-    problem, s = fitted.problem, fitted.singular_values
+    problem, result = fitted.problem, fitted.result
+    s = robot_singular_values(fitted.directions, result.jac, problem.parameters)
     rank, weak = fitted.rank, fitted.directions.weak.shape[1]
     if len(problem.further.priors):
         s = _told(fitted)
@@ -309,11 +309,6 @@ def leverages(fitted: Fit) -> Floats:
     row = problem.layout.row
     found = np.sum((jac[: len(row)] @ half) ** 2, axis=1)
     return np.asarray(np.bincount(row, found, count), float)
-
-
-def chi2_interval(dof: int) -> tuple[float, float]:
-    """The interval that holds chi-square in 95 of 100 cases if all sigmas are right."""
-    return chi_square_quantile(dof, 0.975), chi_square_quantile(dof, 0.025)
 
 
 def robot_errors(
@@ -467,7 +462,7 @@ class _Parts:
         """Of a model, and the errors of all measurements that it was fitted to."""
         self.model, self.errors, self.fit = model, errors, model.fit
         self.problem = model.fit.problem
-        likely = [one.covariance for one in likely_posteriors(model.fit)]
+        likely = [one.covariance for one in model.fit.likely_posteriors]
         self.covariance: Floats = np.mean(likely, axis=0)
         self.open = left_open(model.fit, self.covariance)
 

@@ -961,6 +961,24 @@ class Identification(Printed):
 
 
 @dataclass(frozen=True)
+class Suggestion:
+    """A change of what is measured or known, and what it would identify.
+
+    Attributes:
+        change: Suggested change, in the imperative.
+        count: Number of independent errors of the robot that can be known then.
+        parameters: Names of those of its parameters that become identifiable.
+        complete: Whether no measurement of the tool tells more: what is in sums then
+            moves it only together.
+    """
+
+    change: str
+    count: int
+    parameters: tuple[str, ...]
+    complete: bool
+
+
+@dataclass(frozen=True)
 class UrdfResult:
     """The geometry alone, of a calibration that is more than a URDF can hold.
 

@@ -18,9 +18,10 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.robust import LOSSES, _places
+from calib_pin.estimation.robust import _places
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Labels, Measurements, Observations
+from calib_pin.setup import LOSSES
 
 GROSS = (5e-3, 1.0)
 """Sizes of gross errors, equally often in every factor [m, rad, kpx]."""

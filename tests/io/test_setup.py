@@ -15,14 +15,12 @@ from hypothesis import strategies as st
 import calib_pin.setup as of
 from calib_pin.cli.options import meanings
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.estimation.robust import LOSSES
-from calib_pin.estimation.solve import SOLVERS
 from calib_pin.io import setup as setup_files
 from calib_pin.io.json_text import encode
 from calib_pin.io.setup import read_setup, setup_document, setup_of, yaml_text
 from calib_pin.measurement_models import MEASUREMENT_MODELS, Quantity
 from calib_pin.parameterizations import PARAMETERIZATIONS
-from calib_pin.setup import JointMap, PopulationPrior, Setup
+from calib_pin.setup import LOSSES, SOLVERS, JointMap, PopulationPrior, Setup
 from calib_pin.setup.population import JointType, ParameterPrior, RobotType
 from calib_pin.solvers import DifferentialEvolution
 from documentation.setup_reference import json_schema

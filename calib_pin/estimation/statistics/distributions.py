@@ -34,6 +34,11 @@ def chi_square_quantile(dof: float, tail: float) -> float:
     return float(chdtri(dof, tail))
 
 
+def chi2_interval(dof: int) -> tuple[float, float]:
+    """The interval that holds chi-square in 95 of 100 cases if all sigmas are right."""
+    return chi_square_quantile(dof, 0.975), chi_square_quantile(dof, 0.025)
+
+
 def chi_square_tail(x: float, dof: float) -> float:
     """Probability that chi-square exceeds a value.
 

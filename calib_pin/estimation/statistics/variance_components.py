@@ -56,7 +56,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +93,9 @@ from calib_pin.parameterizations import (
 from calib_pin.parameterizations.base import owner
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
-from calib_pin.solvers import LeastSquaresResult
+
+if TYPE_CHECKING:
+    from calib_pin.solvers import LeastSquaresResult
 
 REJECTED = 0.05
 """Probability at which a stated standard deviation is rejected by mistake, of those of

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from calib_pin.estimation.statistics.distributions import chi2_interval
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import (
@@ -25,7 +26,6 @@ from calib_pin.report.figures.canvas import (
     top_of,
 )
 from calib_pin.report.tables import number, unit_of
-from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift
 

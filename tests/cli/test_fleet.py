@@ -355,6 +355,7 @@ def test_kills_cost_time_only(many: Path, start_dask: Callable[[], Any], run, in
     """Of a worker, of the scheduler, and of the command itself."""
     assert run(f"fleet many.csv -o local {QUICKLY}").status == 2
     expected = finished("local")
+    # Two cannot be calibrated, and one may be left unchecked.
     assert len([name for name in expected if name.endswith("/arm.urdf")]) >= MANY - 3
     dask = start_dask()
     running = start("out", f"--cluster {dask.file}")

@@ -37,6 +37,9 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
         arms = named["chain"].distinct if "chain" in table else ()
         keys = files.stated_blocks(stated, *arms)
     chains = asked.chains(stated, keys)
+    # With a map of joints the file has the columns of their controller.
+    with stated_in(stated.file):
+        own = JointColumns.of(chains, stated.joints) if stated.joints else None
     problem = nominal_problem(chains, keys, stated)
     rng = np.random.default_rng(asked.seed)
     if asked.errors is None:
@@ -67,8 +70,6 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
             with stated_in(str(file)):
                 rows = measure(q=q, target=target, places=named, conditions=held)
         comment = f"simulated by: {told_command(words)}"
-        # With a map of joints the file has the columns of their controller.
-        own = JointColumns.of(chains, stated.joints) if stated.joints else None
         columns = measurements.measurement_columns(rows, own)
         data = measurements.encode_table(columns, [comment], stage(bar, "write"))
     contents = {asked.output: data}

@@ -434,13 +434,13 @@ def divisible(labels: Indices) -> Booleans:
 def changes(case: Case) -> Iterator[Finding]:
     """Frames and joint zeros that changed at a row, in their order, or all at once."""
     found = changes_of(case)
-    # Who moves an instrument homes no joint.
-    at_once = {(c.rank, c.kind == "joint") for c in found[1].changes} if found else ()
-    if found is None or len(at_once) > len({rank for rank, _ in at_once}):
-        another = [*_another(case)]
-        yield from another
-        if found is None or another:
-            return
+    # Who moves an instrument homes no joint, and mounts no tool.
+    kinds = {(change.rank, change.kind) for change in found[1].changes} if found else ()
+    at_once = len(kinds) > len({rank for rank, _ in kinds})
+    another = [*_another(case)] if at_once or (case.doubtful and not found) else []
+    yield from another
+    if found is None or another:
+        return
     data, (first, last) = case.data.weighted(np.ones(len(case.data))), found
     rank, said = np.argsort(data.in_order), []
     places: dict[Kind, list[str]] = {kind: [] for kind in CHANGED}
@@ -486,7 +486,7 @@ def _another(case: Case) -> Iterator[Finding]:
     All errors and frames are others there: to first order, each part has a fit of its
     own. Contacts fit to any robot, if it is small enough.
     """
-    fit = _unchanged(case) if case.doubtful else None
+    fit = _unchanged(case)
     if fit is None or any(declared(model).contact for model in case.data.models):
         return
     columns = column_space(fit.linear[1][:, fit.problem.parameters.free])

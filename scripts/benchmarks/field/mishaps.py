@@ -294,6 +294,9 @@ INCH, Y_FIRST = 0.0254, ("y", "x", "z")
 STATED = ("frames that the setup states",)
 CORRECTIONS = ("large-correction", "implausible-correction")
 
+UNCLEAR = ("noise",)
+"""Of what no parameter describes: it is left open whether sigma is wrong."""
+
 NONE = "none"
 """A day on which nothing goes wrong."""
 
@@ -328,6 +331,7 @@ MISHAPS: Mapping[str, Mishap] = {
         ("backlash",),
         _modeled("placement"),
         words=("backlash", "lost motion", "hysteresis"),
+        also=UNCLEAR,
         changes=_effect("hysteresis"),
         least=60,
     ),
@@ -395,6 +399,7 @@ MISHAPS: Mapping[str, Mishap] = {
         ("gear-ripple",),
         _modeled("placement"),
         words=("ripple",),
+        also=UNCLEAR,
         changes=_effect("motor-ripple", gear_ratios={"*": RATIO}),
         least=60,
     ),

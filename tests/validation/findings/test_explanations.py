@@ -188,7 +188,7 @@ def read_back(
     path: Path, columns: np.ndarray, names: list[str], joints: dict
 ) -> np.ndarray:
     header = [*names, "x", "y", "z"]
-    rows = np.column_stack([columns, np.full((len(columns), 3), 0.5)])
+    rows = np.column_stack([columns, np.tile([0.5, 0.4, 0.3], (len(columns), 1))])
     text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
     path.write_text(f"{','.join(header)}\n{text}\n", encoding="utf-8")
     return calib_pin.read_measurements(path, ARM, joints=joints).q

@@ -435,8 +435,8 @@ def changes(case: Case) -> Iterator[Finding]:
     """Frames and joint zeros that changed at a row, in their order, or all at once."""
     found = changes_of(case)
     # Who moves an instrument homes no joint, and mounts no tool.
-    kinds = {(change.rank, change.kind) for change in found[1].changes} if found else ()
-    at_once = len(kinds) > len({rank for rank, _ in kinds})
+    seen = found[1].changes if found else ()
+    at_once = len({c.rank for c in seen}) == 1 < len({c.kind for c in seen})
     another = [*_another(case)] if at_once or (case.doubtful and not found) else []
     yield from another
     if found is None or another:

@@ -26,6 +26,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.observations import BlockKey
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
+from calib_pin.validation.findings.calibrations import different_robots
 from calib_pin.validation.result import (
     CalibrationResult,
     Coefficient,
@@ -72,9 +73,6 @@ least standard deviation of a difference [SI]: of noise-free data only rounding.
 
 ENDS = ("chain starts at", "chain ends at", "joints are")
 """Properties by which a chain is the same one, in words."""
-
-APART = 0.02
-"""Distance of tool points, rms over the workspace [m], that hardly any robot drifts."""
 
 UNKNOWN = PoseErrors(math.nan, math.nan)
 """Sizes that nobody knows."""
@@ -288,11 +286,6 @@ def compare(
 
 def faults(found: Comparison) -> tuple[Finding, ...]:
     """Why tips are so far apart, if hardly any robot has such a drift."""
-    if found.drift.position.rms <= APART:
-        return ()
-    # All findings come with it, and most comparisons have none.
-    from calib_pin.validation.findings.calibrations import different_robots
-
     models = found.first.model, found.second.model
     return different_robots(*models, found.same_nominal, found.drift.position.rms)
 

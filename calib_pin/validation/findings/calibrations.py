@@ -9,8 +9,10 @@ import numpy as np
 
 from calib_pin.errors import enumerated
 from calib_pin.estimation.evidence import Finding
+from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import JointMap
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.case import FOREIGN
 from calib_pin.validation.findings.sentences import shown, told
 from calib_pin.validation.result import CalibrationResult, Jump
 from calib_pin.validation.tip_drift import tip_drift
@@ -30,12 +32,16 @@ def different_robots(
 ) -> tuple[Finding, ...]:
     """Why the tool points of two calibrations are so far apart.
 
+    None where they are not.
+
     Args:
         first: One robot.
         second: The other.
         same_nominal: Whether both have corrected the same robot.
         apart: How far their tool points are apart, rms over the workspace [m].
     """
+    if apart <= FOREIGN * LENGTH_SCALE:
+        return ()
     maps = [
         {given.joint: given for given in joints if given != JointMap(given.joint)}
         for joints in (model.setup.joints.values() for model in (first, second))

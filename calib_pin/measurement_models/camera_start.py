@@ -47,6 +47,9 @@ THIN = 1e-3
 FARTHEST_FOCAL = 10.0
 """Largest factor between a stated focal length and the one that images tell."""
 
+ROUNDS = 50
+"""Corrections of rays by the depths of points that are seen from near by."""
+
 DEGENERATE = 1e-9
 """Part of the largest singular value that is rounding, and extent that is [m]."""
 
@@ -210,8 +213,8 @@ def _pose_of_image(points: bytes, rays: bytes) -> Floats | None:
 def pose_of_points(points: Floats, rays: Floats) -> Floats | None:
     """The frame of points as the camera sees it, from four rays or more.
 
-    Points about a plane give a homography, six and more that are not on one the camera
-    matrix; where both are possible the pose with the smaller error is taken.
+    Points about a plane give a homography, others are scaled by their depths, and six
+    of these give the camera matrix; the pose with the smallest error is taken.
 
     Args:
         points: Points in a frame of their own, shape (N, 3) [m].
@@ -234,8 +237,10 @@ def pose_of_points(points: Floats, rays: Floats) -> Floats | None:
     found: list[tuple[float, Floats]] = []
     if extent[2] < FLAT * extent[0]:
         found += _placed(_plane_rotation(local, rays), local, rays)
-    if extent[2] > THIN * extent[0] and len(points) >= 6:
-        found += _placed(_space_rotation(local, rays), local, rays)
+    if extent[2] > THIN * extent[0]:
+        if len(points) >= 6:
+            found += _placed(_space_rotation(local, rays), local, rays)
+        found += _placed(_scaled_rotation(local, rays), local, rays)
     if not found:
         return None
     _, pose = min(found, key=lambda candidate: candidate[0])
@@ -357,6 +362,25 @@ def _space_rotation(local: Floats, rays: Floats) -> Floats | None:
     """Rotation of points that fill space, from the camera matrix."""
     P = _projection(rays, np.column_stack([local, np.ones(len(local))]))
     return None if P is None else nearest_rotation(P[:, :3])
+
+
+def _scaled_rotation(local: Floats, rays: Floats) -> Floats | None:
+    """Rotation of points that fill space, from four on (POSIT).
+
+    Seen from far away, points are scaled by one factor s, 1 / s their distance; with
+    the rotation of these the depth of each corrects its ray (DeMenthon and Davis,
+    "Model-based object pose in 25 lines of code", IJCV 1995).
+    """
+    inverse = np.linalg.pinv(np.column_stack([local, np.ones(len(local))]))
+    depth, R = np.ones(len(local)), None
+    for _ in range(ROUNDS):
+        x, y = (inverse @ (rays * depth[:, None]))[:3].T
+        scale = np.sqrt(np.linalg.norm(x) * np.linalg.norm(y))
+        if not scale > 0.0:
+            return None
+        R = nearest_rotation(np.array([x, y, np.cross(x, y) / scale]) / scale)
+        depth = 1.0 + scale * (local @ R[2])
+    return R
 
 
 def _placed(

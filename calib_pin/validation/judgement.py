@@ -148,6 +148,30 @@ class Judgement:
         return next((word, reason) for word, reason in _rules(self) if reason)
 
     @property
+    def misjudged(self) -> bool:
+        """Whether held-out errors are larger than the fit predicts."""
+        if not self.gains:
+            return False
+        first = self.gains[0]
+        # Of few configurations the ratio itself is uncertain.
+        uncertain = 1.0 + 2.0 / np.sqrt(2.0 * first.configurations)
+        return bool(first.ratio > MISJUDGED * uncertain)
+
+    @property
+    def left(self) -> tuple[QuantityErrors, ...]:
+        """The errors that noise or a robot has to explain.
+
+        Where held-out ones are as large as the fit predicts, too few measurements are
+        left to tell a robot, and only those of the fitted ones count.
+        """
+        if self.misjudged:
+            return self.errors
+        return tuple(
+            replace(errors, validation_before=None, validation_after=None)
+            for errors in self.errors
+        )
+
+    @property
     def worst(self) -> tuple[str, ExpectedAccuracy | None]:
         """The chain that is the least sure to be better, and its accuracy.
 
@@ -297,7 +321,7 @@ def _distrust(grounds: Judgement) -> Iterator[str]:
             f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
             f"{100.0 * BREAKDOWN:.0f} % they cannot be told from the others; {CHECK}"
         )
-    if reason := unexplained(fitted, grounds.errors):
+    if reason := unexplained(fitted, grounds.left):
         yield f"{reason}; {CHECK}"
     yield _unaccounted(grounds, COARSE)
 
@@ -309,7 +333,7 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         grounds: What is judged.
         coarse: Errors, by the reach, that noise may leave where nobody knows it.
     """
-    quantity = next(iter(grounds.errors), None)
+    quantity = next(iter(grounds.left), None)
     if quantity is None or quantity.unit not in ("m", "px"):
         return ""
     before, after = (sizes.rms for sizes in quantity.shown)
@@ -398,7 +422,6 @@ def _unchecked(grounds: Judgement) -> str:
 
 def _disproved(grounds: Judgement) -> str:
     """The objection of held-out measurements to the fit; empty where there is none."""
-    first = grounds.gains[0]
     # A quantity says more than all of them together, which have no unit.
     for gain in sorted(grounds.gains, key=lambda gain: gain.quantity == ALL):
         if gain.worse < LOSS_CHANCE:
@@ -407,9 +430,8 @@ def _disproved(grounds: Judgement) -> str:
                 f"nominal one: {gain.quantity} errors larger by "
                 f"{_by(grounds, gain, -1.0)}"
             )
-    # Of few configurations the ratio itself is uncertain.
-    if first.ratio > MISJUDGED * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations)):
-        larger = f"{first.ratio:.1f} times as large as the fit predicts"
+    if grounds.misjudged:
+        larger = f"{grounds.gains[0].ratio:.1f} times as large as the fit predicts"
         return f"errors on held-out measurements are {larger}"
     return ""
 
@@ -470,6 +492,9 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
         found = f"{name} errors smaller by {by}"
         if nothing:
             found = f"{name} errors differ by {by} if it is corrected"
+    elif nothing and after.rms > NOISY * quantity.after.rms:
+        # Too few others are left to predict them.
+        found = f"errors differ by {_by(grounds, gain)} if it is corrected"
     elif nothing:
         found = f"{name} error {old} rms as it is, {new} corrected"
     else:
@@ -477,9 +502,9 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
     if not nothing and held and gain.mean > 0.0 and after.rms > before.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
         found = f"errors smaller by {_by(grounds, gain)}"
-    noise = _noise(grounds, quantity)
-    if noise and after.rms >= NOISY * noise:
-        times = f"{after.rms / noise:.2g} times the noise"
+    noise, left = _noise(grounds, quantity), grounds.left[0].shown[1].rms
+    if noise and left >= NOISY * noise:
+        times = f"{left / noise:.2g} times the noise"
         where += f" ({times}, {shown(noise, quantity.unit, 3)})"
     return found, where
 

@@ -101,6 +101,18 @@ def test_pixels_that_no_robot_explains_are_untrusted(request, sought) -> None:
     assert "nothing that was estimated explains them" in result.reason
 
 
+@pytest.mark.parametrize("number", [9, 12])
+def test_what_few_images_cannot_predict_is_no_error_that_remains(number: int) -> None:
+    """Eleven images fit to 0.55 px, and tell the others to 50 px, as is predicted."""
+    job = tracked(number, model="camera", least=11, noise=0.5)
+    rows = job.measured(stream(number, 1))
+    result = calib_pin.calibrate(job.chain, rows, job.setup)
+    (pixels,) = result.errors
+    assert pixels.validation_after.rms > 20.0 * pixels.after.rms
+    assert result.verdict in ("good", "no-gain"), result.reason
+    assert "remain" not in result.reason and "times the noise" not in result.reason
+
+
 def test_a_region_tells_how_far_off_the_tool_may_be() -> None:
     """The bound of what is expected stands beside it where it is far from it."""
     job = tracked(3)

@@ -26,33 +26,34 @@ class Status(Enum):
     def advice(self) -> str:
         """The meaning of the outcome, with advice."""
         return {
-            Status.CONVERGED: "The solver converged.",
-            Status.TARGET: "The cost fell below the target.",
+            Status.CONVERGED: "the solver converged",
+            Status.TARGET: "the cost fell below the target",
             Status.ITERATIONS: (
-                "The solver did not converge within the iterations allowed; allow more "
-                "or start closer, in a fit check units, joint signs and frames first."
+                "the solver did not converge within the iterations allowed; allow more "
+                "or start closer, in a fit check units, joint signs and frames, and "
+                "whether the measurements tell all that is estimated"
             ),
             Status.GENERATIONS: (
-                "The search ended at its generation limit before it reached a minimum; "
+                "the search ended at its generation limit before it reached a minimum; "
                 "allow more generations, or in a fit let Gauss-Newton finish it with "
-                "the solver 'hybrid'."
+                "the solver 'hybrid'"
             ),
             Status.COLLAPSED: (
-                "The population collapsed before it reached a minimum; take more "
+                "the population collapsed before it reached a minimum; take more "
                 "members or a larger mutation factor, or let Gauss-Newton finish it "
-                "with the solver 'hybrid'."
+                "with the solver 'hybrid'"
             ),
             Status.STALLED: (
-                "No step improves the cost although it is not at a minimum; check the "
+                "no step improves the cost although it is not at a minimum; check the "
                 "derivatives, in a fit check for measurements near a singularity of "
-                "the measurement model."
+                "the measurement model"
             ),
             Status.STOPPED: (
-                "The callback stopped the search before it reached a minimum; let it "
-                "run to its end for a better result."
+                "the callback stopped the search before it reached a minimum; let it "
+                "run to its end for a better result"
             ),
             Status.NOT_FINITE: (
-                "The cost or its derivative is not a finite number; check the first "
-                "guess, in a fit the frames, in a search whether anything is feasible."
+                "the cost or its derivative is not a finite number; check the first "
+                "guess, in a fit the frames, in a search whether anything is feasible"
             ),
         }[self]

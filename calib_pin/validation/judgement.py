@@ -456,6 +456,10 @@ def _no_gain(grounds: Judgement) -> Iterator[tuple[str, str]]:
     if grounds.gains:
         found, held = _gain(grounds, nothing=True)
         reason += f"{_if_noise(grounds, 0.0)}: {found}, on {held}"
+    chain, workspace = grounds.worst
+    if workspace is not None:
+        expected = shown(workspace.nominal.position, "m", 3)
+        reason += f"; over the workspace{chain} {expected} are expected as it is"
     yield "no-gain", reason
 
 

@@ -45,7 +45,8 @@ def test_a_perfect_robot_has_nothing_to_gain() -> None:
     rows = job.measured(stream(1, 1))
     result = calib_pin.calibrate(job.chain, rows, job.setup)
     assert result.verdict == "no-gain", result.reason
-    assert result.reason and result.geometry is None
+    assert result.reason.endswith(" mm are expected as it is")
+    assert result.geometry is None
 
 
 # 5: `good` for five poses that were repeated 30 times each.

@@ -107,8 +107,8 @@ class Outcome:
     def sized(self) -> bool:
         """Whether the sentence tells how far it is off, or that more than noise is."""
         kept = self.answer.error <= KEPT * self.answer.promised
-        good = self.answer.verdict == "good"
-        return (good and kept) or bool(SIZED.search(self.answer.reason))
+        told = self.answer.trusted and kept
+        return told or bool(SIZED.search(self.answer.reason))
 
     @property
     def false(self) -> bool:
@@ -186,13 +186,13 @@ def answered(job: Job, asked: Input) -> Answer:
         for one, columns in robots
     ]
     best = min(judged, key=lambda outcome: outcome.actual)
-    as_nominal = result.verdict == "no-gain"
+    as_nominal, expected = result.verdict == "no-gain", result.accuracy.workspace
     return Answer(
         result.verdict,
         result.reason,
         result.findings,
         best.nominal if as_nominal else best.actual,
-        best.predicted,
+        expected.nominal.position if as_nominal and expected else best.predicted,
         best.nominal,
         seconds,
     )

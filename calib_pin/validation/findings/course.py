@@ -280,7 +280,10 @@ class Trial(QuickFit):
             columns = self.columns(subject)
             rows = np.flatnonzero(concerned(self.plain.data, subject)[self.index])
             rows = rows[np.argsort(rank[rows])]
-            allowed = divisible(groups[rows])
+            # What comes and goes within a few measurements is an outlier.
+            cuts = sorted(c.rank for c in self.changes if c[:3] == subject[:3])
+            parts = np.split(groups[rows], np.searchsorted(rank[rows], cuts))
+            allowed = np.concatenate([divisible(part) for part in parts])
             if not columns.size or not allowed.any():
                 continue
             gain = np.where(allowed, self.gains(columns, rows), 0.0)
@@ -439,7 +442,9 @@ def changes(case: Case) -> Iterator[Finding]:
     at_once = len({c.rank for c in seen}) == 1 < len({c.kind for c in seen})
     another = [*_another(case)] if at_once or (case.doubtful and not found) else []
     yield from another
-    if found is None or another:
+    # Two or three things change on a bad day; more are what steps make of a drift.
+    many = len({change[:3] for change in seen}) > 3
+    if found is None or another or many:
         return
     data, (first, last) = case.data.weighted(np.ones(len(case.data))), found
     rank, said = np.argsort(data.in_order), []

@@ -15,7 +15,11 @@ from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.course import drift
+from calib_pin.validation.findings.course import (
+    CONFIGURATIONS,
+    changes_of,
+    drift,
+)
 
 WAY = np.array([0.6, 0.0, -0.8])
 
@@ -125,6 +129,30 @@ def test_all_at_once_is_another_robot(moved_job) -> None:
     (finding,) = findings(job, block)
     assert (finding.code, finding.evidence["line"]) == ("outlying-stretch", 32)
     assert "such as another robot: the " in finding.message
+
+
+def test_four_things_do_not_change_in_a_day(moved_job) -> None:
+    """Steps of a frame, a tool and joints make any drift; no cause is better."""
+    job = moved_job((30,), (45,))
+    block = turned(job.plain.only, 2, 0.01 * (np.arange(90) >= 60))
+    block = turned(block, 4, 0.01 * (np.arange(90) >= 75))
+    codes = {f.code for f in findings(job, block) if f.severity == "error"}
+    assert codes == {"outlying-stretch"}
+
+
+def test_what_comes_and_goes_at_once_is_no_change(moved_job) -> None:
+    job = moved_job((30,), ())
+    fitted = fit_model(job.chain, Observations.of(job.plain.only), Setup(), 0).fit
+    _, found = changes_of(Case.of(fitted, fitted.problem.chains))
+    (change,) = found.changes
+    again = (c for _, _, c in found.candidates if c[:3] == change[:3])
+    assert all(abs(c.rank - change.rank) >= CONFIGURATIONS for c in again)
+    wrong = displaced(job.plain.only, 0.1 * (np.arange(90) == 33))
+    fitted = replace(
+        fitted, problem=replace(fitted.problem, data=Observations.of(wrong))
+    )
+    case = Case.of(fitted, fitted.problem.chains)
+    assert len(changes_of(case)[1].changes) == 1
 
 
 def test_of_few_rows_as_well(moved_job) -> None:

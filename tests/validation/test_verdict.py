@@ -102,7 +102,7 @@ def test_pixels_that_no_robot_explains_are_untrusted(request, sought) -> None:
     assert "nothing that was estimated explains them" in result.reason
 
 
-@pytest.mark.parametrize("number", [9, 12])
+@pytest.mark.parametrize("number", [12, pytest.param(9, marks=pytest.mark.slow)])
 def test_what_few_images_cannot_predict_is_no_error_that_remains(number: int) -> None:
     """Eleven images fit to 0.55 px, and tell the others to 50 px, as is predicted."""
     job = tracked(number, model="camera", least=11, noise=0.5)

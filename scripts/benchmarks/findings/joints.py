@@ -230,8 +230,9 @@ DEFECTS = (
         "geared",
         {"0.1 %": 1e-3, "1 %": 1e-2, "10 %": 0.1},
         ALL,
-        ("joint-geared", "joint-gear", "transmission"),
+        ("joint-gear",),
         _geared,
+        also=("model-lacks",),
     ),
     Defect(
         "degrees",

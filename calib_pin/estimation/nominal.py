@@ -234,7 +234,7 @@ def _growing(
     for some in at:
         term = problem.terms[some.key]
         of_robot = term.values(theta)[0]
-        poses = ToolPoses(term.error, term.of_chain(some)).linearize(of_robot).poses
+        poses = ToolPoses(term.error, term.on_chain(some)).linearize(of_robot).poses
         count = len(poses.T)
         by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
         by_own = np.zeros((6 * count, len(term.index)))

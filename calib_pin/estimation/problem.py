@@ -294,7 +294,7 @@ class Problem(Terms):
         for data, rows in zip(self.data.blocks, self.data.slices, strict=True):
             term = self.terms[data.key]
             stop = start + len(data) * term.components
-            result.append(Block(term, term.of_chain(data), rows, slice(start, stop)))
+            result.append(Block(term, term.on_chain(data), rows, slice(start, stop)))
             start = stop
         return tuple(result)
 

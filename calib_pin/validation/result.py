@@ -1078,9 +1078,7 @@ class Tables(Identification, Breakdown):
         Raises:
             OptionError: If q has another shape.
         """
-        there, term = self.model.of(chain), self.reference.moving
-        if chain is not None:
-            term = self.reference.of_chain(chain)
+        there, term = self.model.of(chain), self.reference.of_chain(chain)
         q = as_array("q", q, "N", len(there.chain.joints))
         T, J, C = self.linearized(term, q)
         J = np.kron(np.eye(2), T[:, :3, :3]) @ J

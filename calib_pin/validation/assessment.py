@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -41,7 +41,7 @@ from calib_pin.estimation.identifiability import (
 )
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, distinct_values, known_count
-from calib_pin.estimation.terms import FRAME, Block, Term, Terms
+from calib_pin.estimation.terms import FRAME, Block, Terms
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
@@ -497,7 +497,7 @@ class _Parts:
 
     def blocks(self) -> Iterator[BlockSummary]:
         """The blocks."""
-        apart, ranks = ties(self.problem), block_ranks(self.fit)
+        ranks = block_ranks(self.fit)
         for block, (rank, added) in zip(self.problem.blocks, ranks, strict=True):
             key, ((station, _), (tool, _)) = block.term.key, frames_of(block.term)
             count, errors, noise = self._of([key])
@@ -512,7 +512,6 @@ class _Parts:
                 noise=noise,
                 rank=rank,
                 added=added,
-                ties=apart[key],
             )
 
     def _of(
@@ -601,46 +600,6 @@ def block_ranks(fitted: Fit) -> list[tuple[int, int]]:
         (rank([own]), whole - rank([*factors[:k], *factors[k + 1 :]]))
         for k, own in enumerate(factors)
     ]
-
-
-def ties(problem: Problem) -> Mapping[BlockKey, tuple[tuple[str, ...], ...]]:
-    """The groups into which frames fall apart without each block; empty for none.
-
-    Blocks with a frame or a reference object in common hang together; what is known is
-    one thing.
-    """
-    links = {key: [*_links(problem, term)] for key, term in problem.terms.items()}
-    nodes = dict.fromkeys(node for own in links.values() for node in own)
-    alone, result = [[node] for node in nodes], {}
-    whole = len(_groups([*alone, *links.values()]))
-    for key in links:
-        groups = _groups([*alone, *(own for k, own in links.items() if k != key)])
-        frames = ([f for f in own if f.kind in ("station", "tool")] for own in groups)
-        named = tuple(tuple(f.name for f in own) for own in frames if own)
-        torn = len(groups) > whole and len(named) > 1
-        result[key] = named if torn else ()
-    return result
-
-
-def _links(problem: Problem, term: Term) -> Iterator[Frame]:
-    """Frames and reference objects of a part; those that are known are one."""
-    free = problem.parameters.free
-    for frame, index in frames_of(term):
-        yield frame if free[index].any() else Frame("known", "")
-    for reference in term.measurement.references:
-        if reference.parameters:
-            yield Frame(reference.section, term.frames.reference(reference))
-
-
-def _groups(links: Iterable[list[Frame]]) -> list[list[Frame]]:
-    """Connected components of a graph, in the order in which its nodes come first."""
-    of, groups = dict[Frame, int](), dict[int, list[Frame]]()
-    for link in links:
-        joined = {of.setdefault(node, len(of)) for node in link}
-        of = {node: min(joined) if k in joined else k for node, k in of.items()}
-    for node, k in of.items():
-        groups.setdefault(k, []).append(node)
-    return list(groups.values())
 
 
 def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:

@@ -687,8 +687,6 @@ class BlockSummary:
         noise: Variance components.
         rank: Errors of the robot that these measurements alone tell.
         added: Errors of the robot that the others do not tell without these.
-        ties: Frames that hang together through these measurements alone: without
-            them the frames fall apart into these groups. Empty where they do not.
     """
 
     model: str
@@ -701,7 +699,6 @@ class BlockSummary:
     noise: tuple[VarianceComponent, ...]
     rank: int
     added: int
-    ties: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -97,8 +97,6 @@ class Posterior:
     """Deviations of a fit, about the references of its problem.
 
     Attributes:
-        problem: The problem.
-        theta: Parameter values about its references, shape (P,).
         by_noise: Deviations of the parameters by independent noises of deviation one,
             shape (P, r).
         by_effects: The same by the effects of gears and compliance, shape (P, S).
@@ -107,8 +105,6 @@ class Posterior:
             relative to that of its row, shape (K,).
     """
 
-    problem: Problem
-    theta: Floats
     by_noise: Floats
     by_effects: Floats
     systematic: Systematic | None
@@ -355,7 +351,7 @@ def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
     values, vectors = np.linalg.eigh(core)
     # Without redundancy nobody knows, and the unit is not a number.
     by_noise = fitted.unit * half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    return Posterior(problem, theta, by_noise, by_effects, effects, noise)
+    return Posterior(by_noise, by_effects, effects, noise)
 
 
 SURPRISE = 10.0
@@ -435,7 +431,7 @@ def fit_in_units(fitted: Fit, units: Floats) -> Fit:
     before = least_squares(problem, fitted.before, nuisance_basis(problem.parameters))
     result = descend(problem, fitted.directions, fitted.theta).after(before)
     last = replace(fitted, problem=problem, before=before.x)
-    return shrunk(_judged(last, fitted.directions, result.after(fitted.result)))
+    return shrunk(_fit_of(last, fitted.directions, result.after(fitted.result)))
 
 
 def _converted(fitted: Fit, factor: float) -> Fit:
@@ -539,7 +535,7 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
         if not np.isfinite(result.cost):
             # Without some directions, points may be behind a camera there.
             result = solver.solve(problem, directions, nominal, None)
-        return _judged(last, directions, result.after(last.result))
+        return _fit_of(last, directions, result.after(last.result))
 
     while directions.count not in tried:
         tried.add(directions.count)
@@ -563,7 +559,7 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
     return shrunk(last)
 
 
-def _judged(last: Fit, directions: Directions, result: Solution) -> Fit:
+def _fit_of(last: Fit, directions: Directions, result: Solution) -> Fit:
     """The fit of a solution: its rank and its standard deviation of unit weight.
 
     Args:
@@ -615,7 +611,7 @@ def _extended(last: Fit) -> Fit:
     directions = replace(directions, robot=robot, revealed=more.shape[1])
     # Here Gauss-Newton tells what there is to gain, whatever the solver.
     found = descend(problem, directions, result.x).after(result)
-    fitted = _judged(last, directions, found)
+    fitted = _fit_of(last, directions, found)
     gain = 2.0 * (result.cost - found.cost)
     return fitted if gain > surprise * fitted.sigma0**2 else last
 

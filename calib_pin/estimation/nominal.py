@@ -31,7 +31,7 @@ from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,
     Problem,
-    alike,
+    fitted_components,
     sigma_at,
 )
 from calib_pin.estimation.solve import Solution, least_squares
@@ -733,7 +733,7 @@ def _with_stations(
     for term, _, _, _ in there.blocks:
         found.state(there.parameters, term)
     if len(problem.units):
-        known = alike(there.layout, problem.layout)
+        known = fitted_components(there.layout, problem.layout)
         there = replace(there, units=problem.units[known])
     return there.with_terms(found.placed(there, there.blocks, values)), values
 

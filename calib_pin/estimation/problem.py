@@ -147,7 +147,7 @@ def side_by_side(
     return tuple(shown), first
 
 
-def alike(layout: Layout, known: Layout) -> NDArray[np.intp]:
+def fitted_components(layout: Layout, known: Layout) -> NDArray[np.intp]:
     """Position of every component of a layout among those of a fit, shape (K,).
 
     At a station that was not fitted an instrument measures as it does at the first one.

@@ -175,7 +175,7 @@ class Solver:
         found = differential_evolution(evaluate, bounds, self.rng, self._options, x0=x0)
         x = nominal + basis @ found.x
         fun, jac = problem.linearize(x)
-        status = _judged(problem, found, fun, jac @ basis)
+        status = _status_of(problem, found, fun, jac @ basis)
         cost, nit, nfev = found.fun, found.nit, found.nfev
         return Solution(x, fun, jac, cost, nit, nfev, status, costs.evaluator, found)
 
@@ -246,7 +246,9 @@ def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:
     return np.repeat(half, list(map(len, parts)))[:, None] * [-1.0, 1.0]
 
 
-def _judged(problem: Problem, found: EvolutionResult, fun: Floats, A: Floats) -> Status:
+def _status_of(
+    problem: Problem, found: EvolutionResult, fun: Floats, A: Floats
+) -> Status:
     """An evolution has converged where next to nothing is left to gain.
 
     A population can meet anywhere, and a limit of generations can come at a minimum.

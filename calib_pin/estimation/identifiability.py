@@ -603,10 +603,7 @@ def half_covariance(J: Floats, basis: Floats, parameters: ParameterSet) -> Float
         The factor, shape (P, rank).
     """
     scaled = parameters.scales[:, None] * basis
-    A = J @ scaled
-    # What nothing shows costs nothing.
-    used = A.any(axis=0)
-    return np.asarray(scaled[:, used] @ inverse_root(A[:, used]))
+    return np.asarray(scaled @ inverse_root(J @ scaled))
 
 
 def inverse_root(A: Floats) -> Floats:
@@ -666,7 +663,6 @@ def projected(columns: Floats, A: Floats, parameters: ParameterSet) -> Floats:
 
 def column_space(A: Floats) -> Floats:
     """Orthonormal basis of the columns of A, rounding left out."""
-    A = A[:, A.any(axis=0)]
     if A.shape[1] == 0:
         return np.zeros((len(A), 0))
     U, s, _ = np.linalg.svd(A, full_matrices=False)

@@ -41,6 +41,7 @@ from calib_pin.estimation.identifiability import (
 )
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, distinct_values, known_count
+from calib_pin.estimation.statistics.variance_components import leverages
 from calib_pin.estimation.terms import FRAME, Block, Terms
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
@@ -294,16 +295,13 @@ def _correlated(fitted: Fit) -> Iterator[Correlation]:
         yield Correlation(names[j], names[i], float(correlation[i, j]))
 
 
-def leverages(fitted: Fit) -> Floats:
+def measurement_leverages(fitted: Fit) -> Floats:
     """The leverage of every measurement in a fit, of very many their mean, (N,)."""
     problem, jac = fitted.problem, fitted.result.jac
     half = half_covariance(jac, fitted.directions.basis, problem.parameters)
-    count = len(problem.data)
-    if problem.many:
-        return np.full(count, half.shape[1] / max(count, 1))
-    row = problem.layout.row
-    found = np.sum((jac[: len(row)] @ half) ** 2, axis=1)
-    return np.asarray(np.bincount(row, found, count), float)
+    of_values = leverages(problem, jac, half)
+    found = np.bincount(problem.layout.row, of_values, len(problem.data))
+    return np.asarray(found, float)
 
 
 def robot_errors(

@@ -267,19 +267,18 @@ def joint_deviations(population: Population) -> tuple[tuple[JointDeviation, ...]
     return tuple(tuple(every[k : k + len(joints)]) for k in starts)
 
 
-def discoveries(chances: Floats, rate: float = REJECTED) -> NDArray[np.bool_]:
+def discoveries(chances: Floats) -> NDArray[np.bool_]:
     """Which of many tests are told apart, at a false discovery rate, shape (n,).
 
     Args:
         chances: Probability by chance of each, shape (n,).
-        rate: Part of those told apart that may be chance.
 
     Examples:
         >>> discoveries(np.array([0.001, 0.04, 0.6, 0.024])).tolist()
         [True, False, False, True]
     """
     ascending = np.sort(chances)
-    limits = rate * np.arange(1, len(chances) + 1) / max(len(chances), 1)
+    limits = REJECTED * np.arange(1, len(chances) + 1) / max(len(chances), 1)
     passed = ascending[ascending <= limits]
     return np.asarray(chances <= passed.max(initial=-1.0))
 

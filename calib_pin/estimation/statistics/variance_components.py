@@ -237,15 +237,25 @@ def variance_components(
     half = half_covariance(result.jac, basis, problem.parameters)
     groups = by_quantity(problem, result.x, result.fun, result.jac, half)
     found, factors = _tested(problem, groups)
-    count = len(problem.layout.row)
-    # Of very many values the mean leverage.
-    leverages = np.full(count, half.shape[1] / max(measured_count(problem), 1))
-    if not problem.many:
-        leverages = np.sum((result.jac[:count] @ half) ** 2, axis=1)
+    told = _pure_errors(problem, result.x, leverages(problem, result.jac, half))
     return tuple(
         _component(problem, k, found, float(factors[k]), float(groups.counts[k]), pure)
-        for k, pure in enumerate(_pure_errors(problem, result.x, leverages))
+        for k, pure in enumerate(told)
     )
+
+
+def leverages(problem: Problem, jac: Floats, half: Floats) -> Floats:
+    """Leverage of every measured value, of very many their mean, shape (M,).
+
+    Args:
+        problem: The problem.
+        jac: Whitened Jacobian at the solution, shape (M', P).
+        half: Factor of the covariance, see `half_covariance`, shape (P, r).
+    """
+    count = len(problem.layout.row)
+    if problem.many:
+        return np.full(count, half.shape[1] / max(measured_count(problem), 1))
+    return np.asarray(np.sum((jac[:count] @ half) ** 2, axis=1))
 
 
 def grouped(problem: Problem, rows: Floats, kind_of: Sequence[str] = ()) -> Groups:

@@ -288,11 +288,6 @@ class Fit:
         return tuple(posterior_with(self, sizes) for sizes in self.evidence.likely)
 
     @cached_property
-    def registered(self) -> tuple[Floats, Floats]:
-        """Whitened residual and Jacobian of the nominal robot, see `before`."""
-        return self.problem.linearize(self.before)
-
-    @cached_property
     def effect_rows(self) -> Floats:
         """Whitened residuals by effects that the model does not have, shape (M, S)."""
         if self.effects is None:

@@ -31,6 +31,9 @@ from calib_pin.parameterizations.error_model import flexures
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
 
+if TYPE_CHECKING:
+    from calib_pin.estimation.many_rows import ManyRows
+
 
 @dataclass(frozen=True)
 class Component:
@@ -544,9 +547,6 @@ def known_values(problem: Problem) -> int:
     """Distinct values and priors: as many directions as that can be determined."""
     return distinct_values(problem) + len(problem.further.priors)
 
-
-if TYPE_CHECKING:
-    from calib_pin.estimation.many_rows import ManyRows
 
 PIECE = 4096
 """Measurements whose Jacobian is held at once, where there are very many."""

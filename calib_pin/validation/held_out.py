@@ -90,7 +90,7 @@ class Linear:
     def of(cls, fitted: Fit) -> tuple[Linear, Linear]:
         """The nominal robot, its frames registered, and the fitted one."""
         problem, parameters = fitted.problem, fitted.problem.parameters
-        fun, J = fitted.registered
+        fun, J = problem.linearize(fitted.before)
         F = half_covariance(J, visible_nuisances(J, parameters), parameters)
         unit = float(np.sqrt(fun @ fun / max(known_count(problem) - F.shape[1], 1)))
         nominal = cls(problem, fitted.before, fun, J, F, J @ F, unit)

@@ -75,8 +75,8 @@ from calib_pin.estimation.statistics.variance_components import (
     REJECTED,
     ROWS,
     STATED,
-    Block,
     Components,
+    ErrorBlock,
     Systematic,
     by_quantity,
     estimate_variances,
@@ -635,7 +635,7 @@ def expected_sizes(
         array([1.])
     """
     count, deviations = int(kinds.max(initial=-1)) + 1, np.sqrt(variances)
-    block = Block(
+    block = ErrorBlock(
         rows=(values / deviations)[:, None],
         labels=np.append(np.full(len(values), KNOWN), kinds),
         factors=np.hstack([np.eye(len(values)), half / deviations[:, None]]),

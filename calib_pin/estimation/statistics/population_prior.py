@@ -50,8 +50,8 @@ from calib_pin.estimation.statistics.variance_components import (
     KNOWN,
     REJECTED,
     STATED,
-    Block,
     Components,
+    ErrorBlock,
     Variances,
     estimate_variances,
 )
@@ -152,11 +152,11 @@ def population_of(evidences: Sequence[RobotEvidence]) -> Population:
     _require_alike(evidences)
     count = len(evidences[0].names)
     # The means are about one beforehand.
-    blocks = [Block(np.eye(count, count + 1), np.full(count, KNOWN))]
+    blocks = [ErrorBlock(np.eye(count, count + 1), np.full(count, KNOWN))]
     for one in evidences:
         rows, number = np.column_stack([-one.rows, one.values]), len(one.values)
         labels = np.append(np.full(number, KNOWN), np.arange(count))
-        blocks.append(Block(rows, labels, np.hstack([np.eye(number), one.rows])))
+        blocks.append(ErrorBlock(rows, labels, np.hstack([np.eye(number), one.rows])))
     each = np.ones(count)
     # One spread for all, in their scales, then one for each.
     every = Components(blocks, each / count, each / count)
@@ -391,7 +391,7 @@ class Explanation:
         factors = [half, *(cause.effects for cause in acting)]
         number = [factor.shape[1] for factor in factors]
         labels = np.repeat([KNOWN, *range(len(acting))], number)
-        block = Block(self.values[:, None], labels, np.hstack(factors))
+        block = ErrorBlock(self.values[:, None], labels, np.hstack(factors))
         numbers = [(cause.worth, cause.size, cause.most) for cause in acting]
         worth, size, most = np.reshape(numbers, (-1, 3)).T
         components = Components([block], worth, worth * size**2)

@@ -190,7 +190,7 @@ class Groups:
         labels = np.append(of_rows, count + kind[acting]).astype(int)
         rows = np.vstack([*self.rows, effects])[:, columns]
         counts = np.append(self.counts - numbers[:-1], np.zeros(len(kinds)))
-        return Components([Block(rows, labels)], counts, np.zeros(len(counts)))
+        return Components([ErrorBlock(rows, labels)], counts, np.zeros(len(counts)))
 
     def estimated(self, kinds: Sequence[str] = ()) -> Variances:
         """Variances of the quantities, and behind them of some kinds of effects."""
@@ -705,7 +705,7 @@ EXACT = 1e-12
 
 
 @dataclass(frozen=True)
-class Block:
+class ErrorBlock:
     """Values that share no error with those of other blocks.
 
     Attributes:
@@ -730,7 +730,7 @@ class Components:
         squares: Sum of their squares, shape (K,).
     """
 
-    blocks: Sequence[Block]
+    blocks: Sequence[ErrorBlock]
     counts: Floats
     squares: Floats
 
@@ -888,7 +888,7 @@ def estimate_variances(
     return best
 
 
-def _whitened(block: Block, sizes: Floats) -> tuple[Floats, Floats | None, float]:
+def _whitened(block: ErrorBlock, sizes: Floats) -> tuple[Floats, Floats | None, float]:
     """Rows and factors by the root of their covariance, with its log-determinant.
 
     Args:

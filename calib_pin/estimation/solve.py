@@ -49,7 +49,7 @@ NUISANCE_BOX = (0.02, 1.0)
 ROWS = 1000
 """Rows that an evolution looks at when Gauss-Newton follows."""
 
-EXACT = 1e-14
+LEAST_PROMISED = 1e-14
 """Part of the cost that a step must promise: all that rounding leaves."""
 
 ENOUGH = 1e-12
@@ -205,7 +205,7 @@ def refine(
     problem: Problem,
     start: Floats,
     basis: Floats,
-    tolerance: float = EXACT,
+    tolerance: float = LEAST_PROMISED,
     most: int = 100,
 ) -> Solution:
     """Gauss-Newton from a start that is close; the arguments as in `least_squares`.

@@ -38,7 +38,7 @@ from calib_pin.validation.assessment import (
     breakdown,
     estimates,
     fitted_ranks,
-    leverages,
+    measurement_leverages,
     robot_errors,
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -279,7 +279,9 @@ def _result(
         ),
         **vars(breakdown(model, errors, accuracies)),
         covariance=NamedArray.of(fitted.covariance, names, names),
-        fitted=_measured(model, model.weighted(training), errors, leverages(fitted)),
+        fitted=_measured(
+            model, model.weighted(training), errors, measurement_leverages(fitted)
+        ),
         held_out=None
         if checked is None
         else _measured(model, held_out.measurements, checked),

@@ -243,7 +243,7 @@ def open_older(
     if not setup.file:
         before["parameters"] = model.setup.parameters
         if model.chains.names == ("",):
-            chain = model.moving.error.chain
+            chain = model.of_chain().error.chain
             before |= {"base": chain.base, "tip": chain.tip}
     if planned:
         known = vars(calibrated_setup(model))

@@ -180,11 +180,6 @@ class FoundCurve:
     measurements: Floats
     position: Floats
 
-    @property
-    def curve(self) -> tuple[Floats, Floats]:
-        """Both."""
-        return self.measurements, self.position
-
 
 @dataclass(frozen=True)
 class TipAccuracy:

@@ -57,11 +57,8 @@ from calib_pin.estimation.nominal import analyze_structure, register
 from calib_pin.estimation.problem import (
     EXACT,
     Problem,
-    absorbed,
     current_units,
     known_count,
-    own_deviations,
-    with_response,
 )
 from calib_pin.estimation.row_blocks import Priors, expected_places
 from calib_pin.estimation.solve import (
@@ -78,8 +75,8 @@ from calib_pin.estimation.statistics.variance_components import (
     REJECTED,
     ROWS,
     STATED,
-    Block,
     Components,
+    ErrorBlock,
     Systematic,
     by_quantity,
     estimate_variances,
@@ -100,23 +97,16 @@ class Posterior:
     """Deviations of a fit, about the references of its problem.
 
     Attributes:
-        problem: The problem.
-        theta: Parameter values about its references, shape (P,).
         by_noise: Deviations of the parameters by independent noises of deviation one,
             shape (P, r).
         by_effects: The same by the effects of gears and compliance, shape (P, S).
-        by_station: The same of parameters that were eliminated, by the noise of their
-            own station, shape (P, k); in a column stations are independent.
         systematic: These effects; None for none.
         noise: Variance of a measured value of each quantity at a new configuration,
             relative to that of its row, shape (K,).
     """
 
-    problem: Problem
-    theta: Floats
     by_noise: Floats
     by_effects: Floats
-    by_station: Floats
     systematic: Systematic | None
     noise: Floats
 
@@ -124,11 +114,7 @@ class Posterior:
     def covariance(self) -> Floats:
         """Covariance of the parameters, shape (P, P)."""
         half = np.column_stack([self.by_noise, self.by_effects])
-        result = half @ half.T
-        for own in self.problem.own_of_stations.values():
-            alone = self.by_station[own]
-            result[np.ix_(own, own)] += alone @ alone.T
-        return np.asarray(result)
+        return np.asarray(half @ half.T)
 
     def twists(self, term: Term, q: Floats, J: Floats) -> Floats:
         """Deviations of the tool of a term as body twists, shape (N, 6, r + S).
@@ -302,11 +288,6 @@ class Fit:
         return tuple(posterior_with(self, sizes) for sizes in self.evidence.likely)
 
     @cached_property
-    def registered(self) -> tuple[Floats, Floats]:
-        """Whitened residual and Jacobian of the nominal robot, see `before`."""
-        return self.problem.linearize(self.before)
-
-    @cached_property
     def effect_rows(self) -> Floats:
         """Whitened residuals by effects that the model does not have, shape (M, S)."""
         if self.effects is None:
@@ -321,7 +302,7 @@ class Fit:
         """
         if len(self.problem.data) <= ROWS and not self.problem.many:
             return self.result.jac, self.effect_rows
-        few = replace(self.problem, data=sampled(self.problem))
+        few = sampled(self.problem)
         there = replace(self, problem=few)
         return few.linearize_rows(self.theta)[1], there.effect_rows
 
@@ -363,12 +344,9 @@ def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
             inverse = half_covariance(np.concatenate([J, held]), basis, parameters)
         by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
     values, vectors = np.linalg.eigh(core)
-    by_noise = half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     # Without redundancy nobody knows, and the unit is not a number.
-    stations, unit = problem.stations(theta), fitted.unit
-    by_noise = unit * with_response(stations, by_noise)
-    by_station = unit * own_deviations(stations, len(theta))
-    return Posterior(problem, theta, by_noise, by_effects, by_station, effects, noise)
+    by_noise = fitted.unit * half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    return Posterior(by_noise, by_effects, effects, noise)
 
 
 SURPRISE = 10.0
@@ -448,7 +426,7 @@ def fit_in_units(fitted: Fit, units: Floats) -> Fit:
     before = least_squares(problem, fitted.before, nuisance_basis(problem.parameters))
     result = descend(problem, fitted.directions, fitted.theta).after(before)
     last = replace(fitted, problem=problem, before=before.x)
-    return shrunk(_judged(last, fitted.directions, result.after(fitted.result)))
+    return shrunk(_fit_of(last, fitted.directions, result.after(fitted.result)))
 
 
 def _converted(fitted: Fit, factor: float) -> Fit:
@@ -533,7 +511,7 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
         about = np.where(parameters.nuisance, nominal, 0.0)
     structure, at_zero = analyze_structure(problem, about, solver.rng)
     visible = visible_directions(at_zero, parameters)
-    count = known_count(problem) - absorbed(problem)
+    count = known_count(problem)
     # A search takes errors for which the linear prediction of sigma0 is no good.
     sigma0 = 0.0 if solver.searches else None
     directions = practical_directions(J, r, count, parameters, visible, sigma0)
@@ -552,7 +530,7 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
         if not np.isfinite(result.cost):
             # Without some directions, points may be behind a camera there.
             result = solver.solve(problem, directions, nominal, None)
-        return _judged(last, directions, result.after(last.result))
+        return _fit_of(last, directions, result.after(last.result))
 
     while directions.count not in tried:
         tried.add(directions.count)
@@ -576,7 +554,7 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
     return shrunk(last)
 
 
-def _judged(last: Fit, directions: Directions, result: Solution) -> Fit:
+def _fit_of(last: Fit, directions: Directions, result: Solution) -> Fit:
     """The fit of a solution: its rank and its standard deviation of unit weight.
 
     Args:
@@ -588,7 +566,7 @@ def _judged(last: Fit, directions: Directions, result: Solution) -> Fit:
     basis = problem.parameters.scales[:, None] * directions.basis
     triangle = np.linalg.qr(result.jac @ basis, mode="r")
     s = np.linalg.svd(triangle, compute_uv=False)
-    rank = int((s > RANK * s.max(initial=0.0)).sum()) + absorbed(problem)
+    rank = int((s > RANK * s.max(initial=0.0)).sum())
     dof = known_count(problem) - rank
     unit = sigma0 = float(np.sqrt(2.0 * result.cost / dof)) if dof > 0 else np.nan
     if len(problem.units) or (states_sigmas(problem.data) and not np.isfinite(sigma0)):
@@ -628,7 +606,7 @@ def _extended(last: Fit) -> Fit:
     directions = replace(directions, robot=robot, revealed=more.shape[1])
     # Here Gauss-Newton tells what there is to gain, whatever the solver.
     found = descend(problem, directions, result.x).after(result)
-    fitted = _judged(last, directions, found)
+    fitted = _fit_of(last, directions, found)
     gain = 2.0 * (result.cost - found.cost)
     return fitted if gain > surprise * fitted.sigma0**2 else last
 
@@ -657,7 +635,7 @@ def expected_sizes(
         array([1.])
     """
     count, deviations = int(kinds.max(initial=-1)) + 1, np.sqrt(variances)
-    block = Block(
+    block = ErrorBlock(
         rows=(values / deviations)[:, None],
         labels=np.append(np.full(len(values), KNOWN), kinds),
         factors=np.hstack([np.eye(len(values)), half / deviations[:, None]]),

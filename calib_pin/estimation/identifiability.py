@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -89,7 +89,6 @@ class Structure:
             free parameters).
         parameters: The parameters.
         scaled: Whether measurements tell how large the robot is.
-        alike: Parameters of stations that were left out, with those of one like them.
     """
 
     singular_values: Floats
@@ -99,7 +98,6 @@ class Structure:
     relations: Floats
     parameters: ParameterSet
     scaled: bool = True
-    alike: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def gap(self) -> float:
@@ -605,10 +603,7 @@ def half_covariance(J: Floats, basis: Floats, parameters: ParameterSet) -> Float
         The factor, shape (P, rank).
     """
     scaled = parameters.scales[:, None] * basis
-    A = J @ scaled
-    # What nothing shows, or was eliminated, costs nothing.
-    used = A.any(axis=0)
-    return np.asarray(scaled[:, used] @ inverse_root(A[:, used]))
+    return np.asarray(scaled @ inverse_root(J @ scaled))
 
 
 def inverse_root(A: Floats) -> Floats:
@@ -668,8 +663,6 @@ def projected(columns: Floats, A: Floats, parameters: ParameterSet) -> Floats:
 
 def column_space(A: Floats) -> Floats:
     """Orthonormal basis of the columns of A, rounding left out."""
-    # Those of stations that were eliminated are zero, and may be very many.
-    A = A[:, A.any(axis=0)]
     if A.shape[1] == 0:
         return np.zeros((len(A), 0))
     U, s, _ = np.linalg.svd(A, full_matrices=False)

@@ -31,10 +31,8 @@ from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,
     Problem,
-    alike,
-    representative,
+    fitted_components,
     sigma_at,
-    station_kinds,
 )
 from calib_pin.estimation.solve import Solution, least_squares
 from calib_pin.estimation.terms import (
@@ -118,9 +116,8 @@ def analyze_structure(
             have a known distance.
     """
     theta = problem.further.distances.with_parallels(theta)
-    keys = representative(problem)
-    blocks, at = len(keys), list[Measurements]()
-    parameters = len(problem.parameters) - len(_omitted(problem, keys))
+    blocks, at = len(problem.terms), list[Measurements]()
+    parameters = len(problem.parameters)
     if parameters > MOST:
         raise OptionError(
             "the chain and its references have too many parameters",
@@ -128,9 +125,9 @@ def analyze_structure(
             value=parameters,
             allowed=f"at most {MOST}; a shorter chain (--base, --tip)",
         )
-    for key in keys:
+    for key, term in problem.terms.items():
         # Each quantity alone may have to show its structure.
-        quantities = problem.terms[key].measurement.quantities
+        quantities = term.measurement.quantities
         least = min(q.columns.stop - q.columns.start for q in quantities)
         enough = -(-3 * parameters // (blocks * least))
         count = max(-(-LEAST // blocks), FEWEST, enough)
@@ -156,17 +153,16 @@ def structure_at(
         InputError: If the measured values have no derivative.
     """
     J, count = jacobian_at(problem, theta, at), sum(map(len, at))
-    alike = _omitted(problem, [some.key for some in at])
-    shown = problem.parameters.without(alike)
     if not np.isfinite(J).all():
         raise InputError(
             "the measured values have no derivative, as a distance of zero has none; "
             "check the base and tip links"
         )
-    found = structure(J[: len(J) - len(problem.further.priors)], shown, count)
+    measured = J[: len(J) - len(problem.further.priors)]
+    found = structure(measured, problem.parameters, count)
     known = scale_deviation(problem, theta, at, J) < UNKNOWN
     scaled = known or not _has_lengths(problem, theta, at)
-    return replace(found, scaled=scaled, alike=alike), J
+    return replace(found, scaled=scaled), J
 
 
 def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> Floats:
@@ -203,9 +199,7 @@ def scale_deviation(
     Returns:
         The deviation; zero where the robot cannot grow, infinite where no row changes.
     """
-    free = problem.parameters.free.copy()
-    free[list(_omitted(problem, [some.key for some in at]))] = False
-    scales = problem.parameters.scales
+    free, scales = problem.parameters.free, problem.parameters.scales
     by_all, displaced, b = _growing(problem, theta, at)
     moved, frames = np.column_stack([by_all[:, free], displaced]), displaced.shape[1]
     rows = np.column_stack([(J * scales)[:, free], np.zeros((len(J), frames))])
@@ -240,7 +234,7 @@ def _growing(
     for some in at:
         term = problem.terms[some.key]
         of_robot = term.values(theta)[0]
-        poses = ToolPoses(term.error, term.of_chain(some)).linearize(of_robot).poses
+        poses = ToolPoses(term.error, term.on_chain(some)).linearize(of_robot).poses
         count = len(poses.T)
         by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
         by_own = np.zeros((6 * count, len(term.index)))
@@ -272,21 +266,6 @@ def _has_lengths(problem: Problem, theta: Floats, at: Sequence[Measurements]) ->
     Q = column_space(displaced)
     own = float(np.linalg.norm(b - Q @ (Q.T @ b))) / np.sqrt(len(b) / 6)
     return bool(own > LENGTH_SCALE)
-
-
-def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> dict[int, int]:
-    """Parameters of stations that none of some blocks is measured from.
-
-    With each the same parameter of a station of its kind that is.
-    """
-    used = {problem.terms[key].frames.station for key in keys}
-    own, found = problem.own_of_stations, dict[int, int]()
-    for stations in station_kinds(problem).values() if own else ():
-        shown = [station for station in stations if station in used]
-        for station in (name for name in stations if name not in used):
-            pairs = own[station].tolist(), own[shown[-1]].tolist()
-            found |= zip(*pairs, strict=True)
-    return found
 
 
 def growth(problem: Problem, theta: Floats) -> Floats:
@@ -754,7 +733,7 @@ def _with_stations(
     for term, _, _, _ in there.blocks:
         found.state(there.parameters, term)
     if len(problem.units):
-        known = alike(there.layout, problem.layout)
+        known = fitted_components(there.layout, problem.layout)
         there = replace(there, units=problem.units[known])
     return there.with_terms(found.placed(there, there.blocks, values)), values
 

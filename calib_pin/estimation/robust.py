@@ -164,7 +164,7 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
         return squared
-    found = _judged(squared, np.ones(int(failing(problem).max()) + 1, bool))
+    found = _studentized_about(squared, np.ones(int(failing(problem).max()) + 1, bool))
     scale = found.robust_scale()
     plain = RobustDecision(_outliers(squared, found, scale))
     if loss == "squared" or (loss == "auto" and not _suspicious(squared, found, scale)):
@@ -183,7 +183,7 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
         if (weight == 1.0).all():
             return squared
         fitted = balanced(_weighted(problem, weight), solver)
-        found = _judged(fitted, weight > 0.0)
+        found = _studentized_about(fitted, weight > 0.0)
         scale = found.robust_scale() if bends else _scale(found, weight > 0.0)
         passed = _passed(found, scale).astype(float)
         if bends or np.array_equal(passed, weight):
@@ -390,7 +390,7 @@ def _weighted(problem: Problem, weight: NDArray[np.generic] | None = None) -> Pr
     return replace(problem, data=problem.data.weighted(each))
 
 
-def _judged(fitted: Fit, accepted: Flags) -> Studentized:
+def _studentized_about(fitted: Fit, accepted: Flags) -> Studentized:
     """All configurations about a fit of the accepted ones, shape (G,)."""
     held, _, moved = fitted.held
     basis = held.parameters.scales[:, None] * moved

@@ -3,15 +3,6 @@
 Known distances between points, those of a gauge or of the sockets of one plate, say
 nothing of the robot by themselves. A ball in two sockets a known distance apart is what
 gives a robot without any other length its scale.
-
-Where on its axis the errors of a joint are expected, wherever its frame stands.
-
-A frame may stand anywhere on its axis, and the robot is the same. Errors that are
-equally large about every frame are not: a milliradian about a frame that stands a meter
-off moves the joint by a millimeter more. They are counted at the foot of the
-perpendicular from the tip, and from there at that on the axis before, back to the base:
-places that the axes alone tell, and that stay within the robot where axes are nearly
-parallel.
 """
 
 from __future__ import annotations
@@ -365,7 +356,15 @@ def expected_places(system: Terms, parameters: ParameterSet) -> Floats:
 
 
 def feet(chain: Chain) -> Floats:
-    """Place of the errors of every joint, in its own frame, shape (n, 3) [m]."""
+    """Place of the errors of every joint, in its own frame, shape (n, 3) [m].
+
+    A frame may stand anywhere on its axis, and the robot is the same. Errors that are
+    equally large about every frame are not: a milliradian about a frame that stands a
+    meter off moves the joint by a millimeter more. They are counted at the foot of the
+    perpendicular from the tip, and from there at that on the axis before, back to the
+    base: places that the axes alone tell, and that stay within the robot where axes are
+    nearly parallel.
+    """
     frames, zero = chain.joint_frames(), np.zeros((1, len(chain.joints)))
     point, result = chain.poses(zero)[0, :3, 3], np.zeros((len(frames), 3))
     for k in reversed(range(len(frames))):

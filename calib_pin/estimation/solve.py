@@ -17,7 +17,6 @@ from calib_pin.estimation.identifiability import Directions
 from calib_pin.estimation.problem import (
     SAMPLE,
     Problem,
-    completed,
     evaluator,
     known_count,
 )
@@ -50,7 +49,7 @@ NUISANCE_BOX = (0.02, 1.0)
 ROWS = 1000
 """Rows that an evolution looks at when Gauss-Newton follows."""
 
-EXACT = 1e-14
+LEAST_PROMISED = 1e-14
 """Part of the cost that a step must promise: all that rounding leaves."""
 
 ENOUGH = 1e-12
@@ -176,7 +175,7 @@ class Solver:
         found = differential_evolution(evaluate, bounds, self.rng, self._options, x0=x0)
         x = nominal + basis @ found.x
         fun, jac = problem.linearize(x)
-        status = _judged(problem, found, fun, jac @ basis)
+        status = _status_of(problem, found, fun, jac @ basis)
         cost, nit, nfev = found.fun, found.nit, found.nfev
         return Solution(x, fun, jac, cost, nit, nfev, status, costs.evaluator, found)
 
@@ -206,7 +205,7 @@ def refine(
     problem: Problem,
     start: Floats,
     basis: Floats,
-    tolerance: float = EXACT,
+    tolerance: float = LEAST_PROMISED,
     most: int = 100,
 ) -> Solution:
     """Gauss-Newton from a start that is close; the arguments as in `least_squares`.
@@ -227,8 +226,6 @@ def refine(
         worthwhile=INVISIBLE / max(known_count(problem), 1),
         max_iterations=most,
         spare=problem.many,
-        # What was eliminated completes a step from where it was.
-        complete=lambda theta, step: completed(problem.stations(theta), step),
     )
     return Solution(**vars(result), evaluator=evaluator(problem))
 
@@ -249,7 +246,9 @@ def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:
     return np.repeat(half, list(map(len, parts)))[:, None] * [-1.0, 1.0]
 
 
-def _judged(problem: Problem, found: EvolutionResult, fun: Floats, A: Floats) -> Status:
+def _status_of(
+    problem: Problem, found: EvolutionResult, fun: Floats, A: Floats
+) -> Status:
     """An evolution has converged where next to nothing is left to gain.
 
     A population can meet anywhere, and a limit of generations can come at a minimum.

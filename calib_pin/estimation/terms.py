@@ -263,7 +263,7 @@ class Term:
         """
         return theta[..., self.of_error], theta[..., self.of_instrument]
 
-    def of_chain(self, at: Measurements) -> Measurements:
+    def on_chain(self, at: Measurements) -> Measurements:
         """Configurations of all joints with those of its chain alone."""
         return with_joints(at, self.error.chain.joints)
 
@@ -274,7 +274,7 @@ class Term:
             theta: Values of all parameters, shape (P,).
             at: Configurations of its chain.
         """
-        return ToolPoses(self.error, self.of_chain(at))(self.values(theta)[0])
+        return ToolPoses(self.error, self.on_chain(at))(self.values(theta)[0])
 
     def linearized(
         self, T: Floats, instrument: Floats, q: Floats, target: Targets
@@ -302,7 +302,7 @@ class Term:
             sigma: Standard deviations of the residual components, shape (N, d).
         """
         of_robot, instrument = self.values(theta)
-        at = self.of_chain(at)
+        at = self.on_chain(at)
         tool = ToolPoses(self.error, at).linearize(of_robot)
         linear = self.linearized(tool.T, instrument, at.q, at.target)
         return whitened_jacobian(tool, linear, sigma)
@@ -363,13 +363,8 @@ class Terms:
         return next(iter(self.terms.values()))
 
     @property
-    def moving(self) -> Term:
-        """The first term whose chain has joints."""
-        return next(iter(self.by_chain.values()), self.only)
-
-    @property
     def by_chain(self) -> Mapping[str, Term]:
-        """The first part of each chain that has joints, by the chain's name."""
+        """The first term of each chain that has joints, by the chain's name."""
         found: dict[str, Term] = {}
         for key, term in self.terms.items():
             if term.error.chain.joints:
@@ -380,8 +375,10 @@ class Terms:
         """The same with terms about other references, and of the same parameters."""
         return replace(self, terms=terms)
 
-    def of_chain(self, name: str) -> Term:
-        """The first part of a chain."""
+    def of_chain(self, name: str | None = None) -> Term:
+        """The first term of a chain, by default of the first that has joints."""
+        if name is None:
+            return next(iter(self.by_chain.values()), self.only)
         return next(term for term in self.terms.values() if term.key.chain == name)
 
     def rebased(self, theta: Floats) -> tuple[Self, Floats]:

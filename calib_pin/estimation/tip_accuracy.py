@@ -105,7 +105,7 @@ def tip_accuracy(
     if not known or fitted.directions.count == 0:
         return None
     rng = np.random.default_rng(seed)
-    term = problem.moving if chain is None else problem.of_chain(chain)
+    term = problem.of_chain(chain)
     error, own = term.error, term.of_error
     if len(problem.setup.payloads) > 1 and not error.payload:
         error = error.carrying(next(iter(problem.setup.payloads)))

@@ -231,7 +231,7 @@ def calibration_document(
     dof = result.statistics.dof
     chains, setup = model.chains, model.setup.file
     ends = {name: Ends(chains[name].base, chains[name].tip) for name in chains.names}
-    chain = model.moving.error.chain
+    chain = model.of_chain().error.chain
     parts = zip(measurement_errors.SETS, (result.fitted, result.held_out), strict=True)
     files = map(Source, result.files, made.hashes)
     record = Document(
@@ -498,7 +498,7 @@ def learned_model(
     if sha256(encode({"": (record.shift, record.model)})) != record.sha256:
         raise ValueError("'residual_model' is not the one that was learned")
     shift = numbers({"shift": record.shift}, "shift", (len(model.given),))
-    learned = restore(record.model, len(model.moving.error.chain.joints))
+    learned = restore(record.model, len(model.of_chain().error.chain.joints))
     return with_learned(model, LearnedCorrection(learned, shift))
 
 

@@ -75,11 +75,6 @@ class Found:
     status: Status
 
 
-def _never() -> bool:
-    """Nobody asks a search in another process to stop."""
-    return False
-
-
 @dataclass(frozen=True)
 class Objective:
     """A criterion of sets of configurations that may be measured.
@@ -89,14 +84,12 @@ class Objective:
         workspace: The constraints of configurations.
         criterion: Criterion to minimize.
         known: Information that is there already, shape (m, m).
-        asked: Whether descents are asked to stop.
     """
 
     rows: IdentificationRows
     workspace: Workspace
     criterion: Criterion
     known: Floats
-    asked: Callable[[], bool]
 
     def information(self, rows: Floats) -> Information | None:
         """Information of rows (..., m) together with what is known."""
@@ -137,7 +130,6 @@ class Objective:
                 self.workspace.bounds,
                 q,
                 allowed=lambda q: self.workspace.allowed(settled(q), aim),
-                callback=lambda *_: self.asked(),
                 tolerance=limits[0],
                 max_iterations=limits[1],
             )
@@ -196,13 +188,11 @@ class Search:
     def __post_init__(self) -> None:
         """Check that there are enough candidates."""
         self.candidates.require(self.count)
-        self._descended_part = 0.0
 
     @cached_property
     def objective(self) -> Objective:
         """The criterion of sets, as descents need it."""
-        asked = self._asked if self.workers is SERIAL else _never
-        return Objective(self.rows, self.workspace, self.criterion, self.known, asked)
+        return Objective(self.rows, self.workspace, self.criterion, self.known)
 
     @cached_property
     def table(self) -> Floats:
@@ -327,14 +317,9 @@ class Search:
         if not self.stopped:
             for one in self.workers.map(_descend, self.objective, tasks):
                 found.append(one)
-                self._descended_part = begin + 0.5 * len(found) / len(tasks)
-                if self.told("gradient", self._descended_part):
+                if self.told("gradient", begin + 0.5 * len(found) / len(tasks)):
                     break
         return found
-
-    def _asked(self) -> bool:
-        """Whether descents are asked to stop."""
-        return self.told("gradient", self._descended_part)
 
     def _greedy(self, stage: str) -> tuple[int, ...]:
         """The set that grows by the best candidate; where stopped, `_determined`."""

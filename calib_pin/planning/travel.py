@@ -13,7 +13,7 @@ and then farther around it, whose way is then made shorter.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -236,9 +236,9 @@ class Passage:
     blocked: tuple[int, ...]
 
     @staticmethod
-    def straight(q: Floats, blocked: Sequence[int] = ()) -> Passage:
+    def straight(q: Floats) -> Passage:
         """The straight ways through configurations, shape (N, n)."""
-        return Passage(q, np.arange(len(q)), tuple(blocked))
+        return Passage(q, np.arange(len(q)), ())
 
     def of(self, rows: Indices) -> Indices:
         """The same for rows that are a choice of others, shape (N,) -> (M,)."""

@@ -100,7 +100,7 @@ def told(found: Breakdown, *, details: bool = True) -> Iterator[Block]:
 
 
 def _blocks(found: Breakdown) -> Iterator[Block]:
-    """Rank that each block adds, and the frames that hang together through it."""
+    """Errors of each block, and the rank that it adds."""
     keys = [(b.model, b.chain, b.station, b.tool) for b in found.blocks]
     names = block_names(keys)
     rows = [
@@ -115,12 +115,6 @@ def _blocks(found: Breakdown) -> Iterator[Block]:
         "Rank: errors of the robot that the measurements of a block identify by "
         "themselves. Added: those that the others do not identify without them."
     )
-    for name, block in zip(names, found.blocks, strict=True):
-        if block.ties:
-            groups = " | ".join(", ".join(group) for group in block.ties)
-            yield note(
-                f"Without the measurements of {name} the frames fall apart: {groups}."
-            )
 
 
 # --- where frames and cameras are ---------------------------------------------------

@@ -45,8 +45,6 @@ OPTIONS = GaussNewtonOptions()
 
 Linearize = Callable[[Floats], tuple[Floats, Floats]]
 Cost = Callable[[Floats], float]
-Complete = Callable[[Floats, Floats], Floats]
-"""A step from x with that of variables which were eliminated, from the others' step."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,6 @@ def gauss_newton(
     damped: bool = True,
     spare: bool = False,
     callback: Callable[[int, float], None] | None = None,
-    complete: Complete | None = None,
 ) -> LeastSquaresResult:
     """Minimize half the sum of squared residuals.
 
@@ -107,7 +104,6 @@ def gauss_newton(
         spare: Whether a step that promises less than the tolerance is not even taken:
             where evaluations are dear.
         callback: Called with the step count and the cost after each step.
-        complete: Completes steps where `linearize` has eliminated variables.
 
     Returns:
         The result; its status tells whether to trust it.
@@ -128,7 +124,7 @@ def gauss_newton(
         if spare and step.promised(step.solve(0.0)) <= limit[1]:
             status = Status.CONVERGED
             break
-        trial = _search(step, cost_of, x, basis, damping, limit, damped, complete)
+        trial = _search(step, cost_of, x, basis, damping, limit, damped)
         evaluations += trial.evaluations
         if trial.improved or not damped:
             x, way = trial.x, way + trial.length
@@ -172,7 +168,6 @@ def _search(
     damping: float,
     limit: tuple[float, float],
     damped: bool,
-    complete: Complete | None,
 ) -> _Trial:
     """Damp the step from x until the cost falls, or nothing is left to gain.
 
@@ -189,8 +184,7 @@ def _search(
     evaluations = 0
     while True:
         dy = step.solve(damping)
-        change = basis @ dy
-        candidate = x + (change if complete is None else complete(x, change))
+        candidate = x + basis @ dy
         evaluations += 1
         improved = 2.0 * cost_of(candidate) < step.square
         rounding = not improved and negligible

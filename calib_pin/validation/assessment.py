@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -40,8 +40,9 @@ from calib_pin.estimation.identifiability import (
     visible_nuisances,
 )
 from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.problem import Problem, absorbed, distinct_values, known_count
-from calib_pin.estimation.terms import FRAME, Block, Term, Terms
+from calib_pin.estimation.problem import Problem, distinct_values, known_count
+from calib_pin.estimation.statistics.variance_components import leverages
+from calib_pin.estimation.terms import FRAME, Block, Terms
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
@@ -188,14 +189,10 @@ def estimates(
             terms=tuple(Coefficient(names[k], c) for k, c in combination.terms),
         )
         groups.append(group)
-    for k, other in structure.alike.items():
-        if fitted is not None and sigmas.get(other) is not None:
-            sigmas[k] = float(fitted.covariance[k, k] ** 0.5)
 
     def status(k: int) -> str:
         if not parameters[k].free:
             return "fixed"
-        k = structure.alike.get(k, k)
         if k in structure.unidentifiable:
             # Hidden at nominal; large errors may have let it move all the same.
             moved = fitted is not None and fitted.directions.hidden[k].any()
@@ -254,9 +251,8 @@ def _told(fitted: Fit) -> Floats:
     fun, jac = fitted.result.fun[:count], fitted.result.jac[:count]
     robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
     unit = fitted.unit if np.isfinite(fitted.unit) else 0.0
-    told = practical_directions(
-        jac, fun, known_count(problem) - absorbed(problem), parameters, robot, unit
-    )
+    count = known_count(problem)
+    told = practical_directions(jac, fun, count, parameters, robot, unit)
     return robot_singular_values(told, jac, parameters)
 
 
@@ -299,16 +295,13 @@ def _correlated(fitted: Fit) -> Iterator[Correlation]:
         yield Correlation(names[j], names[i], float(correlation[i, j]))
 
 
-def leverages(fitted: Fit) -> Floats:
+def measurement_leverages(fitted: Fit) -> Floats:
     """The leverage of every measurement in a fit, of very many their mean, (N,)."""
     problem, jac = fitted.problem, fitted.result.jac
     half = half_covariance(jac, fitted.directions.basis, problem.parameters)
-    count = len(problem.data)
-    if problem.many:
-        return np.full(count, half.shape[1] / max(count, 1))
-    row = problem.layout.row
-    found = np.sum((jac[: len(row)] @ half) ** 2, axis=1)
-    return np.asarray(np.bincount(row, found, count), float)
+    of_values = leverages(problem, jac, half)
+    found = np.bincount(problem.layout.row, of_values, len(problem.data))
+    return np.asarray(found, float)
 
 
 def robot_errors(
@@ -502,7 +495,7 @@ class _Parts:
 
     def blocks(self) -> Iterator[BlockSummary]:
         """The blocks."""
-        apart, ranks = ties(self.problem), block_ranks(self.fit)
+        ranks = block_ranks(self.fit)
         for block, (rank, added) in zip(self.problem.blocks, ranks, strict=True):
             key, ((station, _), (tool, _)) = block.term.key, frames_of(block.term)
             count, errors, noise = self._of([key])
@@ -517,7 +510,6 @@ class _Parts:
                 noise=noise,
                 rank=rank,
                 added=added,
-                ties=apart[key],
             )
 
     def _of(
@@ -608,46 +600,6 @@ def block_ranks(fitted: Fit) -> list[tuple[int, int]]:
     ]
 
 
-def ties(problem: Problem) -> Mapping[BlockKey, tuple[tuple[str, ...], ...]]:
-    """The groups into which frames fall apart without each block; empty for none.
-
-    Blocks with a frame or a reference object in common hang together; what is known is
-    one thing.
-    """
-    links = {key: [*_links(problem, term)] for key, term in problem.terms.items()}
-    nodes = dict.fromkeys(node for own in links.values() for node in own)
-    alone, result = [[node] for node in nodes], {}
-    whole = len(_groups([*alone, *links.values()]))
-    for key in links:
-        groups = _groups([*alone, *(own for k, own in links.items() if k != key)])
-        frames = ([f for f in own if f.kind in ("station", "tool")] for own in groups)
-        named = tuple(tuple(f.name for f in own) for own in frames if own)
-        torn = len(groups) > whole and len(named) > 1
-        result[key] = named if torn else ()
-    return result
-
-
-def _links(problem: Problem, term: Term) -> Iterator[Frame]:
-    """Frames and reference objects of a part; those that are known are one."""
-    free = problem.parameters.free
-    for frame, index in frames_of(term):
-        yield frame if free[index].any() else Frame("known", "")
-    for reference in term.measurement.references:
-        if reference.parameters:
-            yield Frame(reference.section, term.frames.reference(reference))
-
-
-def _groups(links: Iterable[list[Frame]]) -> list[list[Frame]]:
-    """Connected components of a graph, in the order in which its nodes come first."""
-    of, groups = dict[Frame, int](), dict[int, list[Frame]]()
-    for link in links:
-        joined = {of.setdefault(node, len(of)) for node in link}
-        of = {node: min(joined) if k in joined else k for node, k in of.items()}
-    for node, k in of.items():
-        groups.setdefault(k, []).append(node)
-    return list(groups.values())
-
-
 def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
     """Directions of frames and instruments that measurements leave open.
 
@@ -660,10 +612,7 @@ def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
         deviations of others that are hardly known, by `LIMITS`, shape (P, l).
     """
     problem, parameters = fitted.problem, fitted.problem.parameters
-    kept = parameters.free & problem.referred
-    for eliminated in problem.own_of_stations.values():
-        kept[eliminated] = False
-    free = np.flatnonzero(kept)
+    free = np.flatnonzero(parameters.free & problem.referred)
     visible = visible_nuisances(fitted.result.jac, parameters)[free]
     rest = np.linalg.qr(visible, mode="complete")[0][:, visible.shape[1] :]
     limits = np.array([LIMITS.get(p.unit, np.inf) for p in parameters])

@@ -121,10 +121,9 @@ class CalibratedModel(Brief, Terms):
         Args:
             chain: Name of the chain, or a block; default the first that moves.
         """
-        if isinstance(chain, BlockKey):
-            term = self.terms[chain]
-        else:
-            term = self.moving if chain is None else self.of_chain(chain)
+        term = (
+            self.terms[chain] if isinstance(chain, BlockKey) else self.of_chain(chain)
+        )
         theta = self.theta[term.of_error]
         return CalibratedChain(term.error, theta, self.setup)
 

@@ -90,7 +90,7 @@ class Linear:
     def of(cls, fitted: Fit) -> tuple[Linear, Linear]:
         """The nominal robot, its frames registered, and the fitted one."""
         problem, parameters = fitted.problem, fitted.problem.parameters
-        fun, J = fitted.registered
+        fun, J = problem.linearize(fitted.before)
         F = half_covariance(J, visible_nuisances(J, parameters), parameters)
         unit = float(np.sqrt(fun @ fun / max(known_count(problem) - F.shape[1], 1)))
         nominal = cls(problem, fitted.before, fun, J, F, J @ F, unit)
@@ -165,14 +165,12 @@ def left_out(
     """
     fit, learned = model.fit, model.learned
     result: list[ModelErrors | None] = [None] * len(masks)
-    if not masks or fit.problem.own_of_stations:
-        # The elimination of stations is no sum over groups.
+    if not masks:
         return result
     robots, found = Linear.of(fit), dict[int, tuple[Rest, Rest]]()
     for k, mask in enumerate(masks):
         before, after = (without(robot, mask) for robot in robots)
-        placed = learned is not None and after is not None and after.alone
-        if before is not None and after is not None and not placed:
+        if before is not None and after is not None:
             found[k] = before, after
     effects, anew = None, dict[int, LearnedCorrection]()
     if learned is not None:
@@ -196,7 +194,7 @@ def left_out(
         elif not problem.many:
             deviations = _deviations(fit, robots[1], fitted, effects)
         known = Registered(replace(fit.problem, data=rows), nominal.theta)
-        there = Registered(replace(problem, data=rows), theta, fitted.alone)
+        there = Registered(replace(problem, data=rows), theta)
         given = np.flatnonzero(masks[k]), deviations
         errors = errors_of_registered(model, known, there, *given)
         result[k] = replace(errors, reason=unusable(fit))
@@ -217,32 +215,28 @@ class Rest(NamedTuple):
         theta: Parameter values, shape (P,).
         inner: K of `N_g^-1 = (F K) (F K)^T`, shape (k, k').
         out: The residual rows that are left out, shape (M',); of very many none.
-        alone: Positions of the parameters that only the group knows.
     """
 
     theta: Floats
     inner: Floats
     out: NDArray[np.bool_]
-    alone: tuple[int, ...] = ()
 
 
 def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     """A solution without some measurements.
-
-    Of a reference object that only these name, known distances do not count: they are
-    there to be found.
 
     Args:
         robot: The solution of all N measurements.
         mask: Those that are left out, shape (N,).
 
     Returns:
-        The solution; None where the others do not determine it, or the problem is not
-        linear enough to tell, see `BENT`. Of so many measurements that they are not
-        linearized one by one, one step is all there is to make.
+        The solution; None where the others do not determine it, as the place of a
+        socket that only these name, or the problem is not linear enough to tell, see
+        `BENT`. Of so many measurements that they are not linearized one by one, one
+        step is all there is to make.
     """
     problem, F = robot.problem, robot.factor
-    fun, out, alone = robot.fun, np.zeros(0, bool), np.zeros(len(F), bool)
+    fun, out = robot.fun, np.zeros(0, bool)
     if problem.many:
         some = part_of(problem, mask)
         r, jac = some.linearize(robot.theta)
@@ -250,15 +244,13 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
         B, r = jac[:count] @ F, r[:count]
     else:
         own = mask[problem.layout.row]
-        out, alone = _group(robot, own)
+        out = np.append(own, np.zeros(len(fun) - len(own), bool))
         B, r = robot.columns[out], fun[out]
-    # N_g = 1 - B^T B in the columns of F, of which what is alone has none.
+    # N_g = 1 - B^T B in the columns of F.
     left, Q = np.linalg.eigh(np.eye(B.shape[1]) - B.T @ B)
-    count = int(alone.sum())
-    if np.count_nonzero(left < ALONE) != count:
+    if (left < ALONE).any():
         return None
-    inner, held = Q[:, count:] / np.sqrt(left[count:]), Q[:, :count]
-    theta = robot.theta
+    inner, theta = Q / np.sqrt(left), robot.theta
     for k in range(STEPS):
         step = inner.T @ (robot.columns.T @ fun - B.T @ r)
         if k and np.linalg.norm(step) <= BENT * max(robot.unit, EXACT):
@@ -270,31 +262,10 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
         r = fun[out]
     else:
         return None
-    if held.size:
-        placed, triangle = np.linalg.qr(robot.columns[: len(own)][own] @ held)
-        if np.sum(placed**2, axis=1).max() > 1.0 - ALONE:
-            return None  # It says no more than where they are.
-        by = np.linalg.solve(triangle, placed.T @ fun[: len(own)][own])
-        theta = theta - F @ held @ by
     least, most = problem.parameters.bounds
     if ((theta < least) | (theta > most)).any():
         return None
-    return Rest(theta, inner, out, tuple(np.flatnonzero(alone).tolist()))
-
-
-def _group(
-    robot: Linear, own: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """The residual rows that are left out, (M',), and what only they know, (P,)."""
-    count = len(own)
-    out = np.append(own, np.zeros(len(robot.fun) - count, bool))
-    known = slice(count, count + len(robot.problem.further.distances))
-    seen, elsewhere = robot.jac != 0.0, ~out
-    elsewhere[known] = False
-    alone = seen[out].any(axis=0) & ~seen[elsewhere].any(axis=0)
-    alone &= robot.problem.parameters.free
-    out[known] = seen[known][:, alone].any(axis=1)
-    return out, alone
+    return Rest(theta, inner, out)
 
 
 def _deviations(

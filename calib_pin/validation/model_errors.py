@@ -17,9 +17,9 @@ from calib_pin.estimation.nominal import extended
 from calib_pin.estimation.problem import (
     PIECE,
     Problem,
-    alike,
     distinct_values,
     error_table,
+    fitted_components,
 )
 from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.estimation.solve import least_squares
@@ -375,7 +375,7 @@ def _predicted_parts(
     factor = np.zeros((len(theta), moved.shape[1]))
     factor[own] = moved[[of_fit.index(names[k]) for k in own]]
     factor[new] = 0.0
-    noises = deviations.noise[alike(problem.layout, fitted.problem.layout)]
+    noises = deviations.noise[fitted_components(problem.layout, fitted.problem.layout)]
     every = np.arange(len(problem.data))
     # An estimate couples all of them.
     step = max(len(every), 1) if new else PIECE

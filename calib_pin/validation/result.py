@@ -687,8 +687,6 @@ class BlockSummary:
         noise: Variance components.
         rank: Errors of the robot that these measurements alone tell.
         added: Errors of the robot that the others do not tell without these.
-        ties: Frames that hang together through these measurements alone: without
-            them the frames fall apart into these groups. Empty where they do not.
     """
 
     model: str
@@ -701,7 +699,6 @@ class BlockSummary:
     noise: tuple[VarianceComponent, ...]
     rank: int
     added: int
-    ties: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -1078,9 +1075,7 @@ class Tables(Identification, Breakdown):
         Raises:
             OptionError: If q has another shape.
         """
-        there, term = self.model.of(chain), self.reference.moving
-        if chain is not None:
-            term = self.reference.of_chain(chain)
+        there, term = self.model.of(chain), self.reference.of_chain(chain)
         q = as_array("q", q, "N", len(there.chain.joints))
         T, J, C = self.linearized(term, q)
         J = np.kron(np.eye(2), T[:, :3, :3]) @ J

@@ -46,11 +46,11 @@ class Job:
             poses(problem, theta, q)
             for problem, theta in (
                 (self.true, self.theta),
-                (self.posterior.problem, self.posterior.theta),
+                (self.fitted.problem, self.fitted.theta),
             )
         )
         missed = found[:, :3, 3] - true[:, :3, 3]
-        squares = np.sum(twists(self.posterior, q)[:, :3] ** 2, axis=2)
+        squares = np.sum(twists(self.fitted, q)[:, :3] ** 2, axis=2)
         return np.einsum("nji,nj->ni", found[:, :3, :3], missed), np.sqrt(squares)
 
 
@@ -60,11 +60,11 @@ def poses(problem: Problem, theta: Floats, q: Floats) -> Floats:
     return term.error.poses(q, term.values(theta)[0])
 
 
-def twists(found: Posterior, q: Floats) -> Floats:
+def twists(found: Fit, q: Floats) -> Floats:
     """Deviations of the tool, shape (N, 6, r + S)."""
     term = found.problem.only
     _, J = term.error.jacobian(q, term.values(found.theta)[0])
-    return found.twists(found.problem.rebased(found.theta)[0].only, q, J)
+    return found.posterior.twists(found.problem.rebased(found.theta)[0].only, q, J)
 
 
 def job(seed: int, times: float, *, repeats: int = 1, noise: float = 2e-5) -> Job:
@@ -125,8 +125,8 @@ def test_new_rows_are_missed_by_what_is_predicted(found: Job) -> None:
     rng = np.random.default_rng(3)
     rows = calib_pin.simulate(found.true, found.theta, rng, count=300, noise=2e-5)
     data = Observations.of(replace(rows.only, sigma=None))
-    there = replace(found.posterior.problem, data=data)
-    missed = there.errors(found.posterior.theta) / there.sigma
+    there = replace(found.fitted.problem, data=data)
+    missed = there.errors(found.fitted.theta) / there.sigma
     fitted = found.fitted
     new = replace(fitted.problem, data=there.data)
     predicted = predicted_variance(fitted, new, fitted.theta) / there.sigma**2

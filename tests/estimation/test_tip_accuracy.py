@@ -63,7 +63,7 @@ def test_it_falls_with_the_number_of_rows() -> None:
     rows = replace(rows, sigma=None)
     tip = fit(rows).accuracy.tip
     assert tip is not None
-    counts, errors = tip.by_count.curve
+    counts, errors = tip.by_count.measurements, tip.by_count.position
     assert counts[-1] == 80 and (np.diff(counts) > 0).all()
     assert (np.diff(errors) < 0).all()
     # The expected size of errors, which the curve leaves out, is worth a little.
@@ -84,7 +84,7 @@ def test_it_falls_where_gears_are_not_modeled() -> None:
     rows = calib_pin.simulate(problem, theta, rng, count=60, noise=2e-5)
     tip = fit(rows.only).accuracy.tip
     assert tip is not None
-    _, errors = tip.by_count.curve
+    errors = tip.by_count.position
     assert (np.diff(errors) < 0).all() and tip.rms[0] > 1.5 * errors[-1]
 
 
@@ -93,7 +93,8 @@ def test_very_many_rows_are_sampled() -> None:
     *_, rows = measured(2, 1200, model="position")
     result = fit(rows)
     assert result.accuracy.tip is not None
-    counts, errors = result.accuracy.tip.by_count.curve
+    found = result.accuracy.tip.by_count
+    counts, errors = found.measurements, found.position
     assert counts[-2] <= 400 < counts[-1] == 1200
     # Three times as many rows, the root of three better.
     ratio = errors[-2] / errors[-1]

@@ -50,8 +50,8 @@ from calib_pin.estimation.statistics.variance_components import (
     KNOWN,
     REJECTED,
     STATED,
-    Block,
     Components,
+    ErrorBlock,
     Variances,
     estimate_variances,
 )
@@ -152,11 +152,11 @@ def population_of(evidences: Sequence[RobotEvidence]) -> Population:
     _require_alike(evidences)
     count = len(evidences[0].names)
     # The means are about one beforehand.
-    blocks = [Block(np.eye(count, count + 1), np.full(count, KNOWN))]
+    blocks = [ErrorBlock(np.eye(count, count + 1), np.full(count, KNOWN))]
     for one in evidences:
         rows, number = np.column_stack([-one.rows, one.values]), len(one.values)
         labels = np.append(np.full(number, KNOWN), np.arange(count))
-        blocks.append(Block(rows, labels, np.hstack([np.eye(number), one.rows])))
+        blocks.append(ErrorBlock(rows, labels, np.hstack([np.eye(number), one.rows])))
     each = np.ones(count)
     # One spread for all, in their scales, then one for each.
     every = Components(blocks, each / count, each / count)
@@ -267,19 +267,18 @@ def joint_deviations(population: Population) -> tuple[tuple[JointDeviation, ...]
     return tuple(tuple(every[k : k + len(joints)]) for k in starts)
 
 
-def discoveries(chances: Floats, rate: float = REJECTED) -> NDArray[np.bool_]:
+def discoveries(chances: Floats) -> NDArray[np.bool_]:
     """Which of many tests are told apart, at a false discovery rate, shape (n,).
 
     Args:
         chances: Probability by chance of each, shape (n,).
-        rate: Part of those told apart that may be chance.
 
     Examples:
         >>> discoveries(np.array([0.001, 0.04, 0.6, 0.024])).tolist()
         [True, False, False, True]
     """
     ascending = np.sort(chances)
-    limits = rate * np.arange(1, len(chances) + 1) / max(len(chances), 1)
+    limits = REJECTED * np.arange(1, len(chances) + 1) / max(len(chances), 1)
     passed = ascending[ascending <= limits]
     return np.asarray(chances <= passed.max(initial=-1.0))
 
@@ -392,7 +391,7 @@ class Explanation:
         factors = [half, *(cause.effects for cause in acting)]
         number = [factor.shape[1] for factor in factors]
         labels = np.repeat([KNOWN, *range(len(acting))], number)
-        block = Block(self.values[:, None], labels, np.hstack(factors))
+        block = ErrorBlock(self.values[:, None], labels, np.hstack(factors))
         numbers = [(cause.worth, cause.size, cause.most) for cause in acting]
         worth, size, most = np.reshape(numbers, (-1, 3)).T
         components = Components([block], worth, worth * size**2)

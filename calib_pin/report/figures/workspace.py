@@ -66,7 +66,7 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
     if tip is None:
         return None
     unit, factor = unit_of("m")
-    counts, errors = tip.by_count.curve
+    counts, errors = tip.by_count.measurements, tip.by_count.position
     usable = np.isfinite(errors) & (errors > 0.0)
     counts, errors = counts[usable], factor * errors[usable]
     if len(counts) < 2:

@@ -375,15 +375,15 @@ class Trial(QuickFit):
 
 
 @serial_blas
-def changes_of(case: Case) -> tuple[Trial, Trial] | None:
+def changes_of(case: Case, seen: Trial | None) -> tuple[Trial, Trial] | None:
     """The measurements of a fit without changes, and with all that are found.
 
     None where nothing has changed.
 
     Args:
-        case: The case; what its fit has set aside is looked at as well.
+        case: The case.
+        seen: Its fit without changes, see `_unchanged`.
     """
-    fit, seen = case.fit, _unchanged(case)
     if seen is None or all(left > LOOKED_AT for _, left, _ in seen.candidates):
         return None
     trials, more = list[Trial](), seen.settled(())
@@ -398,7 +398,7 @@ def changes_of(case: Case) -> tuple[Trial, Trial] | None:
         return None
     first, last = trials[0], trials[-1]
     # Outliers look like small moves; of these the fit without outliers leaves no more.
-    clear = last.rms <= max(LEFT * first.rms, SETTLED * fit.rms)
+    clear = last.rms <= max(LEFT * first.rms, SETTLED * case.fit.rms)
     return (first, last) if clear and last.stands_out(first) else None
 
 
@@ -436,11 +436,13 @@ def divisible(labels: Indices) -> Booleans:
 
 def changes(case: Case) -> Iterator[Finding]:
     """Frames and joint zeros that changed at a row, in their order, or all at once."""
-    found = changes_of(case)
+    seen = _unchanged(case)
+    found = changes_of(case, seen)
     # Who moves an instrument homes no joint, and mounts no tool.
-    seen = found[1].changes if found else ()
-    at_once = len({c.rank for c in seen}) == 1 < len({c.kind for c in seen})
-    another = [*_another(case)] if at_once or (case.doubtful and not found) else []
+    every = found[1].changes if found else ()
+    at_once = len({c.rank for c in every}) == 1 < len({c.kind for c in every})
+    sought = at_once or (case.doubtful and not found)
+    another = [*_another(case, seen)] if sought else []
     yield from another
     # Two or three things change on a bad day; more are what steps make of a drift.
     many = len({change[:3] for change in seen}) > 3
@@ -485,13 +487,12 @@ def changes(case: Case) -> Iterator[Finding]:
         yield told(CHANGED[kind][0], words, numbers, *how, error=True)
 
 
-def _another(case: Case) -> Iterator[Finding]:
+def _another(case: Case, fit: Trial | None) -> Iterator[Finding]:
     """Another robot, or whatever else was measured from some row on.
 
     All errors and frames are others there: to first order, each part has a fit of its
     own. Contacts fit to any robot, if it is small enough.
     """
-    fit = _unchanged(case)
     if fit is None or any(declared(model).contact for model in case.data.models):
         return
     columns = column_space(fit.linear[1][:, fit.problem.parameters.free])

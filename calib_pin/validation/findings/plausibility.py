@@ -312,8 +312,7 @@ def plausibility(case: Case) -> Iterator[Finding]:
     # scale, or it has grown, there are large corrections everywhere.
     if wrong or not fitted.structure.scaled:
         return
-    linear = _Linear.of(case, fitted)
-    yield from [*_scale(case, fitted, linear)] or _corrections(case, fitted, linear)
+    yield from [*_scale(case, fitted)] or _corrections(case, fitted)
 
 
 class _Linear(NamedTuple):
@@ -340,7 +339,7 @@ class _Linear(NamedTuple):
     sigma: float
 
     @staticmethod
-    def of(case: Case, fitted: Fit, lacking: Sequence[str] = ()) -> _Linear:
+    def of(case: Case, fitted: Fit, lacking: Sequence[str]) -> _Linear:
         """That of a fit, without what expected sizes add to the measurements.
 
         Families that it lacks are errors of the robot like the others.
@@ -406,11 +405,10 @@ def _of_robot(parameters: ParameterSet) -> NDArray[np.bool_]:
     return np.asarray(parameters.free & ~parameters.nuisance)
 
 
-def _scale(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
+def _scale(case: Case, fitted: Fit) -> Iterator[Finding]:
     """All lengths longer or shorter by one factor, which no robot is."""
-    if lacking := case.lacking[0]:
-        # A robot grows to explain what it lacks.
-        linear = _Linear.of(case, fitted, lacking)
+    # A robot grows to explain what it lacks.
+    linear = _Linear.of(case, fitted, case.lacking[0])
     s, deviation, chance, size = linear.growth()
     if abs(s) < DOUBTFUL_GROWTH or chance > CHANCE:
         return
@@ -441,7 +439,7 @@ def _yardstick(fitted: Fit) -> str:
     return ", ".join([*lengths, "the unit of the lengths in the URDF"])
 
 
-def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
+def _corrections(case: Case, fitted: Fit) -> Iterator[Finding]:
     """The largest correction of a joint, where it is far larger than robots have.
 
     A wrong origin in the URDF, or a joint mounted askew, is as large; then the
@@ -453,7 +451,7 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     sizes, turn_of_one = _sizes(fitted, x), _expected_turn(case.setup)
     if sizes.max() < LARGE:
         return
-    factor, z = np.inf, x.copy()
+    linear, factor, z = _Linear.of(case, fitted, ()), np.inf, x.copy()
     for held in map(linear.held, SIZES[::-1].tolist()):
         z[robot] = held
         if _sizes(fitted, z).max() < LARGE:

@@ -18,8 +18,8 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.statistics.variance_components import (
     KNOWN,
-    Block,
     Components,
+    ErrorBlock,
     Variances,
     candidates,
     estimate_variances,
@@ -292,7 +292,7 @@ A, X = rng.normal(size=(80, 4)), rng.normal(size=(80, 10))
 Y = 0.8 * rng.normal(size=80) + X @ (0.7 * rng.normal(size=10))
 
 
-def components(*blocks: Block, count: int, worth: float = 0.0) -> Components:
+def components(*blocks: ErrorBlock, count: int, worth: float = 0.0) -> Components:
     known = np.full(count, worth)
     return Components(blocks, known, known)
 
@@ -300,7 +300,7 @@ def components(*blocks: Block, count: int, worth: float = 0.0) -> Components:
 def factors(y: Floats = Y) -> Components:
     """Noise and effects X, as factors of one covariance."""
     labels = np.append(NOISE, np.ones(10, int))
-    block = Block(np.column_stack([A, y]), labels, np.hstack([np.eye(80), X]))
+    block = ErrorBlock(np.column_stack([A, y]), labels, np.hstack([np.eye(80), X]))
     return components(block, count=2)
 
 
@@ -308,7 +308,7 @@ def unknowns(y: Floats = Y) -> Components:
     """The same with the effects as unknowns that have errors of their own."""
     rows = np.column_stack([A, X, y])
     effects = np.hstack([np.zeros((10, 4)), np.eye(10), np.zeros((10, 1))])
-    blocks = Block(rows, NOISE), Block(effects, np.ones(10, int))
+    blocks = ErrorBlock(rows, NOISE), ErrorBlock(effects, np.ones(10, int))
     return components(*blocks, count=2)
 
 
@@ -356,7 +356,9 @@ def test_an_effect_that_is_not_there_vanishes() -> None:
 
 
 def test_what_is_known_beforehand_counts_like_further_errors() -> None:
-    nothing = components(Block(np.zeros((1, 1)), np.array([KNOWN])), count=2, worth=3.0)
+    nothing = components(
+        ErrorBlock(np.zeros((1, 1)), np.array([KNOWN])), count=2, worth=3.0
+    )
     found = estimate_variances(nothing, np.array([0.1, 7.0]))
     np.testing.assert_allclose(found.values, 1.0)
     np.testing.assert_allclose(found.dof, 3.0)
@@ -365,10 +367,10 @@ def test_what_is_known_beforehand_counts_like_further_errors() -> None:
 
 
 def test_variances_that_are_known_or_in_common() -> None:
-    plain = components(Block(np.column_stack([A, Y]), np.arange(80) % 4), count=4)
+    plain = components(ErrorBlock(np.column_stack([A, Y]), np.arange(80) % 4), count=4)
     found = estimate_variances(plain.relabeled(np.array([0, 1, 0, KNOWN])), np.ones(2))
     labels = np.array([0, 1, 0, KNOWN])[np.arange(80) % 4]
-    again = components(Block(np.column_stack([A, Y]), labels), count=2)
+    again = components(ErrorBlock(np.column_stack([A, Y]), labels), count=2)
     np.testing.assert_allclose(
         found.values, estimate_variances(again, np.ones(2)).values
     )

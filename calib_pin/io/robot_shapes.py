@@ -124,7 +124,8 @@ def _of_collada(data: bytes) -> Mesh:
     data = re.sub(rb"(?s)<bind_material>.*?</bind_material>", b"", data)
     # Of no use here are missing images, and elements that other programs add.
     document = Collada(BytesIO(data), ignore=[DaeError])
-    points, triangles = [np.zeros((0, 3))], [np.zeros((0, 3), np.intp)]
+    points = [np.zeros((0, 3))]
+    triangles: list[NDArray[np.integer]] = [np.zeros((0, 3), np.intp)]
     vertices = count = 0
     for part in (p for node in document.scene.nodes for p in _below(node, np.eye(4))):
         points.append(part[0])

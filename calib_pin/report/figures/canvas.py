@@ -18,7 +18,6 @@ from typing import Any, Literal
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backend_bases import GraphicsContextBase
 from matplotlib.backends.backend_mixed import MixedModeRenderer
 from matplotlib.backends.backend_svg import RendererSVG
 from matplotlib.figure import Figure
@@ -131,9 +130,9 @@ class Drawn:
                 figure.text(0.01, -apart, below, va="top", color=MUTED),
             ]
             # Cut to what is there: the words stand outside of the figure.
-            room: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.12}
-            about = {"format": kind, "metadata": metadata, "dpi": dpi}
-            figure.savefig(stream, facecolor=PAPER, **about, **room)
+            about: dict[str, Any] = {"format": kind, "metadata": metadata, "dpi": dpi}
+            about |= {"bbox_inches": "tight", "pad_inches": 0.12}
+            figure.savefig(stream, facecolor=PAPER, **about)
         for text in words:
             text.remove()
         return stream.getvalue()
@@ -152,20 +151,19 @@ class Drawn:
         figure.dpi = POINT
         figure.set_facecolor(paper)
         with drawing(), mpl.rc_context({"svg.fonttype": letters}):
-            paths = _SvgRenderer(
-                POINT * width, POINT * height, stream, image_dpi=dpi, metadata=metadata
-            )
-            renderer = MixedModeRenderer(figure, width, height, dpi, paths)
-            figure.draw(renderer)
-            renderer.finalize()
+            size, about = (POINT * width, POINT * height), {"metadata": metadata}
+            paths = _Paths(*size, stream, image_dpi=dpi, **about)  # type: ignore[no-untyped-call]
+            mixed: Any = MixedModeRenderer(figure, width, height, dpi, paths)  # type: ignore[no-untyped-call]
+            figure.draw(mixed)
+            mixed.finalize()
         return stream.getvalue()
 
 
-class _SvgRenderer(RendererSVG):
+class _Paths(RendererSVG):
     """That of matplotlib; its images have few colors: a third of the bytes."""
 
     def draw_image(
-        self, gc: GraphicsContextBase, x: float, y: float, im: Any, transform: Any = None
+        self, gc: object, x: float, y: float, im: Any, transform: object = None
     ) -> None:
         """Write an image (H, W, 4), its lowest row first, with its corner at x, y."""
         stream = io.BytesIO()
@@ -175,11 +173,9 @@ class _SvgRenderer(RendererSVG):
         width, height = (POINT / self.image_dpi * size for size in few.size)
         place = {"x": x, "y": self.height - y - height}
         about = {**place, "width": width, "height": height}
-        self.writer.element(
-            "image",
-            attrib={"xlink:href": f"data:image/png;base64,{data}"},
-            **{name: f"{value:.6g}" for name, value in about.items()},
-        )
+        attributes = {name: f"{value:.6g}" for name, value in about.items()}
+        attributes["xlink:href"] = f"data:image/png;base64,{data}"
+        self.writer.element("image", attrib=attributes)  # type: ignore[no-untyped-call]
 
 
 # --- panels and axes ---------------------------------------------------------------

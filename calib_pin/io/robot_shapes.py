@@ -11,7 +11,6 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, words_of
 from calib_pin.io.files import read_bytes
@@ -35,9 +34,6 @@ FORMATS = ("dae", "glb", "gltf", "obj", "off", "ply", "stl")
 
 STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
 """A triangle of a binary STL file, of which most meshes of robots are."""
-
-Mesh = tuple[Floats, NDArray[np.integer]]
-"""Vertices, shape (V, 3), and the corners of each triangle, shape (F, 3)."""
 
 SIMPLE: Mapping[str, Callable[..., Surface]] = {
     "box": lambda *size: shapes.box(np.array(size)),
@@ -70,13 +66,14 @@ def read_mesh(
     if path is None:
         hint = "a path from the folder of the URDF, or --package-dir DIR for a package"
         raise InputError("does not exist", allowed=hint)
-    points, triangles = _read(path)
-    if not 1 <= len(triangles) <= TRIANGLES:
-        reason = f"has {len(triangles)} triangles, not 1 to {TRIANGLES}"
+    mesh = _read(path)
+    points, count = mesh.vertices, len(mesh.triangles)
+    if not 1 <= count <= TRIANGLES:
+        reason = f"has {count} triangles, not 1 to {TRIANGLES}"
         raise InputError(reason, file=path)
     # What stands twice is one vertex. To sort by columns takes a quarter of the time of
     # `np.unique`, which compares rows.
-    used = np.unique(triangles)
+    used = np.unique(mesh.triangles)
     by = used[np.lexsort(points[used].T)]
     begins = np.append(True, (points[by][1:] != points[by][:-1]).any(axis=1))
     first, place = by[begins], np.empty(len(points), np.intp)
@@ -89,28 +86,28 @@ def read_mesh(
     if len(far):
         reason = f"has the vertex {far[0].tolist()}, not within {FARTHEST:g} m"
         raise InputError(reason, file=path)
-    return Surface(vertices, place[triangles])
+    return Surface(vertices, place[mesh.triangles])
 
 
-def _read(path: Path) -> Mesh:
+def _read(path: Path) -> Surface:
     """The mesh in a file; vertices may stand there twice, or for nothing."""
     data, kind = read_bytes(path, LARGEST), path.suffix[1:].lower()
     if kind not in FORMATS:
         raise InputError("is no mesh", file=path, allowed=", ".join(FORMATS))
     if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
         points = np.frombuffer(data, STL, offset=84)["corners"].reshape(-1, 3)
-        return points.astype(float), np.arange(len(points)).reshape(-1, 3)
+        return Surface(points.astype(float), np.arange(len(points)).reshape(-1, 3))
     try:
         mesh = _of_collada(data) if kind == "dae" else _by_trimesh(data, kind, path)
-        points, triangles = mesh
-        if triangles.min(initial=0) < 0 or triangles.max(initial=-1) >= len(points):
+        corners, count = mesh.triangles, len(mesh.vertices)
+        if corners.min(initial=0) < 0 or corners.max(initial=-1) >= count:
             raise ValueError("it has a face with a vertex that is not there")
     except Exception as failure:
         raise InputError(f"cannot be read: {words_of(failure)}", file=path) from failure
     return mesh
 
 
-def _of_collada(data: bytes) -> Mesh:
+def _of_collada(data: bytes) -> Surface:
     """The mesh in a DAE file, of which most visuals of robots are."""
     from zipfile import is_zipfile
 
@@ -124,13 +121,12 @@ def _of_collada(data: bytes) -> Mesh:
     data = re.sub(rb"(?s)<bind_material>.*?</bind_material>", b"", data)
     # Of no use here are missing images, and elements that other programs add.
     document = Collada(BytesIO(data), ignore=[DaeError])
-    points = [np.zeros((0, 3))]
-    triangles: list[NDArray[np.integer]] = [np.zeros((0, 3), np.intp)]
+    points, triangles = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
     vertices = count = 0
     for part in (p for node in document.scene.nodes for p in _below(node, np.eye(4))):
-        points.append(part[0])
-        triangles.append(part[1] + vertices)
-        vertices, count = vertices + len(part[0]), count + len(part[1])
+        points.append(part.vertices)
+        triangles.append(part.triangles + vertices)
+        vertices, count = vertices + len(points[-1]), count + len(triangles[-1])
         # Instances of instances can be any number.
         if vertices > 3 * TRIANGLES:
             raise ValueError(f"it has more than {3 * TRIANGLES} vertices")
@@ -138,10 +134,10 @@ def _of_collada(data: bytes) -> Mesh:
             break
     if not count and document.errors:
         raise document.errors[0]
-    return np.concatenate(points), np.concatenate(triangles)
+    return Surface(np.concatenate(points), np.concatenate(triangles))
 
 
-def _below(node: Any, T: Floats) -> Iterator[Mesh]:
+def _below(node: Any, T: Floats) -> Iterator[Surface]:
     """Meshes below a node of a scene, whose parent has the pose T."""
     for child in getattr(node, "children", ()):
         yield from _below(child, T @ node.matrix)
@@ -149,19 +145,20 @@ def _below(node: Any, T: Floats) -> Iterator[Mesh]:
         part = part.triangleset() if hasattr(part, "triangleset") else part
         # Others are lines.
         if part.vertex is not None and part.vertex_index.shape[1:] == (3,):
-            points, faces = part.vertex @ T[:3, :3].T + T[:3, 3], part.vertex_index
             # The outside of what is mirrored stays outside.
-            yield points, faces[:, ::-1] if np.linalg.det(T[:3, :3]) < 0.0 else faces
+            turn = -1 if np.linalg.det(T[:3, :3]) < 0.0 else 1
+            points = part.vertex @ T[:3, :3].T + T[:3, 3]
+            yield Surface(points, part.vertex_index[:, ::turn])
 
 
-def _by_trimesh(data: bytes, kind: str, path: Path) -> Mesh:
+def _by_trimesh(data: bytes, kind: str, path: Path) -> Surface:
     """The mesh in any other file."""
     import trimesh  # It takes several times as long to load as Pinocchio.
 
     beside = trimesh.resolvers.FilePathResolver(path) if kind == "gltf" else None
     about = {"file_type": kind, "resolver": beside, "process": False}
     mesh = trimesh.load_mesh(BytesIO(data), **about)
-    return np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+    return Surface(np.asarray(mesh.vertices, float), np.asarray(mesh.faces))
 
 
 def shape_of(

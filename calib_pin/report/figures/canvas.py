@@ -171,11 +171,10 @@ class _Paths(RendererSVG):
         few.save(stream, format="png")
         data = base64.b64encode(stream.getvalue()).decode()
         width, height = (POINT / self.image_dpi * size for size in few.size)
-        place = {"x": x, "y": self.height - y - height}
-        about = {**place, "width": width, "height": height}
-        attributes = {name: f"{value:.6g}" for name, value in about.items()}
-        attributes["xlink:href"] = f"data:image/png;base64,{data}"
-        self.writer.element("image", attrib=attributes)  # type: ignore[no-untyped-call]
+        box = {"x": x, "y": self.height - y - height, "width": width, "height": height}
+        about = {name: f"{value:.6g}" for name, value in box.items()}
+        about["xlink:href"] = f"data:image/png;base64,{data}"
+        self.writer.element("image", attrib=about)  # type: ignore[no-untyped-call]
 
 
 # --- panels and axes ---------------------------------------------------------------

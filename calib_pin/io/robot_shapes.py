@@ -126,12 +126,10 @@ def _of_collada(data: bytes) -> Surface:
     for part in (p for node in document.scene.nodes for p in _below(node, np.eye(4))):
         points.append(part.vertices)
         triangles.append(part.triangles + vertices)
-        vertices, count = vertices + len(points[-1]), count + len(triangles[-1])
-        # Instances of instances can be any number.
-        if vertices > 3 * TRIANGLES:
-            raise ValueError(f"it has more than {3 * TRIANGLES} vertices")
-        if count > TRIANGLES:
-            break
+        vertices += len(part.vertices)
+        count += max(len(part.triangles), len(part.vertices) // 3)
+        if count > TRIANGLES:  # Instances of instances can be any number.
+            raise ValueError(f"it is larger than {TRIANGLES} triangles")
     if not count and document.errors:
         raise document.errors[0]
     return Surface(np.concatenate(points), np.concatenate(triangles))

@@ -67,18 +67,25 @@ def register(family: str, name: str, member: Any) -> None:
 
 
 @cache
+def every_entry_point() -> Any:
+    """All entry points; to list them reads a file of every package there is."""
+    # Imported here: it takes a tenth of a second, and not every command needs it.
+    from importlib.metadata import entry_points
+
+    return entry_points()
+
+
+@cache
 def extensions(group: str) -> Mapping[str, Any]:
     """The objects of all entry points of a group, by name in alphabetical order.
 
     Raises:
         CalibPinError: If one cannot be loaded, or two have the same name.
     """
-    # Imported here: it takes a tenth of a second, and not every command needs it.
-    from importlib.metadata import entry_points
-
     found: dict[str, Any] = {}
     sources: dict[str, str] = {}
-    for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):
+    entries = every_entry_point().select(group=group)
+    for entry in sorted(entries, key=lambda entry: entry.name):
         package = entry.dist.name if entry.dist else "an unknown package"
         if entry.name in found:
             # An editable installation may show the same package twice.

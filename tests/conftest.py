@@ -37,7 +37,7 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
-from calib_pin.plugins import extensions
+from calib_pin.plugins import every_entry_point, extensions
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.workers.cluster import Cluster
@@ -176,8 +176,10 @@ def installed(
         return site
 
     extensions.cache_clear()
+    every_entry_point.cache_clear()
     yield install
     extensions.cache_clear()
+    every_entry_point.cache_clear()
 
 
 @pytest.fixture(scope="session")

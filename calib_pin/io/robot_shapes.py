@@ -66,16 +66,17 @@ def read_mesh(
     if path is None:
         hint = "a path from the folder of the URDF, or --package-dir DIR for a package"
         raise InputError("does not exist", allowed=hint)
-    corners = _corners(path)
-    if not 1 <= len(corners) <= TRIANGLES:
-        reason = f"has {len(corners)} triangles, not 1 to {TRIANGLES}"
+    mesh = _read(path)
+    points, count = mesh.vertices, len(mesh.triangles)
+    if not 1 <= count <= TRIANGLES:
+        reason = f"has {count} triangles, not 1 to {TRIANGLES}"
         raise InputError(reason, file=path)
-    # Triangles share corners. To sort by columns takes a quarter of the time of
+    # What stands twice is one vertex. To sort by columns takes a quarter of the time of
     # `np.unique`, which compares rows.
-    points = corners.reshape(-1, 3)
-    by = np.lexsort(points.T)
+    used = np.unique(mesh.triangles)
+    by = used[np.lexsort(points[used].T)]
     begins = np.append(True, (points[by][1:] != points[by][:-1]).any(axis=1))
-    first, place = by[begins], np.empty(len(by), np.intp)
+    first, place = by[begins], np.empty(len(points), np.intp)
     place[by] = np.cumsum(begins) - 1
     if len(first) < 3:  # Of a single one, the library gives numbers of no meaning.
         raise InputError("has less than 3 different vertices", file=path)
@@ -85,24 +86,29 @@ def read_mesh(
     if len(far):
         reason = f"has the vertex {far[0].tolist()}, not within {FARTHEST:g} m"
         raise InputError(reason, file=path)
-    return Surface(vertices, place.reshape(-1, 3))
+    return Surface(vertices, place[mesh.triangles])
 
 
-def _corners(path: Path) -> Floats:
-    """Corners of the triangles in a file, shape (F, 3, 3)."""
+def _read(path: Path) -> Surface:
+    """The mesh in a file; vertices may stand there twice, or for nothing."""
     data, kind = read_bytes(path, LARGEST), path.suffix[1:].lower()
     if kind not in FORMATS:
         raise InputError("is no mesh", file=path, allowed=", ".join(FORMATS))
     if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
-        return np.frombuffer(data, STL, offset=84)["corners"].astype(float)
+        points = np.frombuffer(data, STL, offset=84)["corners"].reshape(-1, 3)
+        return Surface(points.astype(float), np.arange(len(points)).reshape(-1, 3))
     try:
-        return _of_collada(data) if kind == "dae" else _by_trimesh(data, kind, path)
+        mesh = _of_collada(data) if kind == "dae" else _by_trimesh(data, kind, path)
+        corners, count = mesh.triangles, len(mesh.vertices)
+        if corners.min(initial=0) < 0 or corners.max(initial=-1) >= count:
+            raise ValueError("it has a face with a vertex that is not there")
     except Exception as failure:
         raise InputError(f"cannot be read: {words_of(failure)}", file=path) from failure
+    return mesh
 
 
-def _of_collada(data: bytes) -> Floats:
-    """Corners of the triangles in a DAE file, of which most visuals of robots are."""
+def _of_collada(data: bytes) -> Surface:
+    """The mesh in a DAE file, of which most visuals of robots are."""
     from zipfile import is_zipfile
 
     # Trimesh reads it by this, but takes ten times as long to load.
@@ -115,40 +121,42 @@ def _of_collada(data: bytes) -> Floats:
     data = re.sub(rb"(?s)<bind_material>.*?</bind_material>", b"", data)
     # Of no use here are missing images, and elements that other programs add.
     document = Collada(BytesIO(data), ignore=[DaeError])
-    found, count = [np.zeros((0, 3, 3))], 0
+    points, triangles = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
+    vertices = count = 0
     for part in (p for node in document.scene.nodes for p in _below(node, np.eye(4))):
-        found.append(part)
-        if (count := count + len(part)) > TRIANGLES:
-            break  # Instances of instances can be any number.
+        points.append(part.vertices)
+        triangles.append(part.triangles + vertices)
+        vertices += len(part.vertices)
+        count += max(len(part.triangles), len(part.vertices) // 3)
+        if count > TRIANGLES:  # Instances of instances can be any number.
+            raise ValueError(f"it is larger than {TRIANGLES} triangles")
     if not count and document.errors:
         raise document.errors[0]
-    return np.concatenate(found)
+    return Surface(np.concatenate(points), np.concatenate(triangles))
 
 
-def _below(node: Any, T: Floats) -> Iterator[Floats]:
-    """Corners of triangles below a node of a scene, whose parent has the pose T."""
+def _below(node: Any, T: Floats) -> Iterator[Surface]:
+    """Meshes below a node of a scene, whose parent has the pose T."""
     for child in getattr(node, "children", ()):
         yield from _below(child, T @ node.matrix)
     for part in node.geometry.primitives if hasattr(node, "geometry") else ():
         part = part.triangleset() if hasattr(part, "triangleset") else part
         # Others are lines.
         if part.vertex is not None and part.vertex_index.shape[1:] == (3,):
-            corners = part.vertex[part.vertex_index] @ T[:3, :3].T + T[:3, 3]
             # The outside of what is mirrored stays outside.
-            yield corners[:, ::-1] if np.linalg.det(T[:3, :3]) < 0.0 else corners
+            turn = -1 if np.linalg.det(T[:3, :3]) < 0.0 else 1
+            points = part.vertex @ T[:3, :3].T + T[:3, 3]
+            yield Surface(points, part.vertex_index[:, ::turn])
 
 
-def _by_trimesh(data: bytes, kind: str, path: Path) -> Floats:
-    """Corners of the triangles in any other file."""
+def _by_trimesh(data: bytes, kind: str, path: Path) -> Surface:
+    """The mesh in any other file."""
     import trimesh  # It takes several times as long to load as Pinocchio.
 
     beside = trimesh.resolvers.FilePathResolver(path) if kind == "gltf" else None
     about = {"file_type": kind, "resolver": beside, "process": False}
     mesh = trimesh.load_mesh(BytesIO(data), **about)
-    corners = mesh.triangles
-    if corners.shape[1:] != (3, 3) or mesh.faces.min(initial=0) < 0:
-        raise ValueError("it has a face with a vertex that is not there")
-    return np.asarray(corners, float)
+    return Surface(np.asarray(mesh.vertices, float), np.asarray(mesh.faces))
 
 
 def shape_of(

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import (
@@ -37,14 +36,11 @@ from calib_pin.observations import (
 from calib_pin.parameters import ParameterSet
 from calib_pin.planning.criteria import Information
 from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.suggestions import ASSUMED_TOOL
 from calib_pin.planning.workspace import Aims, Candidates, sides_tried
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.result import RobotError
-
-ASSUMED_TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
-"""Where a target sits in the tip that nobody has stated: beside the last axis [m]; and
-from a tool that may sit on that to one that does not."""
 
 
 def planned_keys(

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
@@ -20,7 +21,6 @@ from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import frame_pose, frame_setup
-from calib_pin.planning.planned_problem import ASSUMED_TOOL
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -29,6 +29,10 @@ from calib_pin.validation.result import Identification, Suggestion
 LARGEST = 1000
 """Most parameters of which suggestions are sought; each takes the time of an analysis,
 which grows with the third power."""
+
+ASSUMED_TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
+"""Where a target sits in the tip that nobody has stated: beside the last axis [m]; and
+from a tool that may sit on that to one that does not."""
 
 POSES = "measure full poses, positions and orientations"
 

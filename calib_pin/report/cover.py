@@ -6,7 +6,6 @@ import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from calib_pin.estimation.evidence import TRUSTED
@@ -80,11 +79,6 @@ class Cover:
     numbers: Table | None = None
     headline: Sequence[Tile] = ()
     remark: str = ""
-
-
-def program() -> str:
-    """The program and its version, as pages name it."""
-    return f"calib-pin {version('calib_pin')}"
 
 
 def acceptance_cover(

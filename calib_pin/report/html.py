@@ -11,9 +11,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
+from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -25,13 +26,15 @@ from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.accuracy import subject
 from calib_pin.report.blocks import Block, Code, Facts, Line, Table, note, table
-from calib_pin.report.cover import Cover, program
 from calib_pin.report.figures import Drawn, drawn
 from calib_pin.report.tables import STATUS, parameter_overview
 from calib_pin.report.text import Section, sections
 from calib_pin.report.tiles import tiles
 from calib_pin.report.trust import FIRST, next_step, opening
 from calib_pin.validation.result import CalibrationResult, Provenance, Suggestion
+
+if TYPE_CHECKING:
+    from calib_pin.report.cover import Cover
 
 FRONT = ("robot-errors", "cumulative-errors")
 """Figures of the first screen."""
@@ -212,7 +215,7 @@ def _pages() -> Environment:
     )
     environment.filters["kind"] = lambda block: type(block).__name__
     environment.filters["exact"] = repr
-    environment.globals["made"] = program()
+    environment.globals["made"] = f"calib-pin {version('calib_pin')}"
     folder = files("calib_pin.report") / "page"
     for part, name in (("style", "style.css"), ("script", "script.js")):
         environment.globals[part] = Markup((folder / name).read_text("utf-8"))

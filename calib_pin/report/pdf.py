@@ -10,12 +10,13 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import is_dataclass
 from datetime import UTC, datetime
+from importlib.metadata import version
 from importlib.resources import files
 from importlib.util import find_spec
 
 from calib_pin.errors import OptionError, printable
 from calib_pin.report.blocks import Block, Cell
-from calib_pin.report.cover import Cover, program
+from calib_pin.report.cover import Cover
 from calib_pin.report.figures.canvas import AFTER, BEFORE, Drawn
 
 MISSING = "a PDF needs typst, which is missing: pip install 'calib-pin[pdf]'"
@@ -66,7 +67,7 @@ def sources(cover: Cover, blocks: Iterable[Block]) -> dict[str, bytes]:
     shown = {
         "cover": _plain(cover),
         "blocks": [_plain(block) for block in blocks],
-        "made": program(),
+        "made": f"calib-pin {version('calib_pin')}",
         "before": BEFORE,
         "after": AFTER,
     }

@@ -32,11 +32,9 @@ from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Information
-from calib_pin.planning.planned_problem import (
-    ASSUMED_TOOL,
-    identification,
-)
+from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.suggestions import ASSUMED_TOOL
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel

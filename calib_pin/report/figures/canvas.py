@@ -18,6 +18,8 @@ from typing import Any, Literal
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_mixed import MixedModeRenderer
+from matplotlib.backends.backend_svg import RendererSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
@@ -66,6 +68,9 @@ DECADES = 18
 LARGEST = 100
 """Largest errors of every kind that are always drawn."""
 
+POINT = 72
+"""Points of an inch."""
+
 KINDS: Mapping[str, tuple[dict[str, Any], int]] = {
     "png": ({"Software": None}, 200),
     "pdf": ({"CreationDate": None}, 150),
@@ -78,8 +83,6 @@ Without dates and versions, the same numbers give the same bytes [dots per inch]
 
 NUMBERED = re.compile(r' id="[\w.]+_\d+"')
 """Names of groups, which would be those of other figures of a page as well."""
-
-PNG = re.compile(r"(?<=data:image/png;base64,)[^\"]*")
 
 
 @contextmanager
@@ -113,13 +116,13 @@ class Drawn:
 
     def svg(self) -> str:
         """Part of an HTML page, whose style sheet gives it font and colors."""
-        text = self._saved("svg", "none").decode()
-        text = PNG.sub(_with_palette, text[text.index("<svg") :])
-        return NUMBERED.sub("", text)
+        text = self._svg("none", "none")
+        return NUMBERED.sub("", text[text.index("<svg") :])
 
     def picture(self, kind: str) -> bytes:
         """A file of its own, one of `KINDS`, on white, with its heading and caption."""
         figure, apart = self.figure, 0.12 / self.figure.get_figheight()
+        (metadata, dpi), stream = KINDS[kind], io.BytesIO()
         with drawing():
             below = fill(self.reading, LINE)
             words = [
@@ -127,37 +130,51 @@ class Drawn:
                 figure.text(0.01, -apart, below, va="top", color=MUTED),
             ]
             # Cut to what is there: the words stand outside of the figure.
-            found = self._saved(kind, PAPER, bbox_inches="tight", pad_inches=0.12)
+            about: dict[str, Any] = {"format": kind, "metadata": metadata, "dpi": dpi}
+            about |= {"bbox_inches": "tight", "pad_inches": 0.12}
+            figure.savefig(stream, facecolor=PAPER, **about)
         for text in words:
             text.remove()
-        return found
+        return stream.getvalue()
 
     def bare(self) -> bytes:
         """An SVG file without heading and caption, its letters as outlines.
 
         Whoever places it writes the words, and need not have the font.
         """
-        return self._saved("svg", PAPER, letters="path")
+        return self._svg("path", PAPER).encode()
 
-    def _saved(
-        self, kind: str, paper: str, letters: str = "none", **more: Any
-    ) -> bytes:
-        metadata, dpi = KINDS[kind]
-        stream = io.BytesIO()
+    def _svg(self, letters: str, paper: str) -> str:
+        metadata, dpi = KINDS["svg"]
+        figure, stream = self.figure, io.StringIO()
+        width, height = figure.get_size_inches()
+        figure.dpi = POINT
+        figure.set_facecolor(paper)
         with drawing(), mpl.rc_context({"svg.fonttype": letters}):
-            self.figure.savefig(
-                stream, format=kind, dpi=dpi, metadata=metadata, facecolor=paper, **more
-            )
+            size, about = (POINT * width, POINT * height), {"metadata": metadata}
+            paths = _Paths(*size, stream, image_dpi=dpi, **about)  # type: ignore[no-untyped-call]
+            mixed: Any = MixedModeRenderer(figure, width, height, dpi, paths)  # type: ignore[no-untyped-call]
+            figure.draw(mixed)
+            mixed.finalize()
         return stream.getvalue()
 
 
-def _with_palette(found: re.Match[str]) -> str:
-    """An image of few colors, which takes a third of the bytes."""
-    stream = io.BytesIO()
-    with Image.open(io.BytesIO(base64.b64decode(found[0]))) as picture:
-        few = picture.convert("RGBA").quantize(256, Image.Quantize.FASTOCTREE)
+class _Paths(RendererSVG):
+    """That of matplotlib; its images have few colors: a third of the bytes."""
+
+    def draw_image(
+        self, gc: object, x: float, y: float, im: Any, transform: object = None
+    ) -> None:
+        """Write an image (H, W, 4), its lowest row first, with its corner at x, y."""
+        stream = io.BytesIO()
+        few = Image.fromarray(im[::-1]).quantize(256, Image.Quantize.FASTOCTREE)
         few.save(stream, format="png")
-    return base64.b64encode(stream.getvalue()).decode()
+        data = base64.b64encode(stream.getvalue()).decode()
+        width, height = (POINT / self.image_dpi * size for size in few.size)
+        box = {"x": x, "y": self.height - y - height, "width": width, "height": height}
+        about = {name: f"{value:.6g}" for name, value in box.items()}
+        about["xlink:href"] = f"data:image/png;base64,{data}"
+        self.writer.element("image", attrib=about)  # type: ignore[no-untyped-call]
 
 
 # --- panels and axes ---------------------------------------------------------------

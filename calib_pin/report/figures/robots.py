@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from calib_pin.monte_carlo import Outlook
-from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report.figures.canvas import (
     AFTER,
     BEFORE,
@@ -22,7 +20,10 @@ from calib_pin.report.figures.canvas import (
 )
 from calib_pin.report.tables import unit_of
 from calib_pin.setup import LimitSetup
-from calib_pin.validation.acceptance import Acceptance
+
+if TYPE_CHECKING:
+    from calib_pin.monte_carlo import Outlook
+    from calib_pin.validation.acceptance import Acceptance
 
 FEW = 12
 """Poses up to which each is named: names of more lie over each other."""
@@ -102,6 +103,8 @@ def accuracy_by_configurations(
     outlooks: Sequence[Outlook], limit: LimitSetup
 ) -> Drawn | None:
     """Position error, and part of the robots within the limit, by configurations."""
+    from calib_pin.monte_carlo.summary import LEVELS
+
     done = [one for one in outlooks if one.failed < one.robots]
     if not done:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from calib_pin.estimation.statistics.distributions import chi2_interval
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import (
     AFTER,
     BEFORE,
@@ -28,6 +27,9 @@ from calib_pin.report.figures.canvas import (
 from calib_pin.report.tables import number, unit_of
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift
+
+if TYPE_CHECKING:  # It brings all searches of a plan, and most figures are of none.
+    from calib_pin.planning.plan import Plan
 
 SIDES = ((0, 1), (0, 2), (1, 2))
 """Axes of the base link to the right and upwards, of every view."""

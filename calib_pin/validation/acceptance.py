@@ -592,7 +592,8 @@ def _frames(
         return {"robot": fit}, "" if fit.dof else f"{what} {own}", how, doubts
     models = {"nominal": robot.reference, NOW: robot.model}
     fits = {name: _at_station(model, on, alone) for name, model in models.items()}
-    if registration or not alone or visits.keys[0] not in robot.model.terms:
+    elsewhere = visits.keys[0] not in robot.model.problem(visits).terms
+    if registration or elsewhere or not alone:
         said, unlikely = _misfit(robot, fits[NOW])
         doubts += [said] * unlikely
         how = f"tool as calibrated, station {own}; {said}"

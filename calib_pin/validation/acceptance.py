@@ -73,8 +73,16 @@ LEAST = 3
 RESOLUTION = 1e-6
 """Scatter of visits that no instrument resolves [m]."""
 
+MEASURED = 0.01
+"""Joint positions of visits that differ by less were measured [rad, m]."""
+
+COMMANDED = "state commanded joint positions, which are the same at every visit"
+
 DEGREES = (2, 4)
 """Degrees of the drift beside which a move is sought, and of that which it beats."""
+
+OF_STATION = ("AP", "orientation")
+"""Quantities that depend on where the instrument stands."""
 
 ELSEWHERE = "the station is not where it was at the calibration; --register fits it"
 
@@ -181,6 +189,8 @@ class Acceptance:
         bound: The least AP of the worst pose then [m].
         doubts: Why no limit passes, in sentences.
         moved: Whether the instrument was moved: no limit fails either.
+        elsewhere: Whether it stands elsewhere than at the calibration: no limit of what
+            depends on that fails.
     """
 
     poses: tuple[PoseTest, ...]
@@ -190,6 +200,7 @@ class Acceptance:
     bound: Interval = UNTESTABLE
     doubts: tuple[str, ...] = ()
     moved: bool = False
+    elsewhere: bool = False
 
 
 def acceptance(
@@ -222,7 +233,7 @@ def acceptance(
     if not kept:
         most = max(map(len, visits), default=0)
         reason = f"no pose was visited {LEAST} times: {len(first)} poses, at most "
-        allowed = "repeated poses; 'plan --accept --cycles N' asks for them"
+        allowed = f"repeated poses ({COMMANDED}); 'plan --accept' asks for them"
         raise InputError(f"{reason}{most} visits of one", allowed=allowed)
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
@@ -440,14 +451,16 @@ def judged(
     """Each limit with its quantity, `pass`, `fail` or `undecided`, interval and unit.
 
     The worst pose counts: it passes where all of its interval is below the limit and
-    nothing is in doubt, and fails where all of it is above.
+    nothing is in doubt, and fails where all of it is above. What depends on where the
+    instrument stands fails only where that is known.
     """
     found = measured(test)
+    unknown = OF_STATION if test.elsewhere else ()
     for name, (most, unit) in limits(limit).items():
         interval = worst(found[name][0]) if name in found else UNTESTABLE
         if interval.high <= most and not test.doubts:
             status = "pass"
-        elif interval.low > most and not test.moved:
+        elif interval.low > most and not test.moved and name not in unknown:
             status = "fail"
         else:
             status = "undecided"
@@ -559,8 +572,12 @@ def tested(
         effects = _derivatives(there.problem, there.theta) @ fit.known
         off = FrameErrors(effects, fit.dof or np.inf, fitted)
         test = acceptance(x, deviations, number[good], cycle[good], off)
-        said = *doubts, *more
-        tests[name] = replace(test, moved=moved is not None, doubts=said)
+        tests[name] = replace(
+            test,
+            doubts=(*doubts, *more),
+            moved=moved is not None,
+            elsewhere=ELSEWHERE in more,
+        )
     name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
     about = f"{name}: {len(x)} visits of {len(test.poses)} poses; {how}."
     return Tested(tests, about)
@@ -621,8 +638,12 @@ def _named(
             pose has two visits in a cycle.
     """
     places = [*zip(visits.files, visits.lines.tolist(), strict=True)]
-    given = (named.get(column, {}) for column in ("pose", "cycle"))
-    pose, turn = (of if all(p in of for p in places) else {} for of in given)
+    pose, turn = (named.get(column, {}) for column in ("pose", "cycle"))
+    for column, of in (("pose", pose), ("cycle", turn)):
+        lacking = [row for row, place in enumerate(places) if place not in of]
+        if of and lacking:
+            reason = f"the visit names no {column}, others do"
+            raise visits.error(lacking[0], reason, column=column)
     number = np.array([pose[p] for p in places]) if pose else group + 1
     cycle = np.array([turn[p] for p in places]) if turn else cycles_in_order(group)
     poses, cycles = {*number, *pose.values()}, {*cycle, *turn.values()}
@@ -638,6 +659,9 @@ def _named(
             first, there = seen.setdefault((column, *key), (int(value), row))
             if first != value:
                 reason = f"{said} in line {visits.lines[there]}"
+                apart = float(np.abs(visits.q[row] - visits.q[there]).max())
+                if 0.0 < apart < MEASURED:
+                    reason += f"; {COMMANDED}"
                 raise visits.error(row, reason, column=column)
     if len({*zip(group, cycle, strict=True)}) < len(cycle):
         # Every file counts its own cycles.

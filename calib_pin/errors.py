@@ -69,6 +69,11 @@ def enumerated(names: Iterable[str], room: int = ALLOWED) -> str:
     return ", ".join(names[:count]) + more
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things, such as `1 joint` and `2 joints`."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def _cut(text: str, room: int) -> str:
     """The start of a text that is too long; a quote at its end stays."""
     if len(text) <= room:

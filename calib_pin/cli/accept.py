@@ -89,18 +89,17 @@ def _named(
     """
     texts: dict[str, dict[tuple[str, int], str]] = {"pose": {}, "cycle": {}}
     for table in (read_table(file, columns=columns) for file in files):
-        for column, names in table.texts(texts).items():
-            places = ((table.file, line) for line in table.lines.tolist())
-            own = zip(places, map(str.strip, names), strict=True)
-            texts[column] |= {place: name for place, name in own if name}
+        for column, labels in table.texts(texts).items():
+            for line, name in zip(table.lines.tolist(), labels, strict=True):
+                if name.strip():
+                    texts[column][table.file, line] = name.strip()
     found = {}
     for column, given in texts.items():
-        names = [*dict.fromkeys(given.values())]
-        parts = [NUMBERED.fullmatch(name) for name in names]
-        words = {part and part[1].strip().casefold() for part in parts}
-        numbers = {n: int(part[2]) for n, part in zip(names, parts, strict=True) if part}
-        if len(words) > 1 or None in words:
-            numbers = {name: number for number, name in enumerate(names, 1)}
+        parts = {name: NUMBERED.fullmatch(name) for name in given.values()}
+        words = {part and part[1].strip().casefold() for part in parts.values()}
+        numbers = {name: int(part[2]) for name, part in parts.items() if part}
+        if None in words or len(words) > 1:
+            numbers = {name: number for number, name in enumerate(parts, 1)}
             told = (f"{number} is '{name}'" for name, number in numbers.items())
             printing.notice(f"{column} {enumerated(told)}")
         found[column] = {place: numbers[name] for place, name in given.items()}

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calib_pin.errors import CalibPinError, one_line
+from calib_pin.errors import CalibPinError, counted, one_line
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.formulation import fitting
@@ -230,7 +230,7 @@ class Watch:
                 yield Event("problem", told)
             self._unplanned = told
         if fitted.model is None:
-            yield Event("waiting", f"{count} rows: {fitted.reason}")
+            yield Event("waiting", f"{counted(count, 'row')}: {fitted.reason}")
         else:
             limit = self._limit or fitted.setup.limit.position
             known = State(count, len(self._aside), limit=limit)

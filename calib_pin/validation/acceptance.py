@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, enumerated
+from calib_pin.errors import InputError, counted, enumerated
 from calib_pin.estimation.formulation import make_problem, with_parameters
 from calib_pin.estimation.identifiability import column_space
 from calib_pin.estimation.nominal import extended, register, registered, relocated
@@ -579,7 +579,8 @@ def tested(
             elsewhere=ELSEWHERE in more,
         )
     name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
-    about = f"{name}: {len(x)} visits of {len(test.poses)} poses; {how}."
+    visited = f"{counted(len(x), 'visit')} of {counted(len(test.poses), 'pose')}"
+    about = f"{name}: {visited}; {how}."
     return Tested(tests, about)
 
 
@@ -597,7 +598,7 @@ def _frames(
     on, own, doubts = visits, "fitted to these visits", list[str]()
     alone = others is None
     if others is not None:
-        on, own = others, f"registered on {len(others)} other measurements"
+        on, own = others, f"registered on {counted(len(others), 'other measurement')}"
     if isinstance(robot, Chains):
         fit = _as_stated(robot, on, setup)
         what, how = "base and tool were", "base and tool as stated"

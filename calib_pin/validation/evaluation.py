@@ -114,8 +114,8 @@ def _findings(
         # They are too few, or have no derivative, or only the calibration knows more.
         return ()
     found = find(case)
-    others = (f for f in found.others if f.code != "few-configurations")
-    return (*found.causes, *others)
+    every = *found.causes, *found.others
+    return tuple(one for one in every if one.code != "few-configurations")
 
 
 def _unregistered(

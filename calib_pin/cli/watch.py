@@ -26,6 +26,7 @@ from calib_pin.cli.options import Request
 from calib_pin.cli.printing import console, notice, say, taken_notices
 from calib_pin.cli.requests import Opened, opened
 from calib_pin.errors import InputError, OptionError, RobotError, enumerated
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.guidance import Event
 from calib_pin.guidance.proposals import Proposals, remaining
 from calib_pin.io.files import write_atomically
@@ -111,9 +112,10 @@ def watch(asked: Watch) -> int:
         follow(job, told, before if not asked.once else None)
     if job.fit is None:
         notice("no result: nothing could be fitted yet")
-        return 1
+        return 2 if job.rows else 1
     if asked.once:
-        return 0
+        trusted = job.state is not None and job.state.verdict in TRUSTED
+        return 0 if trusted else 2
     whole = Calibrate(**options.same(asked, Calibrate) | own)
     return calibrate(whole, request.words(asked.output or Path())[1:])
 

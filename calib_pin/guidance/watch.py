@@ -86,6 +86,11 @@ class Watch:
         self.state: State | None = None
         self.next: Proposal | None = None
 
+    @property
+    def rows(self) -> int:
+        """Number of measurements that have been read."""
+        return len(self._known)
+
     def look(self) -> Iterator[Event]:
         """The events since the last look; none where no file changed."""
         stamp, unfinished = _stamp(self._files)

@@ -76,8 +76,6 @@ RESOLUTION = 1e-6
 MEASURED = 0.01
 """Joint positions of visits that differ by less were measured [rad, m]."""
 
-COMMANDED = "state commanded joint positions, which are the same at every visit"
-
 DEGREES = (2, 4)
 """Degrees of the drift beside which a move is sought, and of that which it beats."""
 
@@ -232,9 +230,10 @@ def acceptance(
     kept = [k for k in np.argsort(called) if len(visits[k]) >= LEAST]
     if not kept:
         most = max(map(len, visits), default=0)
-        reason = f"no pose was visited {LEAST} times: {len(first)} poses, at most "
-        allowed = f"repeated poses ({COMMANDED}); 'plan --accept' asks for them"
-        raise InputError(f"{reason}{most} visits of one", allowed=allowed)
+        reason = f"no pose was visited {LEAST} times: {counted(len(first), 'pose')}, "
+        reason += f"at most {counted(most, 'visit')} of one"
+        allowed = "repeated poses, by their commanded joint positions; 'plan --accept "
+        raise InputError(reason, allowed=f"{allowed}--cycles N' asks for them")
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
     for k in kept:
@@ -662,7 +661,8 @@ def _named(
                 reason = f"{said} in line {visits.lines[there]}"
                 apart = float(np.abs(visits.q[row] - visits.q[there]).max())
                 if 0.0 < apart < MEASURED:
-                    reason += f"; {COMMANDED}"
+                    reason += "; state commanded joint positions, which are the same "
+                    reason += "at every visit"
                 raise visits.error(row, reason, column=column)
     if len({*zip(group, cycle, strict=True)}) < len(cycle):
         # Every file counts its own cycles.

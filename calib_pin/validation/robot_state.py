@@ -504,7 +504,9 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
     ):
         if refused:
             file = start.provenance.file or None
-            raise OptionError(f"the older calibration {reason}", file=file)
+            reason = f"the older calibration {reason}"
+            allowed = "its nominal robot, nominal.urdf in its folder"
+            raise OptionError(reason, file=file, allowed=allowed if difference else None)
 
 
 def _drifts(

@@ -70,7 +70,12 @@ def enumerated(names: Iterable[str], room: int = ALLOWED) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """A number of things, such as `1 joint` and `2 joints`."""
+    """A number of things.
+
+    Examples:
+        >>> counted(1, "joint"), counted(2, "joint")
+        ('1 joint', '2 joints')
+    """
     return f"{count} {noun}{'s' * (count != 1)}"
 
 

@@ -506,7 +506,9 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
             file = start.provenance.file or None
             reason = f"the older calibration {reason}"
             allowed = "its nominal robot, nominal.urdf in its folder"
-            raise OptionError(reason, file=file, allowed=allowed if difference else None)
+            raise OptionError(
+                reason, file=file, allowed=allowed if difference else None
+            )
 
 
 def _drifts(

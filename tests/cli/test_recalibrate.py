@@ -109,6 +109,16 @@ def test_refusals(words, named, fails) -> None:
     fails(f"calibrate {words}", named)
 
 
+def test_measurements_that_frames_use_up_are_refused(fails) -> None:
+    lines = Path("later.csv").read_text().splitlines(keepends=True)
+    Path("three.csv").write_text("".join(lines[:5]))
+    fails("calibrate space6 three.csv --start first", "three.csv", "use up 9")
+
+
+def test_the_corrected_robot_is_not_the_nominal_one(fails) -> None:
+    fails("calibrate first/space6.urdf later.csv --start first", "nominal.urdf")
+
+
 def test_a_fleet_goes_on(run, inside) -> None:
     """In the order of days, whatever that of the lines is; also with a later table."""
     Path("jobs.csv").write_text(

@@ -32,6 +32,9 @@ from calib_pin.guidance.proposals import Proposals, remaining
 from calib_pin.io.files import write_atomically
 from calib_pin.io.measured_columns import asked_models, infer_model, needed
 from calib_pin.io.table import read_table
+from calib_pin.observations import fitted_and_held_out
+from calib_pin.setup import Setup
+from calib_pin.validation.robot_state import expected_setup, started
 
 PAUSE = 0.2
 """Time between two looks at the files [s]."""
@@ -60,7 +63,7 @@ def watched(
     def read() -> Any:
         try:
             seen(found := opened(request, None))
-            return found.chains, found.setup, found.measurements
+            return found.chains, _so_far(found), found.measurements
         finally:
             taken_notices()
 
@@ -68,6 +71,20 @@ def watched(
     proposals = Proposals(files[0], plan, srdf, folders, True)
     followed = [*files, *filter(None, [request.setup])]
     return guidance.Watch(read, followed, proposals, limit, request.seed)
+
+
+def _so_far(found: Opened) -> Setup:
+    """The setup, with what an older calibration tells of the rows so far."""
+    older, noise = found.older, found.request.process_noise
+    if older is None:
+        return found.setup
+    rows = fitted_and_held_out(found.measurements)[0]
+    try:
+        return started(found.chains, rows, found.setup, older, noise)[0]
+    except OptionError:
+        raise
+    except InputError:  # Frames use up the rows.
+        return expected_setup(found.chains, found.setup, older, noise)
 
 
 def watch(asked: Watch) -> int:

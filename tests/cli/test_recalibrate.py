@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from contextlib import chdir
 from pathlib import Path
@@ -107,6 +108,13 @@ def test_a_plan_for_it(run) -> None:
 )
 def test_refusals(words, named, fails) -> None:
     fails(f"calibrate {words}", named)
+
+
+def test_rows_are_watched_by_the_older_calibration(run) -> None:
+    os.utime("later.csv", (1, 1))
+    assert run("watch space6 later.csv --tip tool --once").status == 2
+    found = run("watch space6 later.csv --start first --once")
+    assert found.status == 0 and "10 rows; GOOD" in found.out
 
 
 def test_measurements_that_frames_use_up_are_refused(fails) -> None:

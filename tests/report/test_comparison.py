@@ -149,7 +149,7 @@ def test_counts(still):
     words = words_of(replace(none, sums_alone=(2, 0)))
     assert "Identified in A only: 2 combinations; in B only: 0." in words
     assert "identifiable in A only: j.dh.d|a" in words
-    assert "in B only:" not in words
+    assert "identifiable in B only:" not in words
 
 
 def test_accuracies_and_what_positions_lack(still):

@@ -69,6 +69,16 @@ def enumerated(names: Iterable[str], room: int = ALLOWED) -> str:
     return ", ".join(names[:count]) + more
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things.
+
+    Examples:
+        >>> counted(1, "joint"), counted(2, "joint")
+        ('1 joint', '2 joints')
+    """
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def _cut(text: str, room: int) -> str:
     """The start of a text that is too long; a quote at its end stays."""
     if len(text) <= room:

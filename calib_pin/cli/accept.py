@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Accept
 from calib_pin.cli.results import dated
-from calib_pin.errors import stated_in
+from calib_pin.errors import enumerated, stated_in
 from calib_pin.io import json_text, measurements, results
 from calib_pin.io.json_text import Json, format_keys
 from calib_pin.io.table import read_table
@@ -19,6 +20,9 @@ from calib_pin.report.pdf import MISSING, can_write_pdf, pdf_report
 from calib_pin.setup import LimitSetup
 from calib_pin.validation import acceptance
 from calib_pin.validation.acceptance import Acceptance, judged
+
+NUMBERED = re.compile(r"(\D*)(\d{1,5})(?:\.0*)?")
+"""A number, alone or behind a word."""
 
 NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
 
@@ -78,15 +82,28 @@ def accept(asked: Accept) -> int:
 def _named(
     files: list[Path], columns: Mapping[str, str]
 ) -> dict[str, dict[tuple[str, int], int]]:
-    """Numbers in columns `pose`, `P5` or `5`, and `cycle`, by file and line."""
-    named: dict[str, dict[tuple[str, int], int]] = {"pose": {}, "cycle": {}}
+    """Numbers in columns `pose` and `cycle`, by file and line.
+
+    They stand alone or behind one word, as `P5` or `pose 5`. Other names are numbered
+    in their order, which is told.
+    """
+    texts: dict[str, dict[tuple[str, int], str]] = {"pose": {}, "cycle": {}}
     for table in (read_table(file, columns=columns) for file in files):
-        for column, names in table.texts(named).items():
-            for line, name in zip(table.lines.tolist(), names, strict=True):
-                digits = name.removeprefix("P")
-                if digits.isdecimal() and len(digits) < 6:
-                    named[column][table.file, line] = int(digits)
-    return named
+        for column, labels in table.texts(texts).items():
+            for line, name in zip(table.lines.tolist(), labels, strict=True):
+                if name.strip():
+                    texts[column][table.file, line] = name.strip()
+    found = {}
+    for column, given in texts.items():
+        parts = {name: NUMBERED.fullmatch(name) for name in given.values()}
+        words = {part and part[1].strip().casefold() for part in parts.values()}
+        numbers = {name: int(part[2]) for name, part in parts.items() if part}
+        if None in words or len(words) > 1:
+            numbers = {name: number for number, name in enumerate(parts, 1)}
+            told = (f"{number} is '{name}'" for name, number in numbers.items())
+            printing.notice(f"{column} {enumerated(told)}")
+        found[column] = {place: numbers[name] for place, name in given.items()}
+    return found
 
 
 def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> Json:

@@ -72,6 +72,8 @@ class Watch(options.QuietAnswer, Request):
     compared with its prediction by the rows before it; the verdict so far, the expected
     accuracy and the configuration to measure next follow. Ctrl-C ends, with the result
     as calibrate would write it. The same command goes on with the rows that are there.
+    Exit status 2: the result, or with --once the verdict so far, is unchecked or must
+    not be trusted.
 
     Attributes:
         output: Folder for the results, written at the end as by calibrate.

@@ -169,7 +169,9 @@ def open_calibration(
     chain, models = model.of().chain, model_name(model)
     known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
     require_joints_only(file, setup, *also, known=known)
-    own = replace(model.setup, model=models, reading=setup.reading)
+    # Of poses, positions alone may be measured now.
+    read = f"{models}+position" if models == "pose" else models
+    own = replace(model.setup, model=read, reading=setup.reading)
     plain = vars(type(setup)())
     given = {key: getattr(setup, key) for key in ("columns", "joints", *also)}
     taken = {key: value for key, value in given.items() if value != plain[key]}

@@ -14,7 +14,7 @@ from calib_pin.cli.asked import Fleet
 from calib_pin.cli.jobs import Job
 from calib_pin.cli.options import asked_workers
 from calib_pin.cli.printing import Bar, notice, progress_bar
-from calib_pin.errors import OptionError
+from calib_pin.errors import OptionError, counted
 from calib_pin.estimation.statistics.population_prior import Population, RobotEvidence
 from calib_pin.io import json_text, measurements, results, setup
 from calib_pin.io.files import sha256
@@ -107,7 +107,7 @@ def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
         **priors(output, populations),
     }
     folders = sum(row.fitted > 0 for row in urgent)
-    written = [f"wrote {folders} folders to {output}"]
+    written = [f"wrote {counted(folders, 'folder')} to {output}"]
     written += [f"wrote {file}" for file in contents]
     report = fleet_text.fleet_report(urgent, populations)
     # What is there was looked for before the work.

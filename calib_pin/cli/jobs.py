@@ -8,6 +8,7 @@ row.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -57,6 +58,9 @@ FLAGS = dict(true=True, yes=True, on=True, false=False, no=False, off=False)
 PREVIOUS = Path("previous")
 """The `start` that is the calibration before of the same robot."""
 
+DOTTED = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})")
+"""A date of a spreadsheet in many countries; slashes leave open what comes first."""
+
 SEPARATORS = '/\\:*?"<>|'
 """Letters that no folder of a job may have in its name, on any system."""
 
@@ -70,7 +74,15 @@ def _folder(text: str) -> str:
     return name
 
 
-ENTRY, DAY = (partial(taken, "", hint=kind) for kind in (Entry, Date))
+ENTRY = partial(taken, "", hint=Entry)
+
+
+def _day(text: str) -> Any:
+    """A date, also as spreadsheets write it with points: the day comes first."""
+    if dotted := DOTTED.fullmatch(text):
+        day, month, year = dotted.groups()
+        text = f"{year}-{month:0>2}-{day:0>2}"
+    return taken("", text, hint=Date)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +107,7 @@ class Job(Request):
 
     name: Annotated[str, Told(parse=_folder)] = ""
     serial_number: Annotated[str, Told(parse=ENTRY)] = ""
-    date: Annotated[str, Told(parse=DAY)] = ""
+    date: Annotated[str, Told(parse=_day)] = ""
     previous: Annotated[Path | None, Told()] = None
     line: int = 0
     before: str = ""
@@ -136,6 +148,8 @@ def read_jobs(
     yaml = Path(path).suffix.lower() in (".yaml", ".yml")
     rows = _of_yaml(path) if yaml else _of_csv(path, notice)
     every = [_job(path, lines, texts) for lines, texts in rows]
+    if not every:
+        raise InputError("the table has no jobs", file=path)
     jobs = dict[str, Job]()
     for number, job in enumerate(every, 1):
         name, line = job.name or _name(job, number, every), job.line
@@ -189,6 +203,9 @@ def _of_yaml(path: str | Path) -> Iterator[Row]:
 
 def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Row]:
     table = read_table(path)
+    # A spreadsheet may call a column `Serial number`.
+    plain = {name.casefold().replace(" ", "_"): name for name in table.columns}
+    table = table.renamed(plain)
     foreign = [name for name in table.columns if name not in KEYS]
     for name in foreign:
         hint = nearest(name, KEYS)
@@ -196,9 +213,11 @@ def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Row]:
             raise table.error(f"no column of a job{hint}", name, ", ".join(KEYS))
     if remark := table.ignored(foreign):
         notice(remark)
-    texts = table.texts([name for name in KEYS if name in table])
+    texts = table.texts(KEYS)
     for row, line in enumerate(table.lines.tolist()):
-        yield {"": line}, {k: [cells[row]] for k, cells in texts.items() if cells[row]}
+        cells = {key: [own[row]] for key, own in texts.items() if own[row].strip()}
+        if cells:  # Spreadsheets write empty lines at the end.
+            yield {"": line}, cells
 
 
 def _job(

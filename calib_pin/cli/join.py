@@ -11,7 +11,7 @@ from calib_pin.cli import printing
 from calib_pin.cli.asked import Join
 from calib_pin.cli.files import check_outputs, open_setup
 from calib_pin.cli.options import as_option
-from calib_pin.errors import OptionError
+from calib_pin.errors import OptionError, counted
 from calib_pin.io import logs, table
 from calib_pin.io.table import Table
 from calib_pin.observations.joining import Joined
@@ -51,19 +51,20 @@ def join(asked: Join) -> int:
 
 def _lines(found: Joined, measurements: Path) -> Iterator[str]:
     """The counts of a join, and how well the clock is known."""
-    clock = found.clock
+    clock, readings = found.clock, counted(found.used, "reading")
     if clock is None:
-        yield f"{found.stands} samples with {found.used} readings"
+        yield f"{counted(found.stands, 'sample')} with {readings}"
         return
     empty = f", {found.empty} without" * (found.empty > 0)
-    yield f"{found.stands} standstills with {found.used} readings{empty}"
+    yield f"{counted(found.stands, 'standstill')} with {readings}{empty}"
     far = f", {found.scattered} far from their standstill's others"
     far *= found.scattered > 0
-    yield f"dropped: {found.moving} readings in motion or beside a standstill{far}"
+    moving = counted(found.moving, "reading")
+    yield f"dropped: {moving} in motion or beside a standstill{far}"
     ahead, sigma = f"the clock of {measurements} is", f"{1e3 * clock.sigma:.1f} ms"
     if clock.motions:
         ahead += f" {clock.ahead:+.4f} s ahead, known to {sigma}"
-        yield f"{ahead} from {clock.motions} motions"
+        yield f"{ahead} from {counted(clock.motions, 'motion')}"
     else:
         yield (
             f"{ahead} taken to be {clock.ahead:+.2f} s ahead: nothing was measured in "

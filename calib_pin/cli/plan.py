@@ -16,7 +16,7 @@ from calib_pin.cli import files, options, printing, results
 from calib_pin.cli.asked import Plan
 from calib_pin.cli.compensate import require_solids, ways_of
 from calib_pin.control.acceptance_poses import acceptance_poses
-from calib_pin.errors import CalibPinError, OptionError, enumerated
+from calib_pin.errors import CalibPinError, OptionError, counted, enumerated
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import measurements, targets
 from calib_pin.io.columns import ANGLE, LENGTH, split_header
@@ -100,7 +100,7 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     comments = [f"planned by: {command}"]
     table = encode(found.q, found.target, **more, comments=comments)
     contents, shut = {asked.output: table, **figures}, list[int]()
-    written = [f"wrote {len(found.q)} configurations to {asked.output}"]
+    written = [f"wrote {counted(len(found.q), 'configuration')} to {asked.output}"]
     if asked.motion is not None and collisions is not None:
         with printing.progress_bar(quiet=asked.quiet) as bar:
             free = travel.Ways(

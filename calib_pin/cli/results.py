@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from calib_pin.cli.files import check_outputs, exists
 from calib_pin.cli.options import Pictured
 from calib_pin.cli.printing import Bar, notice
+from calib_pin.errors import counted
 from calib_pin.io import json_text, measurement_errors, results, urdf
 from calib_pin.io.files import listed, sha256, write_files
 from calib_pin.io.measurement_errors import MEASUREMENTS
@@ -187,8 +188,7 @@ def told_figures(contents: Collection[Path], files: Sequence[Path]) -> list[str]
     """Figures among what was written, in words, and a note on those before."""
     _tell_others(files, contents, "figure")
     count = sum(file in contents for file in files)
-    figures = f"{count} figure{'s' if count != 1 else ''}"
-    return [f"wrote {figures} to {files[0].parent}"] if files else []
+    return [f"wrote {counted(count, 'figure')} to {files[0].parent}"] if files else []
 
 
 def dated(entries: ReportSetup) -> ReportSetup:

@@ -10,7 +10,7 @@ import numpy as np
 import calib_pin.cli.files as files
 from calib_pin.cli.asked import Simulate
 from calib_pin.cli.printing import notice, progress_bar, stage, told_command
-from calib_pin.errors import OptionError, stated_in
+from calib_pin.errors import OptionError, counted, stated_in
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import measurements, results, setup
 from calib_pin.io.table import read_table
@@ -73,7 +73,7 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
         columns = measurements.measurement_columns(rows, own)
         data = measurements.encode_table(columns, [comment], stage(bar, "write"))
     contents = {asked.output: data}
-    told = [f"wrote {len(rows)} measurements to {asked.output}"]
+    told = [f"wrote {counted(len(rows), 'measurement')} to {asked.output}"]
     if truth is not None:
         true = CalibratedModel.create(problem, theta)
         contents[truth] = results.encode_urdf(true.without_corrections, truth)

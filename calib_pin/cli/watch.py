@@ -26,11 +26,15 @@ from calib_pin.cli.options import Request
 from calib_pin.cli.printing import console, notice, say, taken_notices
 from calib_pin.cli.requests import Opened, opened
 from calib_pin.errors import InputError, OptionError, RobotError, enumerated
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.guidance import Event
 from calib_pin.guidance.proposals import Proposals, remaining
 from calib_pin.io.files import write_atomically
 from calib_pin.io.measured_columns import asked_models, infer_model, needed
 from calib_pin.io.table import read_table
+from calib_pin.observations import fitted_and_held_out
+from calib_pin.setup import Setup
+from calib_pin.validation.robot_state import expected_setup, started
 
 PAUSE = 0.2
 """Time between two looks at the files [s]."""
@@ -59,7 +63,7 @@ def watched(
     def read() -> Any:
         try:
             seen(found := opened(request, None))
-            return found.chains, found.setup, found.measurements
+            return found.chains, _so_far(found), found.measurements
         finally:
             taken_notices()
 
@@ -67,6 +71,20 @@ def watched(
     proposals = Proposals(files[0], plan, srdf, folders, True)
     followed = [*files, *filter(None, [request.setup])]
     return guidance.Watch(read, followed, proposals, limit, request.seed)
+
+
+def _so_far(found: Opened) -> Setup:
+    """The setup, with what an older calibration tells of the rows so far."""
+    older, noise = found.older, found.request.process_noise
+    if older is None:
+        return found.setup
+    rows = fitted_and_held_out(found.measurements)[0]
+    try:
+        return started(found.chains, rows, found.setup, older, noise)[0]
+    except OptionError:
+        raise
+    except InputError:  # Frames use up the rows.
+        return expected_setup(found.chains, found.setup, older, noise)
 
 
 def watch(asked: Watch) -> int:
@@ -111,9 +129,10 @@ def watch(asked: Watch) -> int:
         follow(job, told, before if not asked.once else None)
     if job.fit is None:
         notice("no result: nothing could be fitted yet")
-        return 1
+        return 2 if job.rows else 1
     if asked.once:
-        return 0
+        trusted = job.state is not None and job.state.verdict in TRUSTED
+        return 0 if trusted else 2
     whole = Calibrate(**options.same(asked, Calibrate) | own)
     return calibrate(whole, request.words(asked.output or Path())[1:])
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from calib_pin.errors import enumerated
+from calib_pin.errors import counted, enumerated
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.units import DISPLAY
 
@@ -99,7 +99,10 @@ class State:
     def text(self) -> str:
         """One line."""
         aside = f", {self.aside} set aside" * (self.aside > 0)
-        words = [f"{self.rows} rows{aside}", self.verdict.upper() or "no verdict yet"]
+        words = [
+            f"{counted(self.rows, 'row')}{aside}",
+            self.verdict.upper() or "no verdict yet",
+        ]
         if self.verdict not in TRUSTED and self.reason:
             words[-1] += f" ({self.reason.partition(';')[0]})"
         if not math.isnan(self.workspace):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calib_pin.errors import CalibPinError, one_line
+from calib_pin.errors import CalibPinError, counted, one_line
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.formulation import fitting
@@ -85,6 +85,11 @@ class Watch:
         self.fit: FittedModel | None = None
         self.state: State | None = None
         self.next: Proposal | None = None
+
+    @property
+    def rows(self) -> int:
+        """Number of measurements that have been read."""
+        return len(self._known)
 
     def look(self) -> Iterator[Event]:
         """The events since the last look; none where no file changed."""
@@ -230,7 +235,7 @@ class Watch:
                 yield Event("problem", told)
             self._unplanned = told
         if fitted.model is None:
-            yield Event("waiting", f"{count} rows: {fitted.reason}")
+            yield Event("waiting", f"{counted(count, 'row')}: {fitted.reason}")
         else:
             limit = self._limit or fitted.setup.limit.position
             known = State(count, len(self._aside), limit=limit)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, counted
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.robot_shapes import read_mesh, shape_of
 from calib_pin.io.urdf_tree import Document, link_of, parse_document, placed
@@ -137,7 +137,7 @@ def _as_built(
     for found, words in ((left_out, TOUCH), (near, NEAR)):
         if found:
             named = "; ".join(f"{first} and {second}" for first, second in found[:3])
-            count = f"{len(found)} pair{'s' * (len(found) > 1)}"
+            count = counted(len(found), "pair")
             tell(f"links that {words}: {count} ({named}{'; ...' * (len(found) > 3)})")
     order = np.argsort(-contacts.mean(axis=0), kind="stable")
     kept = (k for k in order if collisions.pairs[k] not in left_out)

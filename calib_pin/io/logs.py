@@ -15,7 +15,7 @@ import numpy as np
 import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 import calib_pin.observations.joining as joining
-from calib_pin.errors import InputError, enumerated, stated_in
+from calib_pin.errors import InputError, counted, enumerated, stated_in
 from calib_pin.io.columns import ANGLE, LENGTH, Floats, kind_of_unit
 from calib_pin.io.dialects.base import header
 from calib_pin.io.measured_columns import NAMES
@@ -164,7 +164,8 @@ def _encoded(
         time = np.array([values.time[one.readings].mean() for one in rows])
         cells["time"] = time - found.clock.ahead
     way = "time" if found.clock else "name"
-    comment = f"joined by {way}: {found.stands} standstills, {found.used} readings"
+    comment = f"joined by {way}: {counted(found.stands, 'standstill')}, "
+    comment += counted(found.used, "reading")
     comment += ", each sigma that of a mean" * averaged
     return encode_table(cells, [comment])
 

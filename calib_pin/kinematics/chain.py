@@ -20,7 +20,7 @@ from typing import TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import RobotError
+from calib_pin.errors import RobotError, counted
 from calib_pin.kinematics.gravity import Body, body, gravity_moments, gravity_torques
 from calib_pin.kinematics.joint_space import JointSpace
 from calib_pin.kinematics.robot import Robot
@@ -143,7 +143,7 @@ class Chain:
 
     def __repr__(self) -> str:
         """The robot, the ends and the number of joints."""
-        ends = f"{self.base} to {self.tip}, {len(self.joints)} joints"
+        ends = f"{self.base} to {self.tip}, {counted(len(self.joints), 'joint')}"
         return f"Chain({self.robot.name}: {ends})"
 
     def poses(self, q: Floats, placements: Sequence[Placement] | None = None) -> Floats:

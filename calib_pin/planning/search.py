@@ -14,7 +14,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import OptionError, require_known
+from calib_pin.errors import OptionError, counted, require_known
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
 from calib_pin.planning.criteria import CRITERIA, Criterion, Information, Selection
@@ -364,7 +364,7 @@ class Search:
             if np.isfinite(self.selection(subset.chosen).cost):
                 allowed = f"{len(subset.chosen)} or more (--count, --add)"
                 break
-        few = "1 configuration" if self.count == 1 else f"{self.count} configurations"
+        few = counted(self.count, "configuration")
         raise OptionError(
             f"{few} cannot determine the {size} identifiable parameters",
             allowed=allowed,

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 
+from calib_pin.errors import counted
 from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.joint_columns import drives_of
 from calib_pin.parameterizations import outside_urdf
@@ -15,7 +16,6 @@ from calib_pin.report.tables import (
     SIZES,
     accuracy_table,
     amount,
-    counted,
     distance_table,
     ladder,
     number,
@@ -49,7 +49,7 @@ def subject(result: CalibrationResult) -> Line:
     """The robot, its chain, and how it was measured."""
     solver, search = result.solver, ""
     if solver.history:
-        search = f"; {solver.name}, {solver.evaluations} evaluations"
+        search = f"; {solver.name}, {counted(solver.evaluations, 'evaluation')}"
         search += f" ({solver.evaluator})"
     counts = {kind: len(names) for kind, names in scopes(result.model).items()}
     told = ", ".join(f"{count} {kind}s" for kind, count in counts.items() if count > 1)
@@ -64,13 +64,13 @@ def subject(result: CalibrationResult) -> Line:
 def taken(result: CalibrationResult) -> Facts:
     """The measurements: of which robot, how, how many, and who took them."""
     system, stated, held_out = result.model, result.model.setup.report, result.held_out
-    measured = f"{len(result.fitted)} measurements"
+    measured = counted(len(result.fitted), "measurement")
     if aside := int((result.fitted.rows.weight == 0.0).sum()):
         measured += f", {aside} of them set aside"
     which = HELD_OUT.get(result.validation.method, FOLDS)
     checked = "none: nothing but the fitted measurements is known"
     if held_out is not None:
-        checked = f"{len(held_out)} measurements: {which}"
+        checked = f"{counted(len(held_out), 'measurement')}: {which}"
     entries = [
         ("robot", chain_words(system)),
         ("serial number", stated.serial_number),
@@ -101,7 +101,7 @@ def chain_words(system: Terms) -> str:
     """The robot and the ends of its chains, for the line below a verdict."""
     chains = system.chains
     moving = [name for name in chains.names if chains[name].joints]
-    joints = f"{chains.robot.name}: {len(drives_of(chains))} joints"
+    joints = f"{chains.robot.name}: {counted(len(drives_of(chains)), 'joint')}"
     if len(moving) > LISTED_OWNERS:
         return f"{joints} in {len(moving)} chains"
     ends = [f"from {chains[name].base} to {chains[name].tip}" for name in moving]
@@ -242,8 +242,8 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
         )
     if evaluation.outside:
         how += (
-            f" {evaluation.outside} measurements lie outside the region in which the "
-            "correction was learned; it knows less there."
+            f" Outside the region in which the correction was learned, where it "
+            f"knows less: {counted(evaluation.outside, 'measurement')}."
         )
     yield note(how)
 

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from calib_pin.errors import counted
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.io.setup import yaml_text
 from calib_pin.measurement_models.pinhole import INTRINSICS
 from calib_pin.report.blocks import Block, Cell, Code, Names, Table, note, table
-from calib_pin.report.tables import UNIT, counted, decimals, measures, significant
+from calib_pin.report.tables import UNIT, decimals, measures, significant
 from calib_pin.setup import CameraSetup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import (

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import calib_pin.report.tables as tables
 import calib_pin.validation.comparison as compared
+from calib_pin.errors import counted
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.report.accuracy import chain_words, model_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, note, table
@@ -124,7 +125,7 @@ def _origin(record: CalibrationResult) -> str:
     setup = record.model.setup
     kinds = " + ".join(filter(None, (*setup.parameters, setup.learned)))
     created, file = record.provenance.created, record.provenance.file
-    how = f"{model_words(record.model)}, {len(record.fitted)} measurements"
+    how = f"{model_words(record.model)}, {counted(len(record.fitted), 'measurement')}"
     return f"{file}: {how}, {kinds}{created and f'; {created[:10]}'}"
 
 
@@ -246,7 +247,8 @@ def _counted(found: compared.Comparison) -> Iterator[str]:
         yield "The differences move the tool point by no more than noise does."
     if any(found.sums_alone):
         first, second = found.sums_alone
-        yield f"{first} combinations are identified in A only, {second} in B only."
+        only = counted(first, "combination")
+        yield f"Identified in A only: {only}; in B only: {second}."
     both = found.first, found.second
     if any(len(one.groups) > len(compared.robot_groups(one)) for one in both):
         yield "Combinations with terms of base, tool or instrument are left out."
@@ -254,7 +256,8 @@ def _counted(found: compared.Comparison) -> Iterator[str]:
 
 def _numbers(differences: Sequence[compared.Difference]) -> str:
     sums = sum(bool(d.terms) for d in differences)
-    return f"{len(differences) - sums} parameters and {sums} combinations"
+    alone = counted(len(differences) - sums, "parameter")
+    return f"{alone} and {counted(sums, 'combination')}"
 
 
 def accuracies(found: compared.Comparison) -> Iterator[Block]:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from calib_pin.control.compensation import Compensation
+from calib_pin.errors import counted
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.travel import Passage
 from calib_pin.report.blocks import Block, Line, Names, Table, Tone, note, table
-from calib_pin.report.tables import UNIT, amount, counted, measures
+from calib_pin.report.tables import UNIT, amount, measures
 
 SHOWN = 12
 """Lines that are named; the rest is counted."""

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from calib_pin.errors import counted
 from calib_pin.estimation.statistics.population_prior import Population, common_errors
 from calib_pin.monte_carlo import Outlook, Study
 from calib_pin.monte_carlo.summary import LEVELS
@@ -41,7 +42,9 @@ def fleet_report(
     counts = Counter(row.verdict for row in rows)
     said = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
     good = all(row.trusted for row in rows)
-    yield Line(f"{len(rows)} calibrations: {said}.", "good" if good else "bad")
+    yield Line(
+        f"{counted(len(rows), 'calibration')}: {said}.", "good" if good else "bad"
+    )
     if drifted := sum(row.drift.beyond for row in rows):
         said = "calibration differs" if drifted == 1 else "calibrations differ"
         yield Line(

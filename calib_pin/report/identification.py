@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from calib_pin.errors import enumerated
+from calib_pin.errors import counted, enumerated
 from calib_pin.planning.suggestions import LARGEST
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
-from calib_pin.report.tables import ESTIMATE, STATUS, counted, estimate, listed, number
+from calib_pin.report.tables import ESTIMATE, STATUS, estimate, listed, number
 from calib_pin.validation.joint_errors import FoundOffset, joint_offsets
 from calib_pin.validation.result import (
     CalibrationResult,
@@ -91,8 +91,9 @@ def in_full(found: Identification, *, fitted: bool) -> Iterator[Block]:
         yield table(title, titles[shown], [row[shown] for row in rows])
     if hidden := len(found.groups) - len(groups):
         yield note(
-            f"{hidden} more combinations start with the position of a socket, sphere "
-            "or fixed reference point; see calibration.json or `identify --json`."
+            f"Not listed: {counted(hidden, 'combination')} with the position of a "
+            "socket, sphere or fixed reference point; see calibration.json or "
+            "`identify --json`."
         )
 
 
@@ -142,7 +143,9 @@ def ranks(known: Identification, *, fitted: bool) -> Facts:
     ]
     if fitted:
         only = f"{found.revealed} observable only at the calibrated geometry"
-        remarks = [f"{found.weak} directions held at nominal"] * bool(found.weak)
+        remarks = [f"{counted(found.weak, 'direction')} held at nominal"] * bool(
+            found.weak
+        )
         remarks += [only] * bool(found.revealed)
         remark = f"   ({'; '.join(remarks)})" if remarks else ""
         entries.append(("practical rank", f"{found.rank}{remark}"))

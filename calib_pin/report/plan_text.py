@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib_pin.errors import counted
 from calib_pin.planning.plan import Plan, Step, sides_of
 from calib_pin.report.accuracy import chain_words, model_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
@@ -20,10 +21,11 @@ SHOWN = 12
 
 def plan_report(plan: Plan) -> Iterator[Block]:
     """The plan, its accuracy against the number of configurations, its estimates."""
-    more = f" in addition to {plan.measured} measurements" if plan.measured else ""
+    more = f" in addition to {counted(plan.measured, 'measurement')}"
+    more *= plan.measured > 0
     yield Line(
         f"{chain_words(plan.problem)}; {model_words(plan.problem)}, "
-        f"{len(plan.q)} configurations{more}",
+        f"{counted(len(plan.q), 'configuration')}{more}",
         "strong",
     )
     if plan.unmeasurable:

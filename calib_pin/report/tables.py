@@ -119,11 +119,6 @@ def percent(part: float) -> str:
     return f"{100 * part:.0f} %"
 
 
-def counted(count: int, noun: str) -> str:
-    """A number of things, such as `1 joint` and `2 joints`."""
-    return f"{count} {noun}{'s' * (count != 1)}"
-
-
 def accuracy_table(errors: Sequence[QuantityErrors], *, details: bool = True) -> Table:
     """Accuracy before and after, on fitted and on validation measurements.
 

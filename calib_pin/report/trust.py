@@ -7,6 +7,7 @@ from bisect import bisect
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 
+from calib_pin.errors import counted
 from calib_pin.estimation.evidence import TRUSTED, ExpectedAccuracy, Finding, Severity
 from calib_pin.estimation.statistics.distributions import chi2_interval
 from calib_pin.io.setup import yaml_text
@@ -21,7 +22,7 @@ from calib_pin.report.blocks import (
     note,
     table,
 )
-from calib_pin.report.tables import UNIT, counted, number, percent, significant, unit_of
+from calib_pin.report.tables import UNIT, number, percent, significant, unit_of
 from calib_pin.setup import PopulationPrior
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import CalibrationResult

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, enumerated
+from calib_pin.errors import InputError, counted, enumerated
 from calib_pin.estimation.formulation import make_problem, with_parameters
 from calib_pin.estimation.identifiability import column_space
 from calib_pin.estimation.nominal import extended, register, registered, relocated
@@ -73,8 +73,14 @@ LEAST = 3
 RESOLUTION = 1e-6
 """Scatter of visits that no instrument resolves [m]."""
 
+MEASURED = 0.01
+"""Joint positions of visits that differ by less were measured [rad, m]."""
+
 DEGREES = (2, 4)
 """Degrees of the drift beside which a move is sought, and of that which it beats."""
+
+OF_STATION = ("AP", "orientation")
+"""Quantities that depend on where the instrument stands."""
 
 ELSEWHERE = "the station is not where it was at the calibration; --register fits it"
 
@@ -181,6 +187,8 @@ class Acceptance:
         bound: The least AP of the worst pose then [m].
         doubts: Why no limit passes, in sentences.
         moved: Whether the instrument was moved: no limit fails either.
+        elsewhere: Whether it stands elsewhere than at the calibration: no limit of what
+            depends on that fails.
     """
 
     poses: tuple[PoseTest, ...]
@@ -190,6 +198,7 @@ class Acceptance:
     bound: Interval = UNTESTABLE
     doubts: tuple[str, ...] = ()
     moved: bool = False
+    elsewhere: bool = False
 
 
 def acceptance(
@@ -221,9 +230,10 @@ def acceptance(
     kept = [k for k in np.argsort(called) if len(visits[k]) >= LEAST]
     if not kept:
         most = max(map(len, visits), default=0)
-        reason = f"no pose was visited {LEAST} times: {len(first)} poses, at most "
-        allowed = "repeated poses; 'plan --accept --cycles N' asks for them"
-        raise InputError(f"{reason}{most} visits of one", allowed=allowed)
+        reason = f"no pose was visited {LEAST} times: {counted(len(first), 'pose')}, "
+        reason += f"at most {counted(most, 'visit')} of one"
+        allowed = "repeated poses, by their commanded joint positions; 'plan --accept "
+        raise InputError(reason, allowed=f"{allowed}--cycles N' asks for them")
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
     for k in kept:
@@ -440,14 +450,16 @@ def judged(
     """Each limit with its quantity, `pass`, `fail` or `undecided`, interval and unit.
 
     The worst pose counts: it passes where all of its interval is below the limit and
-    nothing is in doubt, and fails where all of it is above.
+    nothing is in doubt, and fails where all of it is above. What depends on where the
+    instrument stands fails only where that is known.
     """
     found = measured(test)
+    unknown = OF_STATION if test.elsewhere else ()
     for name, (most, unit) in limits(limit).items():
         interval = worst(found[name][0]) if name in found else UNTESTABLE
         if interval.high <= most and not test.doubts:
             status = "pass"
-        elif interval.low > most and not test.moved:
+        elif interval.low > most and not test.moved and name not in unknown:
             status = "fail"
         else:
             status = "undecided"
@@ -559,10 +571,15 @@ def tested(
         effects = _derivatives(there.problem, there.theta) @ fit.known
         off = FrameErrors(effects, fit.dof or np.inf, fitted)
         test = acceptance(x, deviations, number[good], cycle[good], off)
-        said = *doubts, *more
-        tests[name] = replace(test, moved=moved is not None, doubts=said)
+        tests[name] = replace(
+            test,
+            doubts=(*doubts, *more),
+            moved=moved is not None,
+            elsewhere=ELSEWHERE in more,
+        )
     name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
-    about = f"{name}: {len(x)} visits of {len(test.poses)} poses; {how}."
+    visited = f"{counted(len(x), 'visit')} of {counted(len(test.poses), 'pose')}"
+    about = f"{name}: {visited}; {how}."
     return Tested(tests, about)
 
 
@@ -580,7 +597,7 @@ def _frames(
     on, own, doubts = visits, "fitted to these visits", list[str]()
     alone = others is None
     if others is not None:
-        on, own = others, f"registered on {len(others)} other measurements"
+        on, own = others, f"registered on {counted(len(others), 'other measurement')}"
     if isinstance(robot, Chains):
         fit = _as_stated(robot, on, setup)
         what, how = "base and tool were", "base and tool as stated"
@@ -592,7 +609,8 @@ def _frames(
         return {"robot": fit}, "" if fit.dof else f"{what} {own}", how, doubts
     models = {"nominal": robot.reference, NOW: robot.model}
     fits = {name: _at_station(model, on, alone) for name, model in models.items()}
-    if registration or not alone or visits.keys[0] not in robot.model.terms:
+    elsewhere = visits.keys[0] not in robot.model.problem(visits).terms
+    if registration or elsewhere or not alone:
         said, unlikely = _misfit(robot, fits[NOW])
         doubts += [said] * unlikely
         how = f"tool as calibrated, station {own}; {said}"
@@ -620,8 +638,12 @@ def _named(
             pose has two visits in a cycle.
     """
     places = [*zip(visits.files, visits.lines.tolist(), strict=True)]
-    given = (named.get(column, {}) for column in ("pose", "cycle"))
-    pose, turn = (of if all(p in of for p in places) else {} for of in given)
+    pose, turn = (named.get(column, {}) for column in ("pose", "cycle"))
+    for column, of in (("pose", pose), ("cycle", turn)):
+        lacking = [row for row, place in enumerate(places) if place not in of]
+        if of and lacking:
+            reason = f"the visit names no {column}, others do"
+            raise visits.error(lacking[0], reason, column=column)
     number = np.array([pose[p] for p in places]) if pose else group + 1
     cycle = np.array([turn[p] for p in places]) if turn else cycles_in_order(group)
     poses, cycles = {*number, *pose.values()}, {*cycle, *turn.values()}
@@ -637,6 +659,10 @@ def _named(
             first, there = seen.setdefault((column, *key), (int(value), row))
             if first != value:
                 reason = f"{said} in line {visits.lines[there]}"
+                apart = float(np.abs(visits.q[row] - visits.q[there]).max())
+                if 0.0 < apart < MEASURED:
+                    reason += "; state commanded joint positions, which are the same "
+                    reason += "at every visit"
                 raise visits.error(row, reason, column=column)
     if len({*zip(group, cycle, strict=True)}) < len(cycle):
         # Every file counts its own cycles.

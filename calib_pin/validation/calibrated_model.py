@@ -10,15 +10,19 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.terms import FRAME, Terms
+from calib_pin.estimation.terms import FRAME, Term, Terms
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameterizations.base import frame_setup
 from calib_pin.parameterizations.error_model import ErrorModel, beyond_urdf
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import CameraSetup, FrameSetup, Setup
 from calib_pin.setup.arguments import Brief, as_array
+
+POSITION, POSE = "position", "pose"
+"""Measurement models of a point, and of the tool that has it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -175,5 +179,16 @@ class CalibratedModel(Brief, Terms):
         return stations | tools
 
     def problem(self, data: Observations) -> Problem:
-        """The problem of other measurements about this calibration."""
-        return Problem(self.chains, self.terms, self.given, data, self.setup)
+        """The problem of other measurements about this calibration.
+
+        Of a tool whose poses were calibrated, positions alone may be measured.
+        """
+        terms, alone = dict[BlockKey, Term](), {*data.models} == {POSITION}
+        for key, term in self.terms.items():
+            point = key._replace(model=POSITION)
+            if alone and key.model == POSE and point not in self.terms:
+                measurement = measurement_model(POSITION, self.setup)
+                terms[point] = replace(term, key=point, measurement=measurement)
+            else:
+                terms[key] = term
+        return Problem(self.chains, terms, self.given, data, self.setup)

@@ -22,7 +22,7 @@ from calib_pin.estimation.evidence import TRUSTED, VarianceComponent, rms
 from calib_pin.estimation.fitted import robot_rows
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, distinct_values
 from calib_pin.estimation.statistics.population_prior import (
     Cause,
     Explanation,
@@ -422,11 +422,31 @@ def started(
     theta = np.zeros(len(robot))
     theta[robot] = older.values[older.places(problem.given, robot)]
     problem, result = register(problem, theta)
+    _require_some(problem, result.x)
     step, prior = Innovations(problem, result.x, older).explained(len(data))
     sizes = error_sizes(problem, result.x)
     errors = tuple((name, unit, Accuracy.of(own)) for name, unit, own in sizes)
     steps = () if start.recalibration is None else start.recalibration.steps
     return replace(setup, prior=prior), Recalibration(errors, (*steps, step))
+
+
+def _require_some(problem: Problem, theta: Floats) -> None:
+    """Refuse measurements that frames and instrument fit exactly, whatever the robot.
+
+    Raises:
+        InputError: If they are such.
+    """
+    J = problem.linearize_rows(theta)[1][: len(problem.sigma)]
+    own = problem.parameters.free & problem.parameters.nuisance
+    frames = (J * problem.parameters.scales)[:, own]
+    unknowns = int(np.linalg.matrix_rank(frames, 1e-6 * max(len(J), 1) ** 0.5))
+    values = distinct_values(problem)
+    if values > unknowns:
+        return
+    reason = "too few measurements to go on from the older calibration: of their "
+    reason += f"{values} values base, tool and instrument use up {unknowns}"
+    allowed = "more configurations, or base and tool that are stated as known"
+    raise InputError(reason, file=problem.data.files[0] or None, allowed=allowed)
 
 
 def expected_setup(
@@ -484,7 +504,11 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
     ):
         if refused:
             file = start.provenance.file or None
-            raise OptionError(f"the older calibration {reason}", file=file)
+            reason = f"the older calibration {reason}"
+            allowed = "its nominal robot, nominal.urdf in its folder"
+            raise OptionError(
+                reason, file=file, allowed=allowed if difference else None
+            )
 
 
 def _drifts(

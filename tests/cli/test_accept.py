@@ -169,6 +169,7 @@ def names(row: int, column: int, cell: str):
     ("change", "told"),
     [
         (names(7, -1, "P2"), "visits.csv:9: the configuration of P2"),
+        (names(7, -1, ""), "visits.csv:9: the visit names no pose, others do"),
         (names(7, -2, "1"), "visits.csv:9: cycle 1 has had P3 in line 4"),
         (lambda rows: [row.__setitem__(-1, "P1") for row in rows], "visits.csv:3: P1"),
     ],
@@ -176,6 +177,40 @@ def names(row: int, column: int, cell: str):
 def test_names_that_contradict_each_other(visits, fails, change, told):
     changed(change)
     fails(ACCEPT, told)
+
+
+def renamed(rows) -> None:
+    """Names of people: one number is behind another word."""
+    for row in rows:
+        row[-1] = row[-1].replace("P3", "home 3").replace("P", "Pose ")
+
+
+def test_poses_with_any_names_are_numbered_in_their_order(visits, run):
+    changed(renamed)
+    result = run(ACCEPT)
+    assert "pose 1 is 'Pose 1', 2 is 'Pose 2', 3 is 'home 3'" in result.err
+
+
+def test_positions_test_a_calibration_of_poses(tmp_path, monkeypatch, run):
+    monkeypatch.chdir(tmp_path)
+    simulate = "simulate space6 --model pose --seed 1 --noise 1e-4"
+    assert run(f"{simulate} --count 30 -o rows.csv").status == 0
+    assert run("calibrate space6 rows.csv -o c").status == 0
+    few = Path("rows.csv").read_text().splitlines(keepends=True)[:4]
+    Path("rows.csv").write_text("".join(few))
+    words = f"{simulate} --configurations rows.csv --repeats 5 -o"
+    assert run(f"{words} poses.csv").status == 0
+    # A comment, joints, positions and quaternions.
+    lines = Path("poses.csv").read_text().splitlines()[1:]
+    cut = (",".join(line.split(",")[:9]) for line in lines)
+    Path("positions.csv").write_text("\n".join(cut))
+    found = []
+    for kind in ("poses", "positions"):
+        assert run(f"accept c {kind}.csv -o {kind}").status == 0
+        tests = document(f"{kind}/acceptance.json")["tests"]["calibrated"]
+        found.append([pose["accuracy"] for pose in tests["poses"]])
+    assert found[0] == found[1] and len(found[0]) == 2
+    assert run("evaluate c positions.csv").out.count("position ") == 1
 
 
 def exchange(rows) -> None:

@@ -181,6 +181,15 @@ def test_frames_of_one_chain(two_arms: None, run: Callable[..., Any]) -> None:
         } == ends
 
 
+def test_the_whole_robot_is_said_to_be_whole(
+    two_arms: None, run: Callable[..., Any]
+) -> None:
+    for option in ("", " --chain left"):
+        result = run(f"export both --format urdf -o both.urdf --force{option}")
+        said = "the whole robot, with right, whatever --chain names" in result.err
+        assert result.status == 0 and said == bool(option)
+
+
 def test_visits_of_one_chain_are_read_back(
     two_arms: None, run: Callable[..., Any]
 ) -> None:

@@ -186,6 +186,16 @@ def test_jobs_in_yaml_share_what_stands_above_them(here, run, inside):
     assert rows["third"]["drift_beyond"] == "False"
 
 
+def test_a_table_of_a_spreadsheet(here, run, inside):
+    """With a mark, semicolons, dates of many countries and an empty line."""
+    lines = ["Robot;Measurements;Serial number;Date;Setup;Holdout"]
+    lines += ["arm.urdf;rows.csv;007;5.1.2026;setup.yaml;0,3", ";;;;;", ""]
+    Path("jobs.csv").write_text("\r\n".join(lines), encoding="utf-8-sig")
+    assert run("fleet jobs.csv -o out --no-pages").status == 0
+    row = rows_of("out")["007"]
+    assert (row["date"], row["held_out"]) == ("2026-01-05", "12")
+
+
 STUDY = """\
 tip: tool
 model: position

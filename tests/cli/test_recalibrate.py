@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from contextlib import chdir
 from pathlib import Path
@@ -107,6 +108,26 @@ def test_a_plan_for_it(run) -> None:
 )
 def test_refusals(words, named, fails) -> None:
     fails(f"calibrate {words}", named)
+
+
+def test_rows_are_watched_by_the_older_calibration(run) -> None:
+    os.utime("later.csv", (1, 1))
+    expected = []
+    for words in ("--tip tool", "--start first"):
+        lines = run(f"watch space6 later.csv --once --json {words}").out.splitlines()
+        (state,) = (one for one in map(json.loads, lines) if one["kind"] == "state")
+        expected.append(state["workspace"])
+    assert expected[1] < 0.5 * expected[0]
+
+
+def test_measurements_that_frames_use_up_are_refused(fails) -> None:
+    lines = Path("later.csv").read_text().splitlines(keepends=True)
+    Path("three.csv").write_text("".join(lines[:5]))
+    fails("calibrate space6 three.csv --start first", "three.csv", "use up 9")
+
+
+def test_the_corrected_robot_is_not_the_nominal_one(fails) -> None:
+    fails("calibrate first/space6.urdf later.csv --start first", "nominal.urdf")
 
 
 def test_a_fleet_goes_on(run, inside) -> None:

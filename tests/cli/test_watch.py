@@ -157,6 +157,15 @@ def test_a_file_that_cannot_be_read_gives_no_other_reason(here: Path, run):
     assert found.err == "calib-pin: note: no result: nothing could be fitted yet\n"
 
 
+def test_the_status_is_that_of_the_verdict(here: Path, run):
+    header, *rows = Path("rows.csv").read_text().splitlines()
+    words = "watch arm.urdf some.csv --setup setup.yaml --once"
+    for count, status in ((0, 1), (2, 2), (len(rows), 0)):
+        Path("some.csv").write_text("\n".join([header, *rows[:count], ""]))
+        os.utime("some.csv", (1, 1))
+        assert run(words).status == status
+
+
 @pytest.mark.needs("vision")
 def test_only_new_images_are_detected(tmp_path: Path, monkeypatch):
     import calib_pin.io.boards as boards

@@ -19,7 +19,7 @@ from calib_pin.cli import main as run_command
 from calib_pin.io.measurements import read_configurations
 from calib_pin.kinematics.spatial import Floats, adjoint
 from studies import aoyagi2010_study
-from studies.__main__ import main
+from studies.__main__ import STUDIES, main
 from studies.aoyagi2010 import COMES_NEAR, LOWERS, STALLS
 from studies.liu2012 import REACHES, SAME_COST
 from studies.liu2012_study import MUTATIONS, Settings, study
@@ -54,6 +54,11 @@ def reproduce(*words: str) -> Ended:
         except SystemExit as end:
             code = end.code
     return Ended(code, out.getvalue(), err.getvalue())
+
+
+def test_help_tells_what_there_is() -> None:
+    ended = reproduce("--help")
+    assert ended.code == 0 and all(study in ended.out for study in STUDIES)
 
 
 def written(folder: Path, study: str, *words: str, others: int = 0) -> Any:

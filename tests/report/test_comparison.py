@@ -147,9 +147,9 @@ def test_counts(still):
     assert f"{known} of the robot; {known} agree within 3" in words_of(still)
     none = replace(still, differences=(), alone=(("j.dh.d", "j.dh.a"), ()))
     words = words_of(replace(none, sums_alone=(2, 0)))
-    assert "2 combinations are identified in A only, 0 in B only." in words
+    assert "Identified in A only: 2 combinations; in B only: 0." in words
     assert "identifiable in A only: j.dh.d|a" in words
-    assert "in B only:" not in words
+    assert "identifiable in B only:" not in words
 
 
 def test_accuracies_and_what_positions_lack(still):

@@ -173,6 +173,10 @@ def test_doubts_pass_nothing_and_a_move_fails_nothing() -> None:
         limit = LimitSetup(position=allowed, repeatability=allowed)
         found = [s for _, s, *_ in judged(replace(test, **changes), limit)]
         assert found == ["undecided", "undecided"]
+    # What does not depend on the station fails wherever that stands.
+    elsewhere = replace(test, elsewhere=True)
+    found = [s for _, s, *_ in judged(elsewhere, limit)]
+    assert found == ["undecided", "fail"]
     # A limit of what was not measured is not met.
     assert [s for _, s, *_ in judged(test, LimitSetup(distance=9.0))] == ["undecided"]
 

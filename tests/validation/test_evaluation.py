@@ -28,6 +28,14 @@ def test_as_calibrated(job) -> None:
         assert (found.verdict, found.findings) == ("good", ())
 
 
+def test_repetitions_are_no_fault_where_nothing_is_fitted(job) -> None:
+    _, model, rows = job
+    some = rows.rows(np.repeat(np.arange(4), 40))
+    noise = 1e-4 * np.random.default_rng(0).normal(size=some.values.shape)
+    found = calib_pin.evaluate(model, replace(some, values=some.values + noise))
+    assert "few-configurations" not in {one.code for one in found.findings}
+
+
 @pytest.mark.parametrize(
     ("shift", "severity", "verdict"),
     [(1.0, "error", "untrusted"), (1e-3, "warning", "good")],

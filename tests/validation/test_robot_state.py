@@ -10,10 +10,12 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
+from calib_pin.estimation.evidence import PoseErrors
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, ReportSetup, Setup
 from calib_pin.simulation import simulate
+from calib_pin.validation.findings.calibrations import older_calibration
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.robot_state import changes, drifts, robot_evidence
 from calib_pin.validation.tip_drift import absorbed
@@ -214,6 +216,25 @@ def test_ten_measurements_keep_it(bench) -> None:
     (name, unit, older), (error,) = result.recalibration.errors[0], result.errors
     assert (name, unit) == ("position", "m")
     assert error.after.rms < older.rms < 0.2 * error.before.rms
+
+
+def test_chance_alone_ends_no_older_calibration(bench) -> None:
+    """Ten measurements that happen to show more errors that nothing describes."""
+    result = again(bench, bench.measured(2))
+    accuracy = result.accuracies[""]
+    grown = replace(
+        accuracy.workspace,
+        calibrated=PoseErrors(1e-3, 1e-3),
+        unmodeled=PoseErrors(0.9998e-3, 1e-3),
+    )
+    accuracies = {"": replace(accuracy, workspace=grown)}
+    more = replace(result, accuracies=accuracies)
+    (found,) = older_calibration(bench.first, more)
+    assert found.code == "old-calibration-holds" and "use the older" in found.remedy
+    (*_, step), recalibration = result.recalibration.steps, result.recalibration
+    worse = replace(recalibration, steps=(replace(step, chi2=9.0 * step.dof),))
+    (found,) = older_calibration(bench.first, replace(more, recalibration=worse))
+    assert found.code == "old-calibration-no-longer-holds"
 
 
 JUMP = {"elbow_joint.placement.ry": 1.5e-3}

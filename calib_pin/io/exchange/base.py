@@ -249,6 +249,10 @@ class Format:
         if others:
             said = f"'{one.name}', not {enumerated(others)} (--chain)"
             remarks.append(f"{self.name} holds one chain: {said}")
+        unasked = {*exported.result.model.measured_chains} - {*exported.names}
+        if unasked and {GEOMETRY, SEVERAL} <= {*self.holds}:
+            said = f"with {enumerated(sorted(unasked))}, whatever --chain names"
+            remarks.append(f"{self.name} holds the whole robot, {said}")
         return replace(encoded, remarks=tuple(remarks))
 
     def _lacking(self, exported: Exported, read: Read | None) -> Iterator[str]:

@@ -9,10 +9,11 @@ import numpy as np
 
 from calib_pin.errors import enumerated
 from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.statistics.distributions import chi_square_tail
 from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import JointMap
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.findings.case import FOREIGN
+from calib_pin.validation.findings.case import CHANCE, FOREIGN
 from calib_pin.validation.findings.sentences import shown, told
 from calib_pin.validation.result import CalibrationResult, Jump
 from calib_pin.validation.tip_drift import tip_drift
@@ -75,10 +76,16 @@ def older_calibration(
     errors = " and ".join(f"{name} errors of {size} rms" for name, size in sizes)
     by = f"it predicts these measurements with {errors}, chi-square {step.chi2:.0f} "
     by += f"(expected: {step.dof})"
-    promises = [one.accuracy.workspace for one in (older, new)]
-    promised, expected = (np.nan if p is None else p.calibrated[0] for p in promises)
+    before, after = (one.accuracy.workspace for one in (older, new))
+    promised = np.nan if before is None else before.calibrated[0]
+    expected = np.nan if after is None else after.calibrated[0]
     apart = tip_drift(older.model.of(), new.model.of(), base=True, tool=True).position
     error = float(np.hypot(apart.rms, expected))
+    if before and after and chi_square_tail(step.chi2, step.dof) > CHANCE:
+        # Errors that no parameter describes are as before, though few measurements may
+        # show more of them by chance.
+        instead = before.unmodeled[0] ** 2 - after.unmodeled[0] ** 2
+        error = float(np.sqrt(max(error**2 + instead, 0.0)))
     numbers: dict[str, Any] = {"chi2": step.chi2, "dof": step.dof}
     if np.isfinite(error):
         numbers["error"] = error

@@ -53,9 +53,15 @@ def told(
 
 
 def shown(size: float, unit: str, digits: int = 2) -> str:
-    """A size in the unit that people read."""
+    """A size in the unit that people read.
+
+    Examples:
+        >>> shown(1.234, "m"), shown(1.234e-5, "m")
+        ('1200 mm', '0.012 mm')
+    """
     name, factor = DISPLAY[unit]
-    return f"{factor * size:.{digits}g} {name}"
+    text = f"{factor * size:.{digits}g}"
+    return f"{float(text):.0f} {name}" if "e+" in text else f"{text} {name}"
 
 
 def listed(words: Sequence[str], more: int = 0) -> str:

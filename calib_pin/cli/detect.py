@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,8 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     detector = boards.Detector(board)
     if asked.draw is not None:
         return _drawn(asked, asked.draw, detector)
-    images, output, extra = asked.images or [], asked.output, asked.setup_output
+    given, output, extra = asked.images or [], asked.output, asked.setup_output
+    images = [image for path in given for image in (images_in(path) or [path])]
     if not images or output is None:
         raise OptionError("give the images, and -o, the measurement file to write")
     files.require_distinct(images)
@@ -117,6 +118,12 @@ def corner_columns(
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm")
 
 
+def images_in(folder: Path) -> list[Path]:
+    """The images in a folder; none in what is no folder."""
+    there = folder.iterdir() if folder.is_dir() else ()
+    return [path for path in there if path.suffix.lower() in ENDINGS]
+
+
 def images_of(
     folder: Path, board: str, joints: Path | None, pause: float
 ) -> tuple[Path, Callable[[], None]]:
@@ -140,8 +147,7 @@ def images_of(
 
     def add() -> None:
         time.sleep(pause)
-        there = (p for p in folder.iterdir() if p.suffix.lower() in ENDINGS)
-        new = [path for path in there if path.name not in seen]
+        new = [path for path in images_in(folder) if path.name not in seen]
         for image in sorted(new, key=numbers_in):
             try:
                 asked = Detect(images=[image], joints=joints)
@@ -200,8 +206,8 @@ def configurations_of(
             reason = "there is no column 'time' here, or in the log of the joints"
             raise taken.error(reason)
         table = read_table(data)
-        stood = table.texts(["image"])["image"].distinct
-        images = [path for path in images if path.name in stood]
+        stood, names = _names(table, images)
+        images = [p for p, name in zip(images, names, strict=True) if name in stood]
     count = len(table.lines)
     if "image" not in table and count == len(images):
         ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
@@ -225,11 +231,29 @@ def _rows(table: Table, images: list[Path]) -> list[int]:
     """
     if "image" not in table:
         raise table.error("there is no column 'image'")
+    cells, names = _names(table, images)
     rows = dict[str, int]()
-    for row, cell in enumerate(table.texts(["image"])["image"]):
-        if rows.setdefault(Path(cell).name, row) != row:
+    for row, cell in enumerate(cells):
+        if rows.setdefault(cell, row) != row:
             raise table.error("this image has a row already", "image", row=row)
-    for path in images:
-        if path.name not in rows:
+    for path, name in zip(images, names, strict=True):
+        if name not in rows:
             raise InputError(f"has no row for the image {path.name}", file=table.file)
-    return [rows[path.name] for path in images]
+    return [rows[name] for name in names]
+
+
+def _names(table: Table, images: list[Path]) -> tuple[list[str], list[str]]:
+    """How the column `image` names images, row by row, and how it would name these.
+
+    By their names, as paths of any system, by names without their ending, or by the
+    last number in them.
+    """
+    cells = [PureWindowsPath(c.strip()) for c in table.texts(["image"])["image"]]
+    if all(cell.name.isdecimal() for cell in cells):
+        numbers = [re.findall(r"\d+", path.stem)[-1:] for path in images]
+        names = [str(int(own[0])) if own else "" for own in numbers]
+        return [str(int(cell.name)) for cell in cells], names
+    plain, names = [cell.name for cell in cells], [path.name for path in images]
+    if {*plain} & {*names}:
+        return plain, names
+    return [cell.stem for cell in cells], [path.stem for path in images]

@@ -58,6 +58,7 @@ def _direction(vector: Triple) -> Triple:
 
 
 Length = Annotated[float, Value("m", SMALLEST, LARGEST_LENGTH)]
+Edge = Annotated[float, Value("m", SMALLEST, 2.0)]
 Position = Annotated[Triple, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)]
 Angles = Annotated[Triple, Value("rad", -LARGEST_ANGLE, LARGEST_ANGLE)]
 Direction = Annotated[Triple, Value("", -1e6, 1e6), _direction]
@@ -286,10 +287,10 @@ class BoardSetup(Section):
     type: Literal["charuco", "chessboard", "circles", "apriltag", "marker"]
     columns: Count
     rows: Count
-    square: Length
-    marker: Length | None = None
+    square: Edge
+    marker: Edge | None = None
     dictionary: Annotated[str, OneOf(DICTIONARIES)] | None = None
-    gap: Length | None = None
+    gap: Edge | None = None
     first: Annotated[int, Value("", 0, 999)] = 0
     legacy: bool = False
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
@@ -36,15 +37,16 @@ ASSUMED = "the focal lengths are assumed: the images do not determine them"
 
 def detect(asked: Detect, words: Sequence[str]) -> int:
     """Do what `Detect` asks for."""
-    board = asked.board and boards.board_of(asked.board)
-    board = board or files.open_setup(asked.setup).board
+    given = files.open_setup(asked.setup)
+    board = boards.board_of(asked.board) if asked.board else given.board
     if board is None:
         raise OptionError("give --board, or a setup file with 'board' (--setup)")
     detector = boards.Detector(board)
     if asked.draw is not None:
         return _drawn(asked, asked.draw, detector)
-    given, output, extra = asked.images or [], asked.output, asked.setup_output
-    images = [image for path in given for image in (images_in(path) or [path])]
+    output, extra = asked.output, asked.setup_output
+    every_path = asked.images or []
+    images = [image for path in every_path for image in (images_in(path) or [path])]
     if not images or output is None:
         raise OptionError("give the images, and -o, the measurement file to write")
     files.require_distinct(images)
@@ -57,6 +59,12 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
         asked.tell("no image shows enough of the board to check how it is stated")
     found = {path.name: one for path, one in zip(images, every, strict=True)}
     start = boards.start_camera(asked.mount, detector, size, found)
+    if (camera := given.camera) is not None:
+        if camera.size not in (None, size):
+            value, allowed = (f"{a:g} x {b:g}" for a, b in (size, camera.size or size))
+            reason = "these images are not of the size of the camera that is stated"
+            raise InputError(reason, file=images[0], value=value, allowed=allowed)
+        start = replace(start, camera=replace(camera, size=size), assumed=False)
     columns = corner_columns(images, every, rows)
     comment = f"found by: {printing.told_command(words)}"
     contents = {output: measurements.encode_table(columns, [comment])}
@@ -83,7 +91,8 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     told = (
         f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px\n"
         f"{corners} of {shown * len(detector.points)} corners in them, sigma "
-        f"{median:.3f} px (median)\nstart of the camera: "
+        f"{median:.3f} px (median)\n"
+        f"{'start of the camera' if given.camera is None else 'camera as stated'}: "
         f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
     )
     asked.give(contents, lambda: document, told)

@@ -109,8 +109,8 @@ COMMENTS = {
     "parameters": "",
     "prior": "Zeros that were set by hand are off by about 5 degrees [rad].",
     "columns": "Our names of columns, and those of the file with their units.",
-    "reading": "The poses are those of the measurement frame in the tool, as a camera in "
-    "the hand sees a board.",
+    "reading": "The poses are those of the measurement frame in the tool, as a camera "
+    "in the hand sees a board.",
     "board": "The board; its points are known.",
     "camera": "The camera; a first guess that is estimated, but for the size of the "
     "images, 'size: [width, height]', which export to camera-info needs.",

@@ -158,6 +158,26 @@ def test_images_are_named_as_people_do(run, cell):
     assert pairs == {(name.format(2), "0.2"), (name.format(10), "1.0")}
 
 
+def test_a_camera_that_is_stated_stays(run, fails):
+    """The one of the file of another software, unless images are of another size."""
+    word = "charuco:7x5:0.03:0.022"
+    seen_from(board_of(word), 1)
+    with Image.open("0.png") as image:
+        width, height = image.size
+    for size, known in ((width, True), (width // 2, False)):
+        info = f"fx: 700\nfy: 701\ncx: 300\ncy: 200\nwidth: {size}\nheight: {height}\n"
+        Path("info.yaml").write_text(info)
+        Path("c.yaml").write_text("camera: {mount: world, file: info.yaml}\n")
+        words = f"detect 0.png --board {word} --setup c.yaml -o m.csv --force"
+        if known:
+            assert "as stated" in run(f"{words} --setup-output s.yaml").out
+            camera = read_setup("s.yaml").camera
+            assert camera.mount == "world" and not camera.estimate
+            assert camera.focal == (700.0, 701.0)
+        else:
+            fails(words, "0.png", f"{width} x {height}", "not of the size")
+
+
 def test_mirrored_images_and_millimeters_are_said(fails):
     import cv2
 

@@ -167,8 +167,10 @@ def test_a_camera_that_is_stated_stays(run, fails):
     for size, known in ((width, True), (width // 2, False)):
         info = f"fx: 700\nfy: 701\ncx: 300\ncy: 200\nwidth: {size}\nheight: {height}\n"
         Path("info.yaml").write_text(info)
-        Path("c.yaml").write_text("camera: {mount: world, file: info.yaml}\n")
-        words = f"detect 0.png --board {word} --setup c.yaml -o m.csv --force"
+        board = "{type: charuco, columns: 7, rows: 5, square: 0.03, marker: 0.022}"
+        camera = "{mount: world, file: info.yaml}"
+        Path("c.yaml").write_text(f"camera: {camera}\nboard: {board}\n")
+        words = "detect 0.png --setup c.yaml -o m.csv --force"
         if known:
             assert "as stated" in run(f"{words} --setup-output s.yaml").out
             camera = read_setup("s.yaml").camera

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from dataclasses import replace
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -36,14 +37,16 @@ ASSUMED = "the focal lengths are assumed: the images do not determine them"
 
 def detect(asked: Detect, words: Sequence[str]) -> int:
     """Do what `Detect` asks for."""
-    board = asked.board and boards.board_of(asked.board)
-    board = board or files.open_setup(asked.setup).board
+    given = files.open_setup(asked.setup)
+    board = boards.board_of(asked.board) if asked.board else given.board
     if board is None:
         raise OptionError("give --board, or a setup file with 'board' (--setup)")
     detector = boards.Detector(board)
     if asked.draw is not None:
         return _drawn(asked, asked.draw, detector)
-    images, output, extra = asked.images or [], asked.output, asked.setup_output
+    output, extra = asked.output, asked.setup_output
+    every_path = asked.images or []
+    images = [image for path in every_path for image in (images_in(path) or [path])]
     if not images or output is None:
         raise OptionError("give the images, and -o, the measurement file to write")
     files.require_distinct(images)
@@ -56,6 +59,12 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
         asked.tell("no image shows enough of the board to check how it is stated")
     found = {path.name: one for path, one in zip(images, every, strict=True)}
     start = boards.start_camera(asked.mount, detector, size, found)
+    if (camera := given.camera) is not None:
+        if camera.size not in (None, size):
+            value, allowed = (f"{a:g} x {b:g}" for a, b in (size, camera.size or size))
+            reason = "these images are not of the size of the camera that is stated"
+            raise InputError(reason, file=images[0], value=value, allowed=allowed)
+        start = replace(start, camera=replace(camera, size=size), assumed=False)
     columns = corner_columns(images, every, rows)
     comment = f"found by: {printing.told_command(words)}"
     contents = {output: measurements.encode_table(columns, [comment])}
@@ -82,7 +91,8 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     told = (
         f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px\n"
         f"{corners} of {shown * len(detector.points)} corners in them, sigma "
-        f"{median:.3f} px (median)\nstart of the camera: "
+        f"{median:.3f} px (median)\n"
+        f"{'start of the camera' if given.camera is None else 'camera as stated'}: "
         f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
     )
     asked.give(contents, lambda: document, told)
@@ -117,6 +127,12 @@ def corner_columns(
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm")
 
 
+def images_in(folder: Path) -> list[Path]:
+    """The images in a folder; none in what is no folder."""
+    there = folder.iterdir() if folder.is_dir() else ()
+    return [path for path in there if path.suffix.lower() in ENDINGS]
+
+
 def images_of(
     folder: Path, board: str, joints: Path | None, pause: float
 ) -> tuple[Path, Callable[[], None]]:
@@ -140,8 +156,7 @@ def images_of(
 
     def add() -> None:
         time.sleep(pause)
-        there = (p for p in folder.iterdir() if p.suffix.lower() in ENDINGS)
-        new = [path for path in there if path.name not in seen]
+        new = [path for path in images_in(folder) if path.name not in seen]
         for image in sorted(new, key=numbers_in):
             try:
                 asked = Detect(images=[image], joints=joints)
@@ -200,8 +215,8 @@ def configurations_of(
             reason = "there is no column 'time' here, or in the log of the joints"
             raise taken.error(reason)
         table = read_table(data)
-        stood = table.texts(["image"])["image"].distinct
-        images = [path for path in images if path.name in stood]
+        stood, names = _names(table, images)
+        images = [p for p, name in zip(images, names, strict=True) if name in stood]
     count = len(table.lines)
     if "image" not in table and count == len(images):
         ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
@@ -225,11 +240,29 @@ def _rows(table: Table, images: list[Path]) -> list[int]:
     """
     if "image" not in table:
         raise table.error("there is no column 'image'")
+    cells, names = _names(table, images)
     rows = dict[str, int]()
-    for row, cell in enumerate(table.texts(["image"])["image"]):
-        if rows.setdefault(Path(cell).name, row) != row:
+    for row, cell in enumerate(cells):
+        if rows.setdefault(cell, row) != row:
             raise table.error("this image has a row already", "image", row=row)
-    for path in images:
-        if path.name not in rows:
+    for path, name in zip(images, names, strict=True):
+        if name not in rows:
             raise InputError(f"has no row for the image {path.name}", file=table.file)
-    return [rows[path.name] for path in images]
+    return [rows[name] for name in names]
+
+
+def _names(table: Table, images: list[Path]) -> tuple[list[str], list[str]]:
+    """How the column `image` names images, row by row, and how it would name these.
+
+    By their names, as paths of any system, by names without their ending, or by the
+    last number in them.
+    """
+    cells = [PureWindowsPath(c.strip()) for c in table.texts(["image"])["image"]]
+    if all(cell.name.isdecimal() for cell in cells):
+        numbers = [re.findall(r"\d+", path.stem)[-1:] for path in images]
+        names = [str(int(own[0])) if own else "" for own in numbers]
+        return [str(int(cell.name)) for cell in cells], names
+    plain, names = [cell.name for cell in cells], [path.name for path in images]
+    if {*plain} & {*names}:
+        return plain, names
+    return [cell.stem for cell in cells], [path.stem for path in images]

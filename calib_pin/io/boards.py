@@ -470,6 +470,12 @@ def require_stated(
             if agrees(other, found) and any(one.names for one in found):
                 reason = f"the images do not show {word_of(board)}"
                 raise InputError(f"{reason}; this fits: --board {word_of(other)}")
+    mirrored = np.ascontiguousarray(some[0][:, ::-1])
+    if not grid and len(Detector(board).find(mirrored).names) >= CORNERS:
+        reason = (
+            "the images are mirrored, as of a selfie: switch that off in the camera"
+        )
+        raise InputError(reason, file=paths[0])
     raise InputError(
         f"no image shows the board as stated ({board.type}, {board.columns} x "
         f"{board.rows}); are its type, numbers and dictionary right?"

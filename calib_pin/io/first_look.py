@@ -40,7 +40,7 @@ from calib_pin.kinematics.tree import turns
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.placement import HAND_SET
-from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
+from calib_pin.setup import WORLD, CameraSetup, ChainSetup, ReadingSetup, Setup
 from calib_pin.units import steps_of
 from calib_pin.validation.evaluation import error_sizes, prepared
 from calib_pin.validation.findings.case import some_of
@@ -72,7 +72,7 @@ FEWEST = 3
 """Joints that are found without their names."""
 
 FEW = 10
-"""Measurements for each joint and frame up to which they are few for six errors."""
+"""Measured points for each joint and frame up to which they are few for six errors."""
 
 ROUGH, SMALL = 0.01, 0.2
 """Part of its motion by which few nominal arms of a factory are off, and the scatter of
@@ -109,6 +109,8 @@ COMMENTS = {
     "parameters": "",
     "prior": "Zeros that were set by hand are off by about 5 degrees [rad].",
     "columns": "Our names of columns, and those of the file with their units.",
+    "reading": "The poses are those of the measurement frame in the tool, as a camera "
+    "in the hand sees a board.",
     "board": "The board; its points are known.",
     "camera": "The camera; a first guess that is estimated, but for the size of the "
     "images, 'size: [width, height]', which export to camera-info needs.",
@@ -170,7 +172,10 @@ class Look:
         degrees = [self.joints[j].column.numbers for j in units if units[j] == "deg"]
         if degrees and not np.nansum(np.array(degrees) % 1.0):
             return "the joints were read in whole degrees"
-        few = len(self.data or ()) < FEW * (len(units) + 2)
+        # A pose says as much as two points.
+        blocks = self.data.blocks if self.data else ()
+        points = sum(len(k) * (1 + (k.model == "pose")) for k in blocks)
+        few = points < FEW * (len(units) + 2)
         size = next(iter(self.errors.values()), inf)
         if few and self.share > ROUGH and size < SMALL * self.share:
             return "few measurements of a small arm, which is off by 1 % of its motion"
@@ -444,11 +449,13 @@ def readings(own: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[Lo
         # Other words divide a file in other ways.
         if ours != "set" or one.name == "set" or {*one.column.words} <= {*SETS}
     }
-    setups = [setup]
+    setups = [setup, replace(setup, reading=ReadingSetup(inverted=True))]
     if (camera := setup.camera) is not None:
         mounts = (replace(camera, mount=mount) for mount in ("hand", "world"))
         setups = [replace(setup, camera=camera) for camera in mounts]
     for spatial, start in product(headers.vectors(rest) or [{}], setups):
+        if start.reading.inverted and not {*spatial} - {*POSITION}:
+            continue
         models: Sequence[str | None] = [setup.model]
         if setup.model is None and spatial:  # Whatever else is in the file.
             models = [None if {*spatial} - {*POSITION} else "position"]
@@ -504,6 +511,7 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
             chains,
             model=setup.model,
             columns=setup.columns,
+            reading=setup.reading,
             station_per_file=apart,
             notice=remarks.append,
         )

@@ -40,7 +40,8 @@ GAUGES = {
 MEANINGS: Mapping[str, str] = {
     **{axis: rf"(?:pos|p|t|position|tcp)?{axis}" for axis in "xyz"},
     **{
-        f"q{axis}": rf"(?:quat(?:ernion)?|orientation|rot|q|r){axis}" for axis in "xyzw"
+        f"q{axis}": rf"(?:quat(?:ernion)?|orientation|rot(?:ation)?|q|r){axis}"
+        for axis in "xyzw"
     },
     **{f"r{axis}": rf"(?:rot|rvec|rotvec|rv|r){axis}" for axis in "xyz"},
     **{name: name for name in ("roll", "pitch", "yaw")},
@@ -95,11 +96,17 @@ LABEL = re.compile(r"(?:id|no|nr|num|number|nummer|name|label|index)?")
 MEASURED = re.compile(
     r"meas|mess|track|laser|actual|observ|(?:\b|_)(?:ist|act(?![a-z]))|real|reflector|smr"
 )
-COMPUTED = re.compile(r"tcp|\bee\b|flange|robot|ctrl|controller|\bfk\b|computed")
+COMPUTED = re.compile(
+    r"tcp|\bee\b|flange|effector|robot|ctrl|controller|\bfk\b|computed|"
+    r"(?:gripper|hand|end)2base|base2(?:gripper|hand|end)"
+)
 """Words of what a controller computes from the joints, more often than not."""
 
-PLACES = re.compile(r"\b(?:pos|position|p|t)\b")
+PLACES = re.compile(r"\b(?:pos|position|translation|tvecs?|p|t)\b")
 """Words with which an x is one of a position, and that say no more."""
+
+TURNS = re.compile(r"\b(?:rotation|rvecs?|rot|r)\b")
+"""The same of orientations."""
 
 COMMANDED = re.compile(
     r"goal|soll|nominal|cmd|command|desired|action|(?:\b|_)(?:set|nom(?![a-z]))|ref|"
@@ -107,8 +114,8 @@ COMMANDED = re.compile(
 )
 
 ELEMENT = re.compile(
-    r"((?:.*[\W_])?(?:pos|position|p|xyz|point|t|tvec|translation|meas|measured|"
-    r"coordinates?|rvec|rotvec))"
+    r"((?:.*[\W_])?(?:pos|position|p|xyz|point|t|tvecs?|translation|meas|measured|"
+    r"coordinates?|rvecs?|rotvec|[rt]_[a-z]+2[a-z]+))"
     r"[ _.\-]*\[?([0-3])\]?"
 )
 """Elements of positions and of rotation vectors, by their number."""
@@ -260,9 +267,9 @@ def vectors(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:
         position = {axis: found[axis][stem] for axis in POSITION if axis in found}
         beside = PLACES.sub("", stem).strip()
         for names in (names for names in STATED.values() if names[0] in found):
-            ways = found[names[0]]
+            ways = {TURNS.sub("", stem).strip(): stem for stem in found[names[0]]}
             own = [beside] if beside in ways else [*ways][: len(stems) == 1]
-            turned = {name: found[name][own[0]] for name in names if own}
+            turned = {name: found[name][ways[own[0]]] for name in names if own}
             if any(one.moves for one in turned.values()):
                 result.append(position | turned)
                 break

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from calib_pin.errors import OptionError, nearest
+from calib_pin.io.cameras import camera_of
 from calib_pin.io.files import read_bytes
 from calib_pin.io.json_text import decoded, format_keys, plain, reading, typed
 from calib_pin.measurement_models import MEASUREMENT_MODELS
@@ -135,6 +136,12 @@ def read_setup(path: str | Path | Mapping[str, object]) -> Setup:
         with reading(file, "prior"):
             found = replace(_prior_of(document), file=str(file))
         data = {**data, "prior": found}
+    camera = data.get("camera") if isinstance(data, Mapping) else None
+    if isinstance(camera, Mapping) and isinstance(camera.get("file"), str):
+        own = {key: value for key, value in camera.items() if key != "file"}
+        place, _, name = camera["file"].partition("#")
+        there = camera_of(folder / place, name, own.get("estimate") is True)
+        data = {**data, "camera": {**there, **own}}
     setup: Setup = _taken(tree, data, Setup)
     obstacles = tuple(
         replace(one, mesh=one.mesh and str(folder / one.mesh))

@@ -44,7 +44,7 @@ from calib_pin.io.columns import (
 from calib_pin.io.dialects import Heading, heading, reading, side_by_side
 from calib_pin.io.dialects.base import cells_of
 from calib_pin.io.files import read_bytes
-from calib_pin.io.json_rows import rows_of_json
+from calib_pin.io.json_rows import YAML, rows_of_json
 from calib_pin.io.not_measured import first_statistic, out_of_sight
 from calib_pin.observations import Booleans, Indices, Labels
 from calib_pin.progress import Progress
@@ -594,7 +594,8 @@ def read_cells(
     kinds = (k for a, b, k in BINARY if start.startswith(a) and b in start)
     if kind := next(kinds, ""):
         raise InputError(f"is {kind}", file=file)
-    if re.match(rb"\s*(\{|\[\s*[\[{\"\d-])", start):
+    yaml = file.lower().endswith(YAML)
+    if yaml or re.match(rb"\s*(\{|\[\s*[\[{\"\d-])", start):
         text = source if isinstance(source, bytes) else read_bytes(source)
         return _read_json(text, file)
     wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
@@ -624,9 +625,9 @@ def _read_json(text: bytes, file: str) -> Cells:
         InputError: If it holds no rows.
     """
     try:
-        rows = rows_of_json(text)
+        rows = rows_of_json(text, file)
     except ValueError:
-        reason = "is JSON without rows that have the same names: write it as CSV"
+        reason = "has no rows with the same names, as JSON or YAML: write it as CSV"
         raise InputError(reason, file=file) from None
     lines = array("q", range(1, len(rows) + 1))
     found = Cells(file, Heading(",", [*rows[0]], 0, ""), lines=lines)

@@ -108,7 +108,12 @@ def read_tree(path: str | Path) -> Tree:
         ...     read_tree(file).data
         {'elbow_joint.placement.x': 1e-05}
     """
-    content, line, file = read_bytes(path, _LARGEST), None, str(path)
+    return parse_tree(read_bytes(path, _LARGEST), str(path))
+
+
+def parse_tree(content: bytes, file: str) -> Tree:
+    """The same of bytes; the file is for messages."""
+    line = None
     try:
         root = _Loader(content.decode("utf-8-sig")).get_single_node()
         nodes: Nodes = {(): (_line(root) if root else 1, root)}

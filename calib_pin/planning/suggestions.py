@@ -47,7 +47,9 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
     for term in model.terms.values():
         for reference in term.measurement.references:
             if isinstance(reference, Camera):
-                camera = reference.stated()
+                # With a wrong mount a fit may end at what is no lens.
+                sane = (reference.intrinsics[:2] >= 1.0).all()
+                camera = reference.stated() if sane else camera
             else:
                 named = sections.setdefault(reference.section, {})
                 named[reference.name] = reference.stated()

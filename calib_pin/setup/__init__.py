@@ -58,6 +58,7 @@ def _direction(vector: Triple) -> Triple:
 
 
 Length = Annotated[float, Value("m", SMALLEST, LARGEST_LENGTH)]
+Edge = Annotated[float, Value("m", SMALLEST, 2.0)]
 Position = Annotated[Triple, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)]
 Angles = Annotated[Triple, Value("rad", -LARGEST_ANGLE, LARGEST_ANGLE)]
 Direction = Annotated[Triple, Value("", -1e6, 1e6), _direction]
@@ -249,6 +250,9 @@ class CameraSetup(Section):
         distortion: k_1, k_2, p_1, p_2, k_3, or the first two or four of them.
         size: Width and height of the image [px]; None where it has no edge.
         estimate: Whether focal lengths, principal point and distortion are estimated.
+        file: Only in a setup file: a file of ROS, OpenCV, Kalibr, RealSense or MATLAB
+            that states focal, center, distortion and size, as far as they are not
+            stated here; of several cameras in it one is meant by `camchain.yaml#cam1`.
     """
 
     mount: Literal["hand", "world"]
@@ -259,6 +263,7 @@ class CameraSetup(Section):
     ] = (0.0, 0.0, 0.0, 0.0, 0.0)
     size: Annotated[Pair, Value("px", SMALLEST, WIDEST)] | None = None
     estimate: bool = False
+    file: Text | None = None
 
 
 @dataclass(frozen=True)
@@ -286,10 +291,10 @@ class BoardSetup(Section):
     type: Literal["charuco", "chessboard", "circles", "apriltag", "marker"]
     columns: Count
     rows: Count
-    square: Length
-    marker: Length | None = None
+    square: Edge
+    marker: Edge | None = None
     dictionary: Annotated[str, OneOf(DICTIONARIES)] | None = None
-    gap: Length | None = None
+    gap: Edge | None = None
     first: Annotated[int, Value("", 0, 999)] = 0
     legacy: bool = False
 

@@ -141,6 +141,55 @@ def test_images_and_joints_are_paired(run, fails):
     fails(f"{words} log.csv --times times.csv --force", "times.csv", "'time'")
 
 
+@pytest.mark.parametrize("cell", ["shots/{}.png", "C:\\a\\s_{}.jpg", "{}", "000{}"])
+def test_images_are_named_as_people_do(run, cell):
+    """By paths of other systems, without an ending, or by a number; from a folder."""
+    word = "marker:1x1:0.06"
+    seen_from(board_of(word), 1)
+    Path("shots").mkdir()
+    name = "s_{}.png" if "s_" in cell or "0" in cell else "{}.png"
+    for k in (2, 10):
+        Path("shots", name.format(k)).write_bytes(Path("0.png").read_bytes())
+    rows = [f"{cell.format(k)},{k / 10}" for k in (10, 7, 2)]
+    Path("joints.csv").write_text("\n".join(["image,joint1", *rows]))
+    assert run(f"detect shots --board {word} -o m.csv --joints joints.csv").status == 0
+    lines = Path("m.csv").read_text().splitlines()[2:]
+    pairs = {tuple(line.split(",")[:2]) for line in lines}
+    assert pairs == {(name.format(2), "0.2"), (name.format(10), "1.0")}
+
+
+def test_a_camera_that_is_stated_stays(run, fails):
+    """The one of the file of another software, unless images are of another size."""
+    word = "charuco:7x5:0.03:0.022"
+    seen_from(board_of(word), 1)
+    with Image.open("0.png") as image:
+        width, height = image.size
+    for size, known in ((width, True), (width // 2, False)):
+        info = f"fx: 700\nfy: 701\ncx: 300\ncy: 200\nwidth: {size}\nheight: {height}\n"
+        Path("info.yaml").write_text(info)
+        board = "{type: charuco, columns: 7, rows: 5, square: 0.03, marker: 0.022}"
+        camera = "{mount: world, file: info.yaml}"
+        Path("c.yaml").write_text(f"camera: {camera}\nboard: {board}\n")
+        words = "detect 0.png --setup c.yaml -o m.csv --force"
+        if known:
+            assert "as stated" in run(f"{words} --setup-output s.yaml").out
+            camera = read_setup("s.yaml").camera
+            assert camera.mount == "world" and not camera.estimate
+            assert camera.focal == (700.0, 701.0)
+        else:
+            fails(words, "0.png", f"{width} x {height}", "not of the size")
+
+
+def test_mirrored_images_and_millimeters_are_said(fails):
+    import cv2
+
+    seen_from(board_of("charuco:7x5:0.03:0.022"), 1)
+    words = "detect 0.png -o m.csv --board charuco:7x5:"
+    fails(f"{words}30:22", "at most 2")
+    cv2.imwrite("0.png", cv2.imread("0.png", cv2.IMREAD_GRAYSCALE)[:, ::-1])
+    fails(f"{words}0.03:0.022", "0.png", "mirrored")
+
+
 @pytest.mark.parametrize(
     ("true", "wrong"),
     [

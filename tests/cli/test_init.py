@@ -318,6 +318,39 @@ def test_elements_of_quaternions_in_either_order(run, order):
     assert columns["qw"] == f"q{order.index(3) + 1}"
 
 
+@pytest.mark.parametrize(
+    ("position", "turn"),
+    [
+        ("t_target2cam_0 t_target2cam_1 t_target2cam_2", "R_target2cam_"),
+        ("tvec_x tvec_y tvec_z", "rvec_"),
+        (
+            "board_translation_x board_translation_y board_translation_z",
+            "board_rotation_",
+        ),
+    ],
+)
+def test_poses_of_a_board_in_the_camera_of_the_hand(run, position, turn):
+    """As OpenCV, easy_handeye and MoveIt state them, beside the controller's pose."""
+    assert run("simulate space6 --model pose --count 60 --seed 1 -o a.csv").status == 0
+    rows, T = numbers("a.csv"), np.tile(np.eye(4), (60, 1, 1))
+    T[:, :3, :3] = Rotation.from_quat(rows[:, 9:13]).as_matrix()
+    T[:, :3, 3] = rows[:, 6:9]
+    seen = np.linalg.inv(T)
+    turns = Rotation.from_matrix(seen[:, :3, :3])
+    kinds = {
+        "R_target2cam_": (range(9), seen[:, :3, :3].reshape(60, 9)),
+        "rvec_": ("xyz", turns.as_rotvec()),
+        "board_rotation_": ("xyzw", turns.as_quat()),
+    }
+    ends, cells = kinds[turn]
+    names = [*JOINTS, *position.split(), *(f"{turn}{end}" for end in ends)]
+    foreign(names, np.hstack([rows[:, :6], seen[:, :3, 3], cells]))
+    assert run(INIT).status == 0
+    setup = read_setup("setup.yaml")
+    assert setup.reading.inverted and setup.parameters == ("placement",)
+    assert setup.columns["x"] == position.split()[0]
+
+
 def test_of_two_positions_and_two_arms_the_other_is_told(measured, run):
     rng = np.random.default_rng(0)
     q, points = measured[:, :6], measured[:, 6:]

@@ -68,6 +68,32 @@ def test_poses_by_rows_or_columns(table, count, by_columns):
     assert found.columns["y"].numbers.tolist() == T[:, 1, 3].tolist()
 
 
+def test_several_matrices_keep_their_names(table):
+    """Nine numbers are a rotation by rows; a position is that of its matrix."""
+    R = so3_exp(np.random.default_rng(0).normal(size=(3, 3)))
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3] = np.concatenate([R, np.arange(9.0).reshape(3, 3, 1)], axis=2)
+    names = [*(f"a[{k}]" for k in range(16)), *(f"b_{k}" for k in range(9))]
+    cells = np.hstack([T.reshape(3, 16), R.swapaxes(1, 2).reshape(3, 9)])
+    rows = [",".join(map(repr, row)) for row in cells.tolist()]
+    found = table("\n".join([",".join(names), *rows])).columns
+    assert found["a_y"].numbers.tolist() == [1.0, 4.0, 7.0]
+    for name, turn in (("a", R), ("b", R.swapaxes(1, 2))):
+        q = np.column_stack([found[f"{name}_q{axis}"].numbers for axis in "xyzw"])
+        assert np.allclose(from_quaternion(q), turn, atol=1e-12)
+
+
+def test_a_trajectory_of_tum(table):
+    """Without a header; other rows of eight numbers are none."""
+    text = "# time stamps\n1.5 1 2 3 0 0 0 1\n1.75 4 5 6 0.6 0 0 0.8\n"
+    found = table(text)
+    assert found.numbers("y", LENGTH).tolist() == [2.0, 5.0]
+    assert found.columns["qw"].numbers.tolist() == [1.0, 0.8]
+    assert "TUM" in found.remarks[0]
+    with pytest.raises(InputError, match="header"):
+        table(text.replace("0.8", "0.7"))
+
+
 @pytest.mark.parametrize(
     ("cell", "names"),
     [

@@ -130,6 +130,21 @@ def test_json(table, text):
     assert found.lines.tolist() == [1, 2]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "facts: 1\nsamples:\n- a: [1, 2]\n  b:\n    x: 5.5\n- {a: [3, 4], b: {x: 6}}",
+        "joint_names: [a_0, a_1, b_x]\njoint_values:\n- [1, 2, 5.5]\n- [3, 4, 6]\n",
+    ],
+)
+def test_yaml(tmp_path, text):
+    """Samples of easy_handeye2 and MoveIt, and MoveIt's joint states."""
+    (tmp_path / "a.yaml").write_text(text)
+    found = read_table(tmp_path / "a.yaml").columns
+    rows = {name: column.numbers.tolist() for name, column in found.items()}
+    assert rows == {"a_0": [1, 3], "a_1": [2, 4], "b_x": [5.5, 6]}
+
+
 LOG = "Zeit;Ort;X (mm);Y [mm]\n0,5;Wand, links;1,25;-,5e3\n1;v1.5;3;-7\n"
 
 

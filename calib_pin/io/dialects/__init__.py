@@ -20,13 +20,14 @@ from calib_pin.io.dialects.points import Points
 from calib_pin.io.dialects.rostopic import Rostopic
 from calib_pin.io.dialects.rtde import Rtde
 from calib_pin.io.dialects.stamps import Stamps
+from calib_pin.io.dialects.tum import Tum
 from calib_pin.io.dialects.vicon import Vicon
 from calib_pin.plugins import Members
 
 __all__ = ["DIALECTS", "Dialect", "Heading", "Reading", "side_by_side"]
 
 MEMBERS = (
-    *(Motive, Vicon, Ndi, Points),  # Their headers are no line of names.
+    *(Motive, Vicon, Ndi, Points, Tum),  # Their headers are no line of names.
     *(
         Lists,
         Rostopic,

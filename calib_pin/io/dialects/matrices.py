@@ -1,8 +1,9 @@
 """Rotations or poses as matrices: a column for each element, such as `r11` to `r33`.
 
 Elements are counted from 0 or 1, row by row as their names say; of three columns they
-are a rotation, of four a pose. Twelve or sixteen that have one number each are a pose
-by rows or by columns. Any orthonormal matrix is taken, whatever its name is.
+are a rotation, of four a pose. Nine that have one number each are a rotation by rows,
+twelve or sixteen a pose by rows or by columns. Any orthonormal matrix is taken,
+whatever its name is; of several in a file the name stands before what they become.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import calib_pin.io.dialects.base as base
-from calib_pin.io.columns import Floats
+from calib_pin.errors import enumerated
+from calib_pin.io.columns import Column, Floats
 from calib_pin.kinematics.spatial import nearest_rotation, to_quaternion
 
 ELEMENT = re.compile(r"(.*?)[ _\[(]*([0-4])[ _,]*([0-4])[\])]*")
@@ -31,29 +34,50 @@ class Matrices(base.Dialect):
     """Matrices whose elements are columns."""
 
     def read(self, columns: base.Columns, file: Path) -> base.Reading | None:
-        """The columns with quaternions in the place of a matrix."""
-        for elements in _elements(columns):
+        """The columns with a position and a quaternion in the place of each matrix."""
+        found = dict[str, dict[tuple[int, int], str]]()
+        for name, elements in _elements(columns):
+            if name not in found and _is_pose(columns, elements):
+                found[name] = elements
+        if not found:
+            return None
+        taken, read = set[str](), dict[str, Column]()
+        for name, elements in found.items():
+            stem = f"{name}_" if len(found) > 1 else ""
             ends = range(first := min(elements)[0], first + 3)
-            turned = [elements.get((i, j), "") for i in ends for j in ends]
-            R = np.array([columns[name].numbers for name in turned if name]).T
-            below = [elements.get((first + 3, j), "") for j in ends]
-            last = np.array([columns[name].numbers for name in below if name])
-            if (
-                not all(turned)
-                or not _orthonormal(R)
-                or np.nanmax(abs(last), initial=0)
-            ):
-                continue
-            read = {name: c for name, c in columns.items() if name not in turned}
-            read |= base.oriented(R, _quaternions)
+            turned = [elements[i, j] for i in ends for j in ends]
+            R = np.array([columns[one].numbers for one in turned]).T
+            own = base.oriented(R, _quaternions)
+            read |= {
+                stem + axis: replace(c, header=stem + axis) for axis, c in own.items()
+            }
+            taken |= {*turned}
             for axis, i in zip("xyz", ends, strict=True):
-                if (moved := elements.get((i, first + 3))) and axis not in columns:
-                    read[axis] = base.named(read.pop(moved), axis)
-            return base.Reading(read, f"matrices of '{turned[0]}' to '{turned[-1]}'")
-        return None
+                if (
+                    moved := elements.get((i, first + 3))
+                ) and stem + axis not in columns:
+                    read[stem + axis] = base.named(columns[moved], stem + axis)
+                    taken.add(moved)
+        rest = {name: column for name, column in columns.items() if name not in taken}
+        names = enumerated(name or "r" for name in found)
+        return base.Reading(rest | read, f"matrices {names}")
 
 
-def _elements(columns: base.Columns) -> Iterator[dict[tuple[int, int], str]]:
+def _is_pose(columns: base.Columns, elements: dict[tuple[int, int], str]) -> bool:
+    """Whether elements are a rotation, with a last row of zeros if there is any."""
+    ends = range(first := min(elements)[0], first + 3)
+    turned = [elements.get((i, j), "") for i in ends for j in ends]
+    below = [elements.get((first + 3, j), "") for j in ends]
+    if not all(turned):
+        return False
+    R = np.array([columns[name].numbers for name in turned]).T
+    last = np.array([columns[name].numbers for name in below if name])
+    return _orthonormal(R) and not np.nanmax(abs(last), initial=0)
+
+
+def _elements(
+    columns: base.Columns,
+) -> Iterator[tuple[str, dict[tuple[int, int], str]]]:
     """Columns that may be a matrix, by row and column: by name, or by order."""
     found = defaultdict[str, dict[tuple[int, int], str]](dict)
     ordered = defaultdict[str, list[str]](list)
@@ -62,11 +86,14 @@ def _elements(columns: base.Columns) -> Iterator[dict[tuple[int, int], str]]:
             found[match[1]][int(match[2]), int(match[3])] = name
         if match := PLACE.fullmatch(name):
             ordered[match[1]].append(name)
-    yield from found.values()
-    for names in (names for names in ordered.values() if len(names) in (12, 16)):
-        yield {(k // 4, k % 4): name for k, name in enumerate(names)}
-        rows = len(names) // 4
-        yield {(k % rows, k // rows): name for k, name in enumerate(names)}
+    yield from found.items()
+    for stem, names in ordered.items():
+        if len(names) == 9:
+            yield stem, {(k // 3, k % 3): name for k, name in enumerate(names)}
+        elif len(names) in (12, 16):
+            yield stem, {(k // 4, k % 4): name for k, name in enumerate(names)}
+            rows = len(names) // 4
+            yield stem, {(k % rows, k // rows): name for k, name in enumerate(names)}
 
 
 def _quaternions(R: Floats) -> Floats:

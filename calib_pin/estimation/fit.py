@@ -268,7 +268,7 @@ def with_drift(
     some: dict[str, Any] = dict.fromkeys(unknown, USUAL)
     still, usual = replace(drift, **sizes), replace(drift, **some)
     fitted = _fitted(chains, measurements, replace(setup, drift=still), seed)
-    sample = sampled(fitted.problem)
+    sample = replace(fitted.problem, data=sampled(fitted.problem))
     # The problem with a drift of the usual size, about the references of the fit.
     moving, terms = replace(setup, drift=usual, learned=None), {}
     found = make_problem(chains, sample.data, moving)

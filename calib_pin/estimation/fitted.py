@@ -57,8 +57,11 @@ from calib_pin.estimation.nominal import analyze_structure, register
 from calib_pin.estimation.problem import (
     EXACT,
     Problem,
+    absorbed,
     current_units,
     known_count,
+    own_deviations,
+    with_response,
 )
 from calib_pin.estimation.row_blocks import Priors, expected_places
 from calib_pin.estimation.solve import (
@@ -100,6 +103,9 @@ class Posterior:
         by_noise: Deviations of the parameters by independent noises of deviation one,
             shape (P, r).
         by_effects: The same by the effects of gears and compliance, shape (P, S).
+        by_station: The same of parameters that were eliminated, by the noise of their
+            own station, shape (P, k); in a column stations are independent.
+        stations: Positions of these parameters, station by station.
         systematic: These effects; None for none.
         noise: Variance of a measured value of each quantity at a new configuration,
             relative to that of its row, shape (K,).
@@ -107,6 +113,8 @@ class Posterior:
 
     by_noise: Floats
     by_effects: Floats
+    by_station: Floats
+    stations: Sequence[NDArray[np.intp]]
     systematic: Systematic | None
     noise: Floats
 
@@ -114,7 +122,11 @@ class Posterior:
     def covariance(self) -> Floats:
         """Covariance of the parameters, shape (P, P)."""
         half = np.column_stack([self.by_noise, self.by_effects])
-        return np.asarray(half @ half.T)
+        result = half @ half.T
+        for own in self.stations:
+            alone = self.by_station[own]
+            result[np.ix_(own, own)] += alone @ alone.T
+        return np.asarray(result)
 
     def twists(self, term: Term, q: Floats, J: Floats) -> Floats:
         """Deviations of the tool of a term as body twists, shape (N, 6, r + S).
@@ -302,7 +314,7 @@ class Fit:
         """
         if len(self.problem.data) <= ROWS and not self.problem.many:
             return self.result.jac, self.effect_rows
-        few = sampled(self.problem)
+        few = replace(self.problem, data=sampled(self.problem))
         there = replace(self, problem=few)
         return few.linearize_rows(self.theta)[1], there.effect_rows
 
@@ -344,9 +356,13 @@ def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
             inverse = half_covariance(np.concatenate([J, held]), basis, parameters)
         by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
     values, vectors = np.linalg.eigh(core)
+    by_noise = half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     # Without redundancy nobody knows, and the unit is not a number.
-    by_noise = fitted.unit * half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    return Posterior(by_noise, by_effects, effects, noise)
+    stations, unit = problem.stations(theta), fitted.unit
+    by_noise = unit * with_response(stations, by_noise)
+    by_station = unit * own_deviations(stations, len(theta))
+    places = tuple(problem.own_of_stations.values())
+    return Posterior(by_noise, by_effects, by_station, places, effects, noise)
 
 
 SURPRISE = 10.0
@@ -511,7 +527,7 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
         about = np.where(parameters.nuisance, nominal, 0.0)
     structure, at_zero = analyze_structure(problem, about, solver.rng)
     visible = visible_directions(at_zero, parameters)
-    count = known_count(problem)
+    count = known_count(problem) - absorbed(problem)
     # A search takes errors for which the linear prediction of sigma0 is no good.
     sigma0 = 0.0 if solver.searches else None
     directions = practical_directions(J, r, count, parameters, visible, sigma0)
@@ -566,7 +582,7 @@ def _fit_of(last: Fit, directions: Directions, result: Solution) -> Fit:
     basis = problem.parameters.scales[:, None] * directions.basis
     triangle = np.linalg.qr(result.jac @ basis, mode="r")
     s = np.linalg.svd(triangle, compute_uv=False)
-    rank = int((s > RANK * s.max(initial=0.0)).sum())
+    rank = int((s > RANK * s.max(initial=0.0)).sum()) + absorbed(problem)
     dof = known_count(problem) - rank
     unit = sigma0 = float(np.sqrt(2.0 * result.cost / dof)) if dof > 0 else np.nan
     if len(problem.units) or (states_sigmas(problem.data) and not np.isfinite(sigma0)):

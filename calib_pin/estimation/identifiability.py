@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -89,6 +89,7 @@ class Structure:
             free parameters).
         parameters: The parameters.
         scaled: Whether measurements tell how large the robot is.
+        alike: Parameters of stations that were left out, with those of one like them.
     """
 
     singular_values: Floats
@@ -98,6 +99,7 @@ class Structure:
     relations: Floats
     parameters: ParameterSet
     scaled: bool = True
+    alike: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def gap(self) -> float:
@@ -603,7 +605,10 @@ def half_covariance(J: Floats, basis: Floats, parameters: ParameterSet) -> Float
         The factor, shape (P, rank).
     """
     scaled = parameters.scales[:, None] * basis
-    return np.asarray(scaled @ inverse_root(J @ scaled))
+    A = J @ scaled
+    # What nothing shows, or was eliminated, costs nothing.
+    used = A.any(axis=0)
+    return np.asarray(scaled[:, used] @ inverse_root(A[:, used]))
 
 
 def inverse_root(A: Floats) -> Floats:
@@ -663,6 +668,8 @@ def projected(columns: Floats, A: Floats, parameters: ParameterSet) -> Floats:
 
 def column_space(A: Floats) -> Floats:
     """Orthonormal basis of the columns of A, rounding left out."""
+    # Those of stations that were eliminated are zero, and may be very many.
+    A = A[:, A.any(axis=0)]
     if A.shape[1] == 0:
         return np.zeros((len(A), 0))
     U, s, _ = np.linalg.svd(A, full_matrices=False)

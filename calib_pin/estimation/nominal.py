@@ -32,7 +32,9 @@ from calib_pin.estimation.problem import (
     SAMPLE,
     Problem,
     fitted_components,
+    representative,
     sigma_at,
+    station_kinds,
 )
 from calib_pin.estimation.solve import Solution, least_squares
 from calib_pin.estimation.terms import (
@@ -116,8 +118,9 @@ def analyze_structure(
             have a known distance.
     """
     theta = problem.further.distances.with_parallels(theta)
-    blocks, at = len(problem.terms), list[Measurements]()
-    parameters = len(problem.parameters)
+    keys = representative(problem)
+    blocks, at = len(keys), list[Measurements]()
+    parameters = len(problem.parameters) - len(_omitted(problem, keys))
     if parameters > MOST:
         raise OptionError(
             "the chain and its references have too many parameters",
@@ -125,9 +128,9 @@ def analyze_structure(
             value=parameters,
             allowed=f"at most {MOST}; a shorter chain (--base, --tip)",
         )
-    for key, term in problem.terms.items():
+    for key in keys:
         # Each quantity alone may have to show its structure.
-        quantities = term.measurement.quantities
+        quantities = problem.terms[key].measurement.quantities
         least = min(q.columns.stop - q.columns.start for q in quantities)
         enough = -(-3 * parameters // (blocks * least))
         count = max(-(-LEAST // blocks), FEWEST, enough)
@@ -153,16 +156,17 @@ def structure_at(
         InputError: If the measured values have no derivative.
     """
     J, count = jacobian_at(problem, theta, at), sum(map(len, at))
+    alike = _omitted(problem, [some.key for some in at])
+    shown = problem.parameters.without(alike)
     if not np.isfinite(J).all():
         raise InputError(
             "the measured values have no derivative, as a distance of zero has none; "
             "check the base and tip links"
         )
-    measured = J[: len(J) - len(problem.further.priors)]
-    found = structure(measured, problem.parameters, count)
+    found = structure(J[: len(J) - len(problem.further.priors)], shown, count)
     known = scale_deviation(problem, theta, at, J) < UNKNOWN
     scaled = known or not _has_lengths(problem, theta, at)
-    return replace(found, scaled=scaled), J
+    return replace(found, scaled=scaled, alike=alike), J
 
 
 def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> Floats:
@@ -199,7 +203,9 @@ def scale_deviation(
     Returns:
         The deviation; zero where the robot cannot grow, infinite where no row changes.
     """
-    free, scales = problem.parameters.free, problem.parameters.scales
+    free = problem.parameters.free.copy()
+    free[list(_omitted(problem, [some.key for some in at]))] = False
+    scales = problem.parameters.scales
     by_all, displaced, b = _growing(problem, theta, at)
     moved, frames = np.column_stack([by_all[:, free], displaced]), displaced.shape[1]
     rows = np.column_stack([(J * scales)[:, free], np.zeros((len(J), frames))])
@@ -266,6 +272,21 @@ def _has_lengths(problem: Problem, theta: Floats, at: Sequence[Measurements]) ->
     Q = column_space(displaced)
     own = float(np.linalg.norm(b - Q @ (Q.T @ b))) / np.sqrt(len(b) / 6)
     return bool(own > LENGTH_SCALE)
+
+
+def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> dict[int, int]:
+    """Parameters of stations that none of some blocks is measured from.
+
+    With each the same parameter of a station of its kind that is.
+    """
+    used = {problem.terms[key].frames.station for key in keys}
+    own, found = problem.own_of_stations, dict[int, int]()
+    for stations in station_kinds(problem).values() if own else ():
+        shown = [station for station in stations if station in used]
+        for station in (name for name in stations if name not in used):
+            pairs = own[station].tolist(), own[shown[-1]].tolist()
+            found |= zip(*pairs, strict=True)
+    return found
 
 
 def growth(problem: Problem, theta: Floats) -> Floats:

@@ -1,4 +1,12 @@
-"""The least-squares problem: terms, measurements, and what is known beside them."""
+"""The least-squares problem: terms, measurements, and what is known beside them.
+
+The normal equations of many stations are block-arrow: each frame, tool or instrument
+that only one station has meets the robot, and no other station. With the columns A of
+these and B of all others, the best change of the former follows from that of the
+latter, `a = -A^+ (r + B b)`, and what is left for b is `r + B b` with the range of A
+projected out (the Schur complement, by orthogonal projection). So the cost grows with
+the measurements and not with the square of the stations.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import stated_in
+from calib_pin.estimation.identifiability import RANK
 from calib_pin.estimation.row_blocks import Further, KnownDistances, Priors
 from calib_pin.estimation.terms import (
     Block,
@@ -195,6 +204,14 @@ EXACT = 1e-6
 """Scatter, in standard deviations, below which measurements differ by rounding alone;
 part of a change of scale that rounding leaves where parameters express it."""
 
+WORTHWHILE = 60
+"""Parameters of single stations from which they are eliminated: as many as a robot has.
+
+With fewer, all together cost less, and every rank is that of all."""
+
+ALIKE = 2
+"""Stations of a kind that show what very many do; others only add frames."""
+
 MANY = 1_000_000
 """Entries of a Jacobian from which measurements go through the compiled kernels, in
 chunks.
@@ -375,14 +392,35 @@ class Problem(Terms):
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual and its Jacobian by all parameters.
 
-        Of very many measurements they are as in `factorize`.
+        Of very many measurements they are as in `factorize`. Of very many stations the
+        parameters of each alone are eliminated: their columns are zero, see `stations`.
 
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, P).
         """
         pairs = zip(self.blocks, self.factorize(theta), strict=True)
         parts = [(r, self.spread(block.term, J)) for block, (r, J) in pairs]
-        return self._whole(theta, parts)
+        if not self.own_of_stations:
+            return self._whole(theta, parts)
+        alone = np.concatenate([*self.own_of_stations.values()])
+        shared = np.setdiff1d(np.arange(len(theta)), alone)
+        rows: dict[str, list[tuple[Floats, Floats]]] = {}
+        for (term, *_), part in zip(self.blocks, parts, strict=True):
+            rows.setdefault(term.frames.station, []).append(part)
+        self._eliminated.clear()
+        stations, left = self._eliminated.setdefault(theta.tobytes(), []), []
+        for name, members in rows.items():
+            r, J = map(np.concatenate, zip(*members, strict=True))
+            station, rest = eliminate(self.own_of_stations[name], shared, r, J)
+            stations.append(station)
+            left.append(rest)
+        R, jac = np.concatenate(left), np.zeros((1, len(theta)))
+        if not np.isfinite(R).all():
+            return self._whole(theta, [(np.full(1, np.nan), jac)])
+        R = np.asarray(np.linalg.qr(R, mode="r"))
+        jac = np.zeros((len(R), len(theta)))
+        jac[:, shared] = R[:, :-1]
+        return self._whole(theta, [(R[:, -1], jac)])
 
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same with a row for every measured value, however many there are."""
@@ -394,10 +432,44 @@ class Problem(Terms):
             parts.append((r, self.spread(block.term, J)))
         return self._whole(theta, parts)
 
+    def stations(self, theta: Floats) -> Sequence[Station]:
+        """The parameters that were eliminated, where these were last linearized.
+
+        Args:
+            theta: Parameter values, shape (P,).
+        """
+        if self.own_of_stations and theta.tobytes() not in self._eliminated:
+            self.linearize(theta)
+        return self._eliminated.get(theta.tobytes(), ())
+
+    @cached_property
+    def own_of_stations(self) -> Mapping[str, NDArray[np.intp]]:
+        """Parameters that only one station has and nothing else knows, by station.
+
+        They are eliminated; empty where they are few.
+        """
+        if not self._large:
+            return {}
+        parameters = self.parameters
+        loose = parameters.free & parameters.nuisance
+        loose &= ~np.isfinite([*parameters.bounds, parameters.priors]).any(axis=0)
+        columns = self.further.distances.columns
+        loose[columns[columns >= 0]] = False
+        indices: dict[str, list[NDArray[np.intp]]] = {}
+        for term in self.terms.values():
+            indices.setdefault(term.frames.station, []).append(term.index)
+        of = {name: np.unique(np.concatenate(parts)) for name, parts in indices.items()}
+        counts = np.bincount(np.concatenate([*of.values()]), minlength=len(loose))
+        alone = loose & (counts == 1)
+        if len(of) == 1 or alone.sum() < WORTHWHILE:
+            return {}
+        return {name: own[alone[own]] for name, own in of.items()}
+
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        return any(one.reduces for one in self._evaluators)
+        reduces = any(one.reduces for one in self._evaluators)
+        return reduces or bool(self.own_of_stations)
 
     @cached_property
     def _evaluators(self) -> Sequence[Evaluator]:
@@ -411,6 +483,11 @@ class Problem(Terms):
     @cached_property
     def _large(self) -> bool:
         return self._known.many or len(self.layout.row) * len(self.given) >= MANY
+
+    @cached_property
+    def _eliminated(self) -> dict[bytes, list[Station]]:
+        """The last elimination, by the parameter values at which it was made."""
+        return {}
 
     @cached_property
     def _priors(self) -> Priors:
@@ -471,6 +548,11 @@ def tool_points(problem: Problem, theta: Floats) -> list[Floats]:
     return [one.points(theta) for one in problem._evaluators]
 
 
+def absorbed(problem: Problem) -> int:
+    """Number of parameters that are eliminated."""
+    return sum(map(len, problem.own_of_stations.values()))
+
+
 def error_table(problem: Problem, theta: Floats) -> Floats:
     """Residuals as they are shown, NaN for absent components, shape (N, D).
 
@@ -503,6 +585,27 @@ def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
     term = problem.terms[key]
     units = current_units(problem)[problem.layout.of_keys[key]]
     return np.tile(assumed_sigma(term, problem.setup) * units, (count, 1))
+
+
+def station_kinds(problem: Problem) -> Mapping[frozenset[BlockKey], Sequence[str]]:
+    """Stations by the blocks that are measured from them, but for their names."""
+    blocks: dict[str, list[BlockKey]] = {}
+    for key, term in problem.terms.items():
+        blocks.setdefault(term.frames.station, []).append(key._replace(station=""))
+    found: dict[frozenset[BlockKey], list[str]] = {}
+    for station, keys in blocks.items():
+        found.setdefault(frozenset(keys), []).append(station)
+    return found
+
+
+def representative(problem: Problem) -> list[BlockKey]:
+    """Blocks that show the structure; of very many stations some of each kind."""
+    keys = list(problem.terms)
+    if not problem.own_of_stations:
+        return keys
+    kinds = station_kinds(problem).values()
+    shown = {station for alike in kinds for station in alike[:ALIKE]}
+    return [key for key in keys if problem.terms[key].frames.station in shown]
 
 
 def repeated(problem: Problem) -> NDArray[np.int64]:
@@ -649,3 +752,79 @@ def evaluator_of(
         return ManyRows(block, sigma, last)
     bent = many and len(flexures(error)) > 0 and len(data) > PIECE
     return RowByRow(block, sigma, bent, last)
+
+
+@dataclass(frozen=True)
+class Station:
+    """The parameters of one station alone, about a linearization.
+
+    Attributes:
+        own: Their positions, shape (k,).
+        shared: Positions of the parameters that no station has alone, shape (m,).
+        root: Factor of their covariance by its own measurements, `A^+ = root U^T`, with
+            U orthonormal, shape (k, rank).
+        response: Their change with the others', `-A^+ B`, shape (k, m).
+        settled: Their best change by themselves, `-A^+ r`, shape (k,).
+    """
+
+    own: NDArray[np.intp]
+    shared: NDArray[np.intp]
+    root: Floats
+    response: Floats
+    settled: Floats
+
+
+def eliminate(
+    own: NDArray[np.intp], shared: NDArray[np.intp], r: Floats, J: Floats
+) -> tuple[Station, Floats]:
+    """Eliminate the parameters of a station from the rows of its measurements.
+
+    Args:
+        own: Positions of its parameters, shape (k,).
+        shared: Positions of those that no station has alone, shape (m,).
+        r: Whitened residual of its measurements, shape (M,).
+        J: Jacobian by all parameters, shape (M, P).
+
+    Returns:
+        The station, and rows that are left for the shared ones, residual last.
+    """
+    U, s, Vt = np.linalg.svd(J[:, own], full_matrices=False)
+    kept = s > RANK * s.max(initial=0.0)
+    U, root = U[:, kept], Vt[kept].T / s[kept]
+    rows = np.column_stack([J[:, shared], r])
+    along = U.T @ rows
+    change = -root @ along
+    station = Station(own, shared, root, change[:, :-1], change[:, -1])
+    return station, rows - U @ along
+
+
+def completed(stations: Sequence[Station], step: Floats) -> Floats:
+    """A step of the shared parameters with that of the eliminated ones, shape (P,)."""
+    result = with_response(stations, step)
+    for station in stations:
+        result[station.own] += station.settled
+    return result
+
+
+def with_response(stations: Sequence[Station], factor: Floats) -> Floats:
+    """Changes of all parameters, where only the shared ones were given, (P, k)."""
+    result = factor.copy()
+    for station in stations:
+        result[station.own] = station.response @ factor[station.shared]
+    return result
+
+
+def own_deviations(stations: Sequence[Station], count: int) -> Floats:
+    """Deviations of parameters by the measurements of their own station, shape (P, k).
+
+    A column has one noise for each station: stations are independent of each other.
+
+    Args:
+        stations: The stations.
+        count: Number of parameters P.
+    """
+    width = max((station.root.shape[1] for station in stations), default=0)
+    result = np.zeros((count, width))
+    for station in stations:
+        result[station.own, : station.root.shape[1]] = station.root
+    return result

@@ -17,6 +17,7 @@ from calib_pin.estimation.identifiability import Directions
 from calib_pin.estimation.problem import (
     SAMPLE,
     Problem,
+    completed,
     evaluator,
     known_count,
 )
@@ -226,6 +227,8 @@ def refine(
         worthwhile=INVISIBLE / max(known_count(problem), 1),
         max_iterations=most,
         spare=problem.many,
+        # What was eliminated completes a step from where it was.
+        complete=lambda theta, step: completed(problem.stations(theta), step),
     )
     return Solution(**vars(result), evaluator=evaluator(problem))
 

@@ -45,6 +45,8 @@ OPTIONS = GaussNewtonOptions()
 
 Linearize = Callable[[Floats], tuple[Floats, Floats]]
 Cost = Callable[[Floats], float]
+Complete = Callable[[Floats, Floats], Floats]
+"""A step from x with that of variables which were eliminated, from the others' step."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ def gauss_newton(
     damped: bool = True,
     spare: bool = False,
     callback: Callable[[int, float], None] | None = None,
+    complete: Complete | None = None,
 ) -> LeastSquaresResult:
     """Minimize half the sum of squared residuals.
 
@@ -104,6 +107,7 @@ def gauss_newton(
         spare: Whether a step that promises less than the tolerance is not even taken:
             where evaluations are dear.
         callback: Called with the step count and the cost after each step.
+        complete: Completes steps where `linearize` has eliminated variables.
 
     Returns:
         The result; its status tells whether to trust it.
@@ -124,7 +128,7 @@ def gauss_newton(
         if spare and step.promised(step.solve(0.0)) <= limit[1]:
             status = Status.CONVERGED
             break
-        trial = _search(step, cost_of, x, basis, damping, limit, damped)
+        trial = _search(step, cost_of, x, basis, damping, limit, damped, complete)
         evaluations += trial.evaluations
         if trial.improved or not damped:
             x, way = trial.x, way + trial.length
@@ -168,6 +172,7 @@ def _search(
     damping: float,
     limit: tuple[float, float],
     damped: bool,
+    complete: Complete | None,
 ) -> _Trial:
     """Damp the step from x until the cost falls, or nothing is left to gain.
 
@@ -184,7 +189,8 @@ def _search(
     evaluations = 0
     while True:
         dy = step.solve(damping)
-        candidate = x + basis @ dy
+        change = basis @ dy
+        candidate = x + (change if complete is None else complete(x, change))
         evaluations += 1
         improved = 2.0 * cost_of(candidate) < step.square
         rounding = not improved and negligible

@@ -40,7 +40,7 @@ from calib_pin.estimation.identifiability import (
     visible_nuisances,
 )
 from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.problem import Problem, distinct_values, known_count
+from calib_pin.estimation.problem import Problem, absorbed, distinct_values, known_count
 from calib_pin.estimation.statistics.variance_components import leverages
 from calib_pin.estimation.terms import FRAME, Block, Terms
 from calib_pin.kinematics.chains import Robots
@@ -189,10 +189,14 @@ def estimates(
             terms=tuple(Coefficient(names[k], c) for k, c in combination.terms),
         )
         groups.append(group)
+    for k, other in structure.alike.items():
+        if fitted is not None and sigmas.get(other) is not None:
+            sigmas[k] = float(fitted.covariance[k, k] ** 0.5)
 
     def status(k: int) -> str:
         if not parameters[k].free:
             return "fixed"
+        k = structure.alike.get(k, k)
         if k in structure.unidentifiable:
             # Hidden at nominal; large errors may have let it move all the same.
             moved = fitted is not None and fitted.directions.hidden[k].any()
@@ -251,8 +255,9 @@ def _told(fitted: Fit) -> Floats:
     fun, jac = fitted.result.fun[:count], fitted.result.jac[:count]
     robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
     unit = fitted.unit if np.isfinite(fitted.unit) else 0.0
-    count = known_count(problem)
-    told = practical_directions(jac, fun, count, parameters, robot, unit)
+    told = practical_directions(
+        jac, fun, known_count(problem) - absorbed(problem), parameters, robot, unit
+    )
     return robot_singular_values(told, jac, parameters)
 
 
@@ -612,7 +617,10 @@ def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
         deviations of others that are hardly known, by `LIMITS`, shape (P, l).
     """
     problem, parameters = fitted.problem, fitted.problem.parameters
-    free = np.flatnonzero(parameters.free & problem.referred)
+    kept = parameters.free & problem.referred
+    for eliminated in problem.own_of_stations.values():
+        kept[eliminated] = False
+    free = np.flatnonzero(kept)
     visible = visible_nuisances(fitted.result.jac, parameters)[free]
     rest = np.linalg.qr(visible, mode="complete")[0][:, visible.shape[1] :]
     limits = np.array([LIMITS.get(p.unit, np.inf) for p in parameters])

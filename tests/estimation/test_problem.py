@@ -1,19 +1,22 @@
-"""Very many measurements of several stations leave the same fit as few."""
+"""Stations that are eliminated one by one leave the same fit as all together."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.problem import Problem, absorbed, completed
 from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.simulation import draw_errors, simulate
+from tests.shared import chain_of, urdf_of
 
 STATIONS = {
     name: FrameSetup((x, 1.0 - x, 0.2), (0.1, x, 2.0 * x))
@@ -29,10 +32,10 @@ KEYS = [
 ]
 
 
-def job() -> Problem:
+def job(chain: Chain | None = None) -> Problem:
     """A simulated job with noise."""
     setup = Setup(stations=STATIONS, tools=TOOLS)
-    problem = nominal_problem(load_chain("space6"), KEYS, setup)
+    problem = nominal_problem(chain or load_chain("space6"), KEYS, setup)
     rng = np.random.default_rng(4)
     truth = draw_errors(problem.parameters, rng)
     data = simulate(problem, truth, rng, count=20 * len(KEYS), noise=1e-4)
@@ -40,14 +43,20 @@ def job() -> Problem:
     return replace(problem, data=Observations(data.blocks[::-1]))
 
 
+def eliminated(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
+    """The same problem, whose stations are as many as is needed."""
+    monkeypatch.setattr("calib_pin.estimation.problem.MANY", 0)
+    monkeypatch.setattr("calib_pin.estimation.problem.WORTHWHILE", 1)
+    return replace(problem)
+
+
 def test_a_fit_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     plain = job()
     expected = fit(plain, np.random.default_rng(0))
     deviation = np.sqrt(np.diag(expected.covariance))
-    monkeypatch.setattr("calib_pin.estimation.problem.MANY", 0)
-    many = replace(plain)
-    assert many.many
-    found = fit(many, np.random.default_rng(0))
+    few = eliminated(plain, monkeypatch)
+    assert absorbed(few) == 6 * len(STATIONS)
+    found = fit(few, np.random.default_rng(0))
     assert found.rank == expected.rank
     assert found.sigma0 == pytest.approx(expected.sigma0, rel=1e-6)
     off = np.abs(found.theta - expected.theta)[deviation > 0.0]
@@ -58,3 +67,52 @@ def test_a_fit_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     for own, other in zip(found.noise, expected.noise, strict=True):
         assert own.estimate == pytest.approx(other.estimate, rel=1e-2)
+
+
+def test_the_same_is_left_for_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the factors of stations, and by the whole Jacobian.
+
+    A mimic joint has the parameters of its leader: its columns add up.
+    """
+    rng = np.random.default_rng(0)
+    joints = [
+        {
+            "name": f"j{k}",
+            "parent": f"l{k}",
+            "child": f"l{k + 1}",
+            "placement": pin.exp6(rng.uniform(-0.5, 0.5, 6)),
+            "axis": tuple(np.eye(3)[k % 3]),
+        }
+        for k in range(4)
+    ]
+    joints[2]["more"] = '<mimic joint="j1" multiplier="-0.6" offset="0.1"/>'
+    plain = job(chain_of(urdf_of(*joints)))
+    setup = replace(plain.setup, parameters=("joint-offset", "transmission"))
+    plain = make_problem(plain.chains, plain.data, setup)
+    index = next(iter(plain.terms.values())).index
+    assert len(index) > len(np.unique(index))
+    theta = 0.01 * np.random.default_rng(1).normal(size=len(plain.parameters))
+    r, J = plain.linearize(theta)
+    few = eliminated(plain, monkeypatch)
+    own = np.concatenate(list(few.own_of_stations.values()))
+    shared = np.setdiff1d(np.arange(len(theta)), own)
+    Q, _ = np.linalg.qr(J[:, own])
+    columns = np.column_stack([J, r])
+    rest = columns - Q @ (Q.T @ columns)
+    kept = np.append(shared, -1)
+    rest, others = rest[:, kept], columns[:, kept]
+    unit = np.maximum(np.linalg.norm(others, axis=0), 1.0)
+    expected = rest.T @ rest / np.outer(unit, unit)
+    r, J = few.linearize(theta)
+    assert not J[:, own].any()
+    found = np.column_stack([J[:, shared], r]) / unit
+    np.testing.assert_allclose(found.T @ found, expected, rtol=0, atol=1e-11)
+    # What was eliminated follows from the others.
+    step = np.zeros(len(theta))
+    step[shared] = 1e-3 * np.random.default_rng(2).normal(size=len(shared))
+    r, J = plain.linearize(theta)
+    solved = np.linalg.lstsq(J[:, own], -(r + J @ step), rcond=None)[0]
+    found = completed(few.stations(theta), step)
+    np.testing.assert_allclose(
+        J[:, own] @ found[own], J[:, own] @ solved, rtol=0, atol=1e-6 * np.abs(r).max()
+    )

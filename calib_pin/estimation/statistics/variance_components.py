@@ -63,18 +63,17 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.estimation.identifiability import (
-    Directions,
-    half_covariance,
-    rounding,
-)
+from calib_pin.estimation.identifiability import Directions, half_covariance
 from calib_pin.estimation.problem import (
     Problem,
+    Station,
     current_units,
     known_values,
     measured_count,
     numbered,
     repeated,
+    representative,
+    with_response,
 )
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
@@ -84,6 +83,7 @@ from calib_pin.estimation.statistics.distributions import (
 from calib_pin.estimation.terms import Term, assembled, kept
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
 from calib_pin.parameterizations import (
     NOTHING,
     PARAMETERIZATIONS,
@@ -162,17 +162,11 @@ class Groups:
     kind_of: Sequence[str] = ()
 
     @cached_property
-    def rows(self) -> list[Floats]:
-        """Rows with the same products, those known last, (m, p + 1) each.
-
-        As few as there are without rounding: a station sees few of all columns.
-        """
-        found = []
-        for product in (*self.products, self.known):
-            squares, V = np.linalg.eigh(product)
-            seen = squares > rounding(product) * squares.max()
-            found.append(np.sqrt(squares[seen, None]) * V[:, seen].T)
-        return found
+    def rows(self) -> Floats:
+        """Rows with the same products, those known last, (K + 1, p + 1, p + 1)."""
+        values, vectors = np.linalg.eigh(np.concatenate([self.products, [self.known]]))
+        sizes = np.sqrt(np.maximum(values, 0.0))
+        return np.asarray(sizes[:, :, None] * vectors.transpose(0, 2, 1))
 
     def components(self, kinds: Sequence[str] = ()) -> Components:
         """The quantities as variance components, and behind them kinds of effects.
@@ -180,16 +174,16 @@ class Groups:
         Args:
             kinds: Kinds that have a variance; the others are left out.
         """
-        count, width = len(self.counts), len(self.known)
+        count, width = len(self.counts), self.rows.shape[1]
         kind = np.array([kinds.index(k) if k in kinds else KNOWN for k in self.kind_of])
         columns, acting = np.full(width, True), kind != KNOWN
         columns[width - 1 - len(kind) : -1] = acting
         effects = np.eye(width)[width - 1 - len(kind) : -1][acting]
-        numbers = [*map(len, self.rows)]
-        of_rows = np.repeat([*range(count), KNOWN], numbers)
+        of_rows = np.repeat([*range(count), KNOWN], width)
         labels = np.append(of_rows, count + kind[acting]).astype(int)
         rows = np.vstack([*self.rows, effects])[:, columns]
-        counts = np.append(self.counts - numbers[:-1], np.zeros(len(kinds)))
+        none = np.zeros(len(kinds))
+        counts = np.append(self.counts - width, none)
         return Components([ErrorBlock(rows, labels)], counts, np.zeros(len(counts)))
 
     def estimated(self, kinds: Sequence[str] = ()) -> Variances:
@@ -288,8 +282,14 @@ def by_quantity(
     """
     if not problem.many:
         return grouped(problem, np.column_stack([jac @ half, fun]))
-    counts, current = _counts(problem), current_units(problem)
-    products = np.zeros((len(counts), half.shape[1] + 1, half.shape[1] + 1))
+    size, counts, current = half.shape[1] + 1, _counts(problem), current_units(problem)
+    products, stations = np.zeros((len(counts), size, size)), problem.stations(theta)
+    half = with_response(stations, half)
+    settled, station_of = np.zeros((len(half), 1)), dict[int, Station]()
+    settled = with_response(stations, settled)
+    for station in stations:
+        settled[station.own, 0] = station.settled
+        station_of |= dict.fromkeys(station.own.tolist(), station)
     of_keys = problem.layout.of_keys.items()
     quantities = {key: list(dict.fromkeys(own.tolist())) for key, own in of_keys}
     for place in range(max(map(len, quantities.values()))):
@@ -303,8 +303,16 @@ def by_quantity(
         for (term, *_), (r, J) in zip(alone.blocks, factors, strict=True):
             if place >= len(quantities[term.key]):
                 continue
-            rows = np.column_stack([J @ half[term.index], r])
-            products[quantities[term.key][place]] += rows.T @ rows
+            k, K = quantities[term.key][place], np.column_stack([J, r])
+            change = np.column_stack([half[term.index], settled[term.index]])
+            rows = K @ np.vstack([change, np.eye(1, size, size - 1)])
+            products[k] += rows.T @ rows
+            # What its station absorbs of measurements is no redundancy.
+            met = (station_of.get(position) for position in term.index.tolist())
+            for station in {id(s): s for s in met if s}.values():
+                mine = np.flatnonzero(np.isin(term.index, station.own))
+                root = station.root[np.searchsorted(station.own, term.index[mine])]
+                counts[k] -= float(np.sum((J[:, mine] @ root) ** 2))
     products *= current[:, None, None] ** 2
     further = problem.further
     known = np.column_stack([further.jacobian(theta) @ half, further.residual(theta)])
@@ -590,7 +598,7 @@ def systematic(
     spare = known_values(problem) - directions.count
     if effects is None or spare < SPARE:
         return None
-    sample = sampled(problem)
+    sample = replace(problem, data=sampled(problem))
     X = effects.rows(sample, theta)
     if not np.isfinite(X).all():
         return None  # The nominal robot is far away, behind the camera, say.
@@ -620,8 +628,7 @@ def _share(groups: Groups, noise: Floats, variances: Floats) -> float:
     fitted = Variances.at(groups.components(), groups.current)
     ((e, U, _),) = fitted.whitened
     sizes = np.sqrt(np.append(groups.current, 1.0))
-    rows = [own / size for own, size in zip(groups.rows, sizes, strict=True)]
-    X = np.vstack(rows)[:, -1 - len(variances) : -1]
+    X = np.vstack([*(groups.rows / sizes[:, None, None])])[:, -1 - len(variances) : -1]
     predicted = variances @ (np.sum(X**2, axis=0) - np.sum((U.T @ X) ** 2, axis=0))
     found = float(e @ e - noise @ fitted.redundancies)
     return max(found, 0.0) / float(predicted)
@@ -632,9 +639,13 @@ def variances(problem: Problem, effects: Systematic | None) -> Floats:
     return np.ones(len(problem.layout.components)) if effects is None else effects.noise
 
 
-def sampled(problem: Problem) -> Problem:
-    """The problem of those measurements that effects are estimated from."""
-    return replace(problem, data=problem.data.sample(ROWS))
+def sampled(problem: Problem, count: int = ROWS) -> Observations:
+    """Measurements that effects are estimated from; of many stations those of some."""
+    data = problem.data
+    if problem.own_of_stations:
+        kept = set(representative(problem))
+        data = Observations(tuple(b for b in data.blocks if b.key in kept))
+    return data.sample(count)
 
 
 def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None:

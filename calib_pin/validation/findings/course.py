@@ -445,7 +445,7 @@ def changes(case: Case) -> Iterator[Finding]:
     another = [*_another(case, seen)] if sought else []
     yield from another
     # Two or three things change on a bad day; more are what steps make of a drift.
-    many = len({change[:3] for change in seen}) > 3
+    many = len({change[:3] for change in every}) > 3
     if found is None or another or many:
         return
     data, (first, last) = case.data.weighted(np.ones(len(case.data))), found

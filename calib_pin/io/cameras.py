@@ -25,7 +25,7 @@ LARGEST = 1 << 20
 """Most bytes of a file."""
 
 MATRIX = "cameramatrix|intrinsicmatrix|intrinsics?|k|mtx|m1|matrix|cameraintrinsics?"
-LENS = "distortion(coefficients|coeffs?|parameters)?|dist(coeffs?)?|d|d1|coeffs"
+LENS = "(lens)?dist(?!ance|ortionmodel).*|d|d1|coeffs"
 SINGLE = {
     "focal": (("fx",), ("fy",)),
     "center": (("cx", "ppx"), ("cy", "ppy")),

@@ -53,7 +53,7 @@ avg_reprojection_error: 2.1e-01
 </opencv_storage>
 """,
     "script.json": json.dumps(
-        {"camera_matrix": MATRIX, "dist_coeffs": [LENS]}
+        {"camera_matrix": MATRIX, "dist_coefs_5": [LENS]}
         | {"image_width": 800, "image_height": 600}
     ),
     "realsense.json": json.dumps(

@@ -490,14 +490,15 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
         where = f"{gain.configurations} configurations, each predicted by the others"
     old, new = (shown(sizes.rms, quantity.unit, 3) for sizes in (before, after))
     held = after is quantity.validation_after
+    # Too few others are left to predict them.
+    far = after.rms > NOISY * quantity.after.rms and not grounds.misjudged
     if gain.method == PRESS or not held:
         of_first = (g for g in grounds.gains if g.method == gain.method)
         by = _by(grounds, next((g for g in of_first if g.quantity == name), gain))
         found = f"{name} errors smaller by {by}"
         if nothing:
             found = f"{name} errors differ by {by} if it is corrected"
-    elif nothing and after.rms > NOISY * quantity.after.rms:
-        # Too few others are left to predict them.
+    elif nothing and far:
         found = f"errors differ by {_by(grounds, gain)} if it is corrected"
     elif nothing:
         found = f"{name} error {old} rms as it is, {new} corrected"
@@ -506,7 +507,7 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
     if not nothing and held and gain.mean > 0.0 and after.rms > before.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
         found = f"errors smaller by {_by(grounds, gain)}"
-    noise, left = _noise(grounds, quantity), grounds.left[0].shown[1].rms
+    noise, left = _noise(grounds, quantity), (quantity.after if far else after).rms
     if noise and left >= NOISY * noise:
         times = f"{left / noise:.2g} times the noise"
         where += f" ({times}, {shown(noise, quantity.unit, 3)})"

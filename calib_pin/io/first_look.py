@@ -40,7 +40,7 @@ from calib_pin.kinematics.tree import turns
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.placement import HAND_SET
-from calib_pin.setup import WORLD, CameraSetup, ChainSetup, ReadingSetup, Setup
+from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
 from calib_pin.units import steps_of
 from calib_pin.validation.evaluation import error_sizes, prepared
 from calib_pin.validation.findings.case import some_of
@@ -202,8 +202,12 @@ def first_look(
     columns = headers.foreign(read_table(files[0]).whole(robot.model.names).columns)
     looks, found = list[Look](), None
     for joints in _joints(robot, _with_camera(setup, columns), columns, choose):
-        ways = (way for own in joints for way in readings(own, robot, columns))
-        tries = [looked(way, robot, files, apart) for way in ways]
+        ways = [way for own in joints for way in readings(own, robot, columns)]
+        stated = [way for way in ways if way.setup.reading == setup.reading]
+        inverted = [way for way in ways if way.setup.reading != setup.reading]
+        tries = [looked(way, robot, files, apart) for way in stated]
+        if inverted and not best(tries).fits:
+            tries += [looked(way, robot, files, apart) for way in inverted]
         better = best(tries)
         # Joints are exchanged where that fits, not where nothing does.
         if found is None or better.fits or better.share < found.share == inf:
@@ -449,7 +453,8 @@ def readings(own: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[Lo
         # Other words divide a file in other ways.
         if ours != "set" or one.name == "set" or {*one.column.words} <= {*SETS}
     }
-    setups = [setup, replace(setup, reading=ReadingSetup(inverted=True))]
+    inverted = replace(setup.reading, inverted=True)
+    setups = [setup, replace(setup, reading=inverted)]
     if (camera := setup.camera) is not None:
         mounts = (replace(camera, mount=mount) for mount in ("hand", "world"))
         setups = [replace(setup, camera=camera) for camera in mounts]

@@ -91,8 +91,8 @@ def _named(
     for table in (read_table(file, columns=columns) for file in files):
         for column, labels in table.texts(texts).items():
             for line, name in zip(table.lines.tolist(), labels, strict=True):
-                if name.strip():
-                    texts[column][table.file, line] = name.strip()
+                if name:
+                    texts[column][table.file, line] = name
     found = {}
     for column, given in texts.items():
         parts = {name: NUMBERED.fullmatch(name) for name in given.values()}

@@ -257,7 +257,7 @@ def _names(table: Table, images: list[Path]) -> tuple[list[str], list[str]]:
     By their names, as paths of any system, by names without their ending, or by the
     last number in them.
     """
-    cells = [PureWindowsPath(c.strip()) for c in table.texts(["image"])["image"]]
+    cells = [PureWindowsPath(cell) for cell in table.texts(["image"])["image"]]
     if all(cell.name.isdecimal() for cell in cells):
         numbers = [re.findall(r"\d+", path.stem)[-1:] for path in images]
         names = [str(int(own[0])) if own else "" for own in numbers]

@@ -215,7 +215,7 @@ def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Row]:
         notice(remark)
     texts = table.texts(KEYS)
     for row, line in enumerate(table.lines.tolist()):
-        cells = {key: [own[row]] for key, own in texts.items() if own[row].strip()}
+        cells = {key: [own[row]] for key, own in texts.items() if own[row]}
         if cells:  # Spreadsheets write empty lines at the end.
             yield {"": line}, cells
 

@@ -38,6 +38,8 @@ from calib_pin.parameterizations.base import LENGTH_SCALE, expected_size, owner
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
 from calib_pin.setup.population import ExpectedParameter
+from calib_pin.solvers import LeastSquaresResult
+from calib_pin.validation.assessment import registered_rank
 from calib_pin.validation.evaluation import error_sizes
 from calib_pin.validation.result import (
     Accuracy,
@@ -422,7 +424,7 @@ def started(
     theta = np.zeros(len(robot))
     theta[robot] = older.values[older.places(problem.given, robot)]
     problem, result = register(problem, theta)
-    _require_some(problem, result.x)
+    _require_some(problem, result)
     step, prior = Innovations(problem, result.x, older).explained(len(data))
     sizes = error_sizes(problem, result.x)
     errors = tuple((name, unit, Accuracy.of(own)) for name, unit, own in sizes)
@@ -430,17 +432,13 @@ def started(
     return replace(setup, prior=prior), Recalibration(errors, (*steps, step))
 
 
-def _require_some(problem: Problem, theta: Floats) -> None:
+def _require_some(problem: Problem, result: LeastSquaresResult) -> None:
     """Refuse measurements that frames and instrument fit exactly, whatever the robot.
 
     Raises:
         InputError: If they are such.
     """
-    J = problem.linearize_rows(theta)[1][: len(problem.sigma)]
-    own = problem.parameters.free & problem.parameters.nuisance
-    frames = (J * problem.parameters.scales)[:, own]
-    unknowns = int(np.linalg.matrix_rank(frames, 1e-6 * max(len(J), 1) ** 0.5))
-    values = distinct_values(problem)
+    unknowns, values = registered_rank(problem, result), distinct_values(problem)
     if values > unknowns:
         return
     reason = "too few measurements to go on from the older calibration: of their "

@@ -35,23 +35,21 @@ class Matrices(base.Dialect):
 
     def read(self, columns: base.Columns, file: Path) -> base.Reading | None:
         """The columns with a position and a quaternion in the place of each matrix."""
-        found = dict[str, dict[tuple[int, int], str]]()
+        found = dict[str, tuple[dict[tuple[int, int], str], Floats]]()
         for name, elements in _elements(columns):
-            if name not in found and _is_pose(columns, elements):
-                found[name] = elements
+            if name not in found and (R := _rotations(columns, elements)) is not None:
+                found[name] = elements, R
         if not found:
             return None
         taken, read = set[str](), dict[str, Column]()
-        for name, elements in found.items():
+        for name, (elements, R) in found.items():
             stem = f"{name}_" if len(found) > 1 else ""
             ends = range(first := min(elements)[0], first + 3)
-            turned = [elements[i, j] for i in ends for j in ends]
-            R = np.array([columns[one].numbers for one in turned]).T
             own = base.oriented(R, _quaternions)
             read |= {
                 stem + axis: replace(c, header=stem + axis) for axis, c in own.items()
             }
-            taken |= {*turned}
+            taken |= {elements[i, j] for i in ends for j in ends}
             for axis, i in zip("xyz", ends, strict=True):
                 if (
                     moved := elements.get((i, first + 3))
@@ -63,16 +61,22 @@ class Matrices(base.Dialect):
         return base.Reading(rest | read, f"matrices {names}")
 
 
-def _is_pose(columns: base.Columns, elements: dict[tuple[int, int], str]) -> bool:
-    """Whether elements are a rotation, with a last row of zeros if there is any."""
+def _rotations(
+    columns: base.Columns, elements: dict[tuple[int, int], str]
+) -> Floats | None:
+    """The rotations that elements are, row by row, shape (N, 9).
+
+    None where they are no rotations, or their last row, if any, is not of zeros.
+    """
     ends = range(first := min(elements)[0], first + 3)
     turned = [elements.get((i, j), "") for i in ends for j in ends]
     below = [elements.get((first + 3, j), "") for j in ends]
     if not all(turned):
-        return False
+        return None
     R = np.array([columns[name].numbers for name in turned]).T
     last = np.array([columns[name].numbers for name in below if name])
-    return _orthonormal(R) and not np.nanmax(abs(last), initial=0)
+    whole = _orthonormal(R) and not np.nanmax(abs(last), initial=0)
+    return R if whole else None
 
 
 def _elements(

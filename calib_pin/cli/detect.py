@@ -88,6 +88,7 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     focal, center = (f"({a:.1f}, {b:.1f})" for a, b in ends)
     checked = start.rms is not None
     rms = f"rms {start.rms:.3f} px" if checked else "not checked: too few corners"
+    rms += ", with a camera of their own" * (checked and given.camera is not None)
     told = (
         f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px\n"
         f"{corners} of {shown * len(detector.points)} corners in them, sigma "

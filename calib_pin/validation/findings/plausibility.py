@@ -89,7 +89,9 @@ passed for 0.009 in one of four cases, for up to 0.006 else."""
 
 HIDDEN = 10.0
 """By what factor the movement of tool points by another scale may exceed the errors of
-the nominal robot, whose frames absorb a part of it."""
+the nominal robot, whose frames absorb a part of it, and the corrections of its joints,
+which make it larger. A camera that looks at a board of 35 for 30 mm squares, and
+contacts 60 for 50 mm apart, leave errors of a thirtieth to a seventieth of that."""
 
 LARGE = 10.0
 """Expected sizes of an error from which the correction of a joint is looked at."""
@@ -412,10 +414,12 @@ def _scale(case: Case, fitted: Fit) -> Iterator[Finding]:
     s, deviation, chance, size = linear.growth()
     if abs(s) < DOUBTFUL_GROWTH or chance > CHANCE:
         return
-    # Lengths that are so wrong would show in the errors of the nominal robot.
+    # Lengths that are so wrong would show in the errors of the nominal robot, or in
+    # the corrections that make up for them.
     points = tool_points(case.fit.problem, fitted.theta)
     spread = max(float(np.linalg.norm(np.std(p, axis=0))) for p in points)
-    if abs(s) * spread > HIDDEN * case.errors_nominal * LENGTH_SCALE:
+    shows = max(case.errors_nominal, case.fit.largest_correction)
+    if abs(s) * spread > HIDDEN * shows * LENGTH_SCALE:
         return
     # The derivative is that of the lengths found, which have grown already.
     part = s / (1.0 - s)

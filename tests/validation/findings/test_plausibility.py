@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from benchmarks.verdict import defects
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import fit, fit_model
 from calib_pin.estimation.fitted import Fit
@@ -117,6 +118,18 @@ def test_a_distance_that_gives_the_scale() -> None:
     (finding,) = found(rows, replace(wrong, sockets={}))
     assert finding.code == "scale" and "s/0 - s/1" in finding.remedy
     assert finding.evidence["scale"] == pytest.approx(0.2, abs=0.02)
+
+
+@pytest.mark.parametrize(("kind", "job"), [("board", 7012), ("socket distance", 7101)])
+def test_a_robot_that_grows_with_its_frames_is_told(kind: str, job: int) -> None:
+    """A board or sockets a fifth too large leave errors of the nominal robot of 4 mm.
+
+    Its frames absorb the rest, and corrections of 100 mm fit to the noise.
+    """
+    case = defects.DEFECTS[kind](job)
+    result = calib_pin.calibrate(case.job.chain, case.rows, case.setup)
+    assert result.verdict == "untrusted"
+    assert "longer" in result.reason and "implausible" in result.reason
 
 
 def test_the_wrong_distance_is_named_among_others() -> None:

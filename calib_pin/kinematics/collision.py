@@ -9,6 +9,7 @@ until two of them touch. Bounding boxes keep the hulls from being looked at in v
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,9 @@ descent may end, rounding would decide."""
 SLACK = 1e-3
 """Distance within which hulls count as meeting [m]: the meshes decide, but whether
 hulls just touch comes out differently now and then."""
+
+LEAST = 0.01
+"""Least motion of points between two places of a move that are checked [m]."""
 
 FLAT = 1e-6
 """Thickness by length up to which a mesh counts as flat."""
@@ -135,7 +139,20 @@ class Collisions:
         distances = self.clearances if clearances is None else clearances
         return Collisions(self._chain, geometry, distances[places])
 
-    @property
+    def is_free(self, a: Floats, b: Floats) -> bool:
+        """Whether nothing touches on a straight move, its ends of shape (n,) included.
+
+        Two places of it are checked if points of the robot move by more than twice the
+        clearance between them, so that what keeps off at both touches nothing between.
+        """
+        clearance = float(self.clearances.max(initial=0.0))
+        moved = float(np.abs(b - a) @ self.reach)
+        count = 1 + max(1, int(np.ceil(moved / max(2.0 * clearance, LEAST))))
+        places = np.linspace(a, b, count)
+        # A few places far apart first: most moves that are blocked are so for long.
+        return all(self.free(places[k::7]).all() for k in range(7))
+
+    @cached_property
     def reach(self) -> Floats:
         """How far points of the robot move at most by each joint, shape (n,).
 

@@ -300,7 +300,7 @@ def added(text: str) -> int:
 
 SELECTED = (
     *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
-    *("seed", "distance", "parameters", "figures", "json"),
+    *("seed", "parameters", "figures", "json"),
 )
 """Fields of plans that an acceptance test has no use for."""
 
@@ -337,8 +337,6 @@ class Plan(
         tests: Configurations where the robot is to be accurate; by default everywhere.
         accept: Plan an acceptance test instead: five poses of a cube, and its schedule.
         cycles: Visits of each pose of an acceptance test.
-        distance: Least distance between configurations, as the largest movement of a
-            joint [rad, m].
         limits: Narrower joint limits, such as 'joint_*=-2:2' or
             'elbow=-120:120 [deg]'; may be repeated.
         ignore_collisions: Check no collisions.
@@ -356,7 +354,6 @@ class Plan(
     tests: Annotated[Path | None, Told("CSV", "Plan")] = None
     accept: Annotated[bool, Told("", "Plan", excludes=SELECTED)] = False
     cycles: Annotated[int, Told("N", "Plan", (3, 1000), needs="accept")] = 30
-    distance: Annotated[float, Told("D", "Constraints", (0, 10))] = 0.0
     limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
     ignore_collisions: Annotated[bool, Told("", "Constraints", excludes=SOLID)] = False
     output: Annotated[Path, Told("CSV", "Output")]

@@ -147,7 +147,6 @@ def plan(
     measured: Measurements | Observations | None = None,
     collisions: Collisions | None = None,
     candidates: int = 1000,
-    distance: float = 0.0,
     tests: Floats | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -168,8 +167,6 @@ def plan(
             the frames that they show.
         collisions: Collisions to avoid.
         candidates: Number of quasi-random configurations to choose from.
-        distance: Least distance between configurations: the largest difference of a
-            joint [rad, m].
         tests: Configurations at which the tip is to be accurate, shape (N, n)
             [rad, m]; default candidates from all of the workspace. Of several chains
             the mean counts.
@@ -209,9 +206,8 @@ def plan(
         for key, term in problem.terms.items()
         if term.frames.tool in assumed
     }
-    workspace = Workspace.create(
-        problem, collisions, distance, Aims.of(problem, keys), points
-    )
+    aims = Aims.of(problem, keys)
+    workspace = Workspace.create(problem, collisions, aims, points)
     # However few are to choose from, all that may be measured shows the structure.
     wanted = max(candidates, count, SAMPLES)
     spread = workspace.candidates(wanted, rng, progress, count, workers)
@@ -260,7 +256,7 @@ def _finished(
     q, aim, closed = visits(workspace, rows, best.q, best.aim, start)
     q = _rounded(workspace, q, aim)
 
-    assert workspace.allowed(q, aim).all(), "methods only end in allowed sets"
+    assert workspace.inside(q, aim).all(), "methods only end in allowed sets"
     information = search.objective.information(rows.rows(q, aim))
     assert information is not None, "the search only ends in sets that determine all"
     rng = np.random.default_rng(0)  # A generator that nothing shares.
@@ -293,12 +289,10 @@ def _finished(
 
 
 def _rounded(workspace: Workspace, q: Floats, aim: Indices) -> Floats:
-    """Positions as people write them, where that leaves a set allowed."""
+    """Positions as people write them, where these are allowed."""
     tidy = np.clip(np.round(q * TIDY) / TIDY, workspace.lower, workspace.upper)
     tidy = workspace.settled(tidy, aim)
-    if workspace.distance == 0.0:
-        return np.where(workspace.inside(tidy, aim)[:, None], tidy, q)
-    return tidy if workspace.allowed(tidy, aim).all() else q
+    return np.where(workspace.inside(tidy, aim)[:, None], tidy, q)
 
 
 def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:

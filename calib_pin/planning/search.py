@@ -129,14 +129,11 @@ class Objective:
                 partial(smooth, sharpness),
                 self.workspace.bounds,
                 q,
-                allowed=lambda q: self.workspace.allowed(settled(q), aim),
+                allowed=lambda q: self.workspace.inside(settled(q), aim),
                 tolerance=limits[0],
                 max_iterations=limits[1],
             )
             q = settled(result.x)
-            # Points that were held up may have come too close to others that moved.
-            if not self.workspace.allowed(q, aim).all():
-                break
             cost = self.cost(self.rows.rows(q, aim))
             if cost < best.cost:
                 best = Found(q, aim, cost, "gradient", result.status)
@@ -376,7 +373,6 @@ class Search:
         aims = np.tile(aim, size)
         sets = self.workspace.settled(sets.reshape(-1, n), aims).reshape(sets.shape)
         bad = ~self.workspace.inside(sets.reshape(-1, n), aims).reshape(size, count)
-        bad |= ~np.array([self.workspace.apart(q) for q in sets])
         # The fewer are forbidden the better, however bad the set is otherwise.
         costs = FORBIDDEN + bad.sum(axis=1, dtype=float)
         good = np.flatnonzero(~bad.any(axis=1))

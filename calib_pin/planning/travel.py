@@ -68,7 +68,7 @@ def visits(
     free = chains.revolute & [name not in tied for name in chains.joints]
     middle = 0.5 * (workspace.lower + workspace.upper)
     turned = q - np.where(free, np.round((q - middle) / TURN), 0.0) * TURN
-    if _same(rows, turned, q, aim) and workspace.allowed(turned, aim).all():
+    if _same(rows, turned, q, aim) and workspace.inside(turned, aim).all():
         q = turned
     # A tool is mounted and an instrument placed only once.
     places: dict[tuple[str, ...], list[int]] = {}

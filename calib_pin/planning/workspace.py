@@ -270,7 +270,7 @@ class Candidates:
             raise OptionError(
                 f"{len(self.q)} of the tried configurations may be measured, fewer "
                 f"than the {count} wanted",
-                allowed="fewer configurations, wider limits, or a shorter distance",
+                allowed="fewer configurations, or wider limits",
             )
 
 
@@ -286,8 +286,6 @@ class Workspace:
         points: The measured point in the tip, whose place the region limits, by the
             block of an aim; default the origin of the tool.
         collisions: Collisions to avoid; None if no shapes are known.
-        distance: Least distance between two configurations of a set: the largest
-            difference of a joint [rad, m].
     """
 
     problem: Problem
@@ -296,13 +294,11 @@ class Workspace:
     aims: Aims
     points: Mapping[BlockKey, pin.SE3]
     collisions: Collisions | None = None
-    distance: float = 0.0
 
     @staticmethod
     def create(
         problem: Problem,
         collisions: Collisions | None = None,
-        distance: float = 0.0,
         aims: Aims | None = None,
         points: Mapping[BlockKey, pin.SE3] | None = None,
     ) -> Workspace:
@@ -311,26 +307,16 @@ class Workspace:
         Args:
             problem: Chains, frames and instruments.
             collisions: Collisions to avoid.
-            distance: Least distance between configurations [rad, m].
             aims: What can be measured at a configuration; default by all instruments.
             points: The measured points, see `points`.
 
         Raises:
             RobotError: If limits of the URDF cross.
-            OptionError: If limits of the setup match no joint or leave nothing, or
-                the distance is negative.
+            OptionError: If limits of the setup match no joint or leave nothing.
         """
-        if not 0.0 <= distance < np.inf:
-            raise OptionError(
-                "the distance between configurations is out of range",
-                value=distance,
-                allowed="0 or more",
-            )
         lower, upper = joint_limits(problem)
         aims = aims or Aims.of(problem, tuple(problem.terms))
-        return Workspace(
-            problem, lower, upper, aims, points or {}, collisions, distance
-        )
+        return Workspace(problem, lower, upper, aims, points or {}, collisions)
 
     @property
     def bounds(self) -> Floats:
@@ -358,22 +344,6 @@ class Workspace:
             True for those within the limits, measurable and free, shape (N,).
         """
         return np.asarray(sum(self.refusals(q, aim).values()) == 0)
-
-    def allowed(self, q: Floats, aim: Indices) -> Booleans:
-        """The same as `inside`, for a set that must also keep its distances."""
-        return self.inside(q, aim) & self.apart(q)
-
-    def apart(self, q: Floats) -> Booleans:
-        """Whether each configuration of a set keeps its distance from all others.
-
-        Args:
-            q: Configurations, shape (K, n) [rad, m].
-        """
-        if self.distance == 0.0:
-            return np.ones(len(q), bool)
-        between = np.abs(q[:, None] - q[None]).max(axis=2)
-        np.fill_diagonal(between, np.inf)
-        return np.asarray((between >= self.distance).all(axis=1))
 
     def candidates(
         self,
@@ -410,9 +380,6 @@ class Workspace:
             (new, of_new, places, reasons), taken = next(blocks), taken + BLOCK
             for reason, number in reasons.items():
                 refused[reason] = refused.get(reason, 0) + number
-            if self.distance > 0.0:
-                kept = _apart(new, q, self.distance)
-                new, of_new, places = new[kept], of_new[kept], places[kept]
             q, aim = np.concatenate([q, new]), np.concatenate([aim, of_new])
             drawn = np.concatenate([drawn, places])
         if not len(q):
@@ -512,23 +479,6 @@ def _block(
     free = sum(refusals.values()) == 0
     refused = {reason: int(rows.sum()) for reason, rows in refusals.items()}
     return q[free], aim[free], begin + np.flatnonzero(free), refused
-
-
-def _apart(points: Floats, others: Floats, distance: float) -> Indices:
-    """Positions of points that keep a distance from others and from those before them.
-
-    Args:
-        points: The points, shape (N, n).
-        others: Those that they keep away from, shape (K, n).
-        distance: The distance, the largest difference of a component.
-    """
-    # By columns: rows take five times as long among many candidates.
-    every, count = np.concatenate([others, points]).T.copy(), len(others)
-    kept = np.arange(every.shape[1]) < count
-    for k in range(count, len(kept)):
-        between = np.abs(every[:, :k] - every[:, k : k + 1]).max(axis=0)
-        kept[k] = not (kept[:k] & (between < distance)).any()
-    return np.flatnonzero(kept[count:])
 
 
 def joint_limits(problem: Problem) -> tuple[Floats, Floats]:

@@ -14,7 +14,7 @@ import calib_pin.control.compensation as compensation
 import calib_pin.report.compensation_text as texts
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import FRAMES, POINTS, Compensate
-from calib_pin.control import calibrated, joints
+from calib_pin.control import calibrated
 from calib_pin.control.calibrated import (
     block_of,
     model_errors,
@@ -92,7 +92,7 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     own: list[str | Path] = [robot, file.parent / robot, *written_before(file)]
     files.check_outputs([output], own, asked.force)
     targets, timed = read(asked, model, stated)
-    for remark in _remarks(asked, result, key, targets, chain):
+    for remark in _remarks(asked, result, key, targets):
         asked.tell(remark)
     collisions = None
     if asked.avoid_collisions:
@@ -140,7 +140,6 @@ def _remarks(
     result: CalibrationResult,
     key: BlockKey,
     targets: Targets,
-    chain: Chain,
 ) -> Iterator[str]:
     """Remarks on targets, before commands for them are looked for."""
     own = [k.model for k in result.model.terms if k.chain == key.chain]
@@ -150,13 +149,6 @@ def _remarks(
             "the tool was measured as a point: its orientation is the stated one, or "
             "that of the tip link"
         )
-    if targets.q is not None:
-        long = targets.table.lines[joints.Joints.of(chain).long_ways(targets.q)]
-        if len(long):
-            yield (
-                "a joint turns almost once around, where its limits allow a short way, "
-                f"to {line_list(long)}"
-            )
     ends = (asked.frame or FRAMES[0], asked.point or POINTS[0])
     if known := calibrated.ends_known(
         result, key, *(("base", "tip") if targets.T is None else ends)

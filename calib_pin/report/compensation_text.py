@@ -45,9 +45,9 @@ def compensation_report(
         )
     if found.sides.any():
         yield Line(
-            f"Lost motion is made up for as the commands follow one another: joints "
-            f"turn back {found.reversals} times. Until a joint has moved once, it is "
-            "taken to stand in the middle of its lost motion."
+            "Lost motion is made up for as the commands follow one another. Until a "
+            "joint has moved once, it is taken to stand in the middle of its lost "
+            "motion."
         )
     entries = []
     for row in np.flatnonzero(~found.reached):

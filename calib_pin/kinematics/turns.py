@@ -54,8 +54,6 @@ def _shortest(q: Floats, lower: float, upper: float) -> Floats:
     allowed = q[:, None] + TURN * turns
     # A position beyond its limits is left where it is.
     inside = (allowed >= lower) & (allowed <= upper) | (turns == 0)
-    if (inside.sum(axis=1) == 1).all():
-        return q
     at = np.where(inside, allowed, np.inf)
     cost = PREFERENCE * np.abs(at - 0.5 * (lower + upper))
     total = cost[0]

@@ -313,7 +313,6 @@ class Plan(
     options.Untouched,
     options.InDegrees,
     options.Pictured,
-    options.Shared,
     options.OfChain,
     options.OfParameters,
 ):

@@ -69,7 +69,6 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
         about = stated.joints, stated.columns
         poses = measurements.read_configurations(asked.tests, chains, *about)
     with (
-        options.asked_workers(asked.workers, asked.cluster) as several,
         printing.progress_bar(quiet=asked.quiet) as bar,
         _interruptible(bar) as progress,
     ):
@@ -81,7 +80,6 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
             "measured": rows,
             "collisions": collisions,
             "tests": poses,
-            "workers": several,
         }
         found = planning.plan(**given, progress=progress)
         drawn = results.draw("plan", found, bar) if pictures else []

@@ -92,10 +92,6 @@ class Collisions:
             (_name(model, solids[a]), _name(model, solids[b])) for a, b in pairs
         )
 
-    def __reduce__(self) -> tuple[type[Collisions], tuple[object, ...]]:
-        """The arguments that build the same elsewhere, without hulls and results."""
-        return Collisions, (self._chain, self._meshes, self.clearances)
-
     def free(self, q: Floats) -> NDArray[np.bool_]:
         """Configurations where no pair is closer than its clearance.
 

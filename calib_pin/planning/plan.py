@@ -41,7 +41,6 @@ from calib_pin.planning.workspace import (
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates, robot_errors
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate, Printed
-from calib_pin.workers import SERIAL, Workers
 
 CRITERION_NAMES = (*CRITERIA, "prediction")
 """Names of all criteria."""
@@ -150,7 +149,6 @@ def plan(
     tests: Floats | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-    workers: Workers = SERIAL,
 ) -> Plan:
     """Plan which configurations to measure.
 
@@ -173,8 +171,6 @@ def plan(
         seed: Random seed.
         progress: Told the stage and the part of it that is done, 0 to 1; returns True
             to stop with the best set so far.
-        workers: Who tries and scores candidates, and descends along the gradient; the
-            plan does not depend on it.
 
     Raises:
         OptionError: If a name does not exist, or the request cannot be met: limits
@@ -210,7 +206,7 @@ def plan(
     workspace = Workspace.create(problem, collisions, aims, points)
     # However few are to choose from, all that may be measured shows the structure.
     wanted = max(candidates, count, SAMPLES)
-    spread = workspace.candidates(wanted, rng, progress, count, workers)
+    spread = workspace.candidates(wanted, rng, progress, count)
     spread.require(count)
     # A part of an even spread is one too.
     first = slice(max(candidates, count))
@@ -227,7 +223,6 @@ def plan(
         rng,
         progress,
         measured=0 if data is None else len(data),
-        workers=workers,
     )
     best = search.run(method)
     return _finished(search, best, structure, at, data)
@@ -257,7 +252,7 @@ def _finished(
     q = _rounded(workspace, q, aim)
 
     assert workspace.inside(q, aim).all(), "methods only end in allowed sets"
-    information = search.objective.information(rows.rows(q, aim))
+    information = search.information(rows.rows(q, aim))
     assert information is not None, "the search only ends in sets that determine all"
     rng = np.random.default_rng(0)  # A generator that nothing shares.
     size, count = len(search.candidates.q), search.count
@@ -308,7 +303,7 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
     subset = search.selection(members, table)
 
     def step() -> Step:
-        found = search.objective.information(table[subset.chosen])
+        found = search.information(table[subset.chosen])
         position = np.inf if found is None else tip.value(found, len(subset.chosen))
         return Step(len(subset.chosen), subset.value, position)
 

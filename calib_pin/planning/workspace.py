@@ -36,7 +36,6 @@ from calib_pin.observations import (
 )
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import matching
-from calib_pin.workers import SERIAL, Workers
 
 SWAY = np.array(
     [
@@ -351,7 +350,6 @@ class Workspace:
         rng: np.random.Generator,
         progress: Callable[[str, float], bool | None] | None = None,
         least: int = 0,
-        workers: Workers = SERIAL,
     ) -> Candidates:
         """Quasi-random configurations, evenly spread over what is allowed.
 
@@ -361,7 +359,6 @@ class Workspace:
             progress: Told the name of this stage and the part that is done; returns
                 True to be content with the least number.
             least: Number without which nothing can be planned.
-            workers: Who tries the configurations.
 
         Raises:
             InputError: If none of many is allowed; says what refused them.
@@ -370,14 +367,14 @@ class Workspace:
         q, aim, drawn = np.empty((0, len(shift))), np.empty(0, int), np.empty(0, int)
         refused: dict[str, int] = {}
         budget = max(LEAST_DRAWS, DRAWS * count)
-        blocks = workers.map(_block, (self, shift), range(0, budget, BLOCK))
         # Where nothing is allowed, more of the same would be a loop.
         while len(q) < count and taken < (budget if len(q) else LEAST_DRAWS):
             part = max(len(q) / count, taken / budget)
             enough = progress is not None and progress("candidates", part)
             if enough and len(q) >= max(least, 1):
                 break
-            (new, of_new, places, reasons), taken = next(blocks), taken + BLOCK
+            new, of_new, places, reasons = self._block(shift, taken)
+            taken += BLOCK
             for reason, number in reasons.items():
                 refused[reason] = refused.get(reason, 0) + number
             q, aim = np.concatenate([q, new]), np.concatenate([aim, of_new])
@@ -395,6 +392,24 @@ class Workspace:
                 allowed=allowed,
             )
         return Candidates(q[:count], aim[:count], drawn[:count])
+
+    def _block(
+        self, shift: Floats, begin: int
+    ) -> tuple[Floats, Indices, Indices, dict[str, int]]:
+        """Try the configurations of the sequence from one on.
+
+        Returns:
+            Those that may be measured, shape (C, n), what is measured at each, where
+            they are in the sequence, and the number of the others by what refused them.
+        """
+        unit = quasi_random(shift, begin, BLOCK)
+        q = self.lower + unit * (self.upper - self.lower)
+        aim = (begin + np.arange(BLOCK)) % len(self.aims.each)
+        q = self.settled(q, aim)
+        refusals = self.refusals(q, aim)
+        free = sum(refusals.values()) == 0
+        refused = {reason: int(rows.sum()) for reason, rows in refusals.items()}
+        return q[free], aim[free], begin + np.flatnonzero(free), refused
 
     def unmeasurable(self, candidates: Candidates) -> tuple[str, ...]:
         """The targets that no candidate can measure."""
@@ -459,26 +474,6 @@ class Workspace:
         if len(free):
             rest = free[[np.abs(free - rest).max(axis=1).argmin()]]
         return moving, rest[0]
-
-
-def _block(
-    shared: tuple[Workspace, Floats], begin: int
-) -> tuple[Floats, Indices, Indices, dict[str, int]]:
-    """Try the configurations of the sequence from one on.
-
-    Returns:
-        Those that may be measured, shape (C, n), what is measured at each, where they
-        are in the sequence, and the number of the others by what refused them.
-    """
-    workspace, shift = shared
-    unit = quasi_random(shift, begin, BLOCK)
-    q = workspace.lower + unit * (workspace.upper - workspace.lower)
-    aim = (begin + np.arange(BLOCK)) % len(workspace.aims.each)
-    q = workspace.settled(q, aim)
-    refusals = workspace.refusals(q, aim)
-    free = sum(refusals.values()) == 0
-    refused = {reason: int(rows.sum()) for reason, rows in refusals.items()}
-    return q[free], aim[free], begin + np.flatnonzero(free), refused
 
 
 def joint_limits(problem: Problem) -> tuple[Floats, Floats]:

@@ -40,7 +40,7 @@ class Fresh(Search):
         self, chosen: Sequence[int] = (), table: Floats | None = None
     ) -> Selection:
         """A subset of the candidates under the criterion."""
-        known, nuisances = self.objective.known, self.rows.nuisances
+        known, nuisances = self.known, self.rows.nuisances
         return Factored(self.table, nuisances, self.criterion, known, chosen)
 
 

@@ -220,7 +220,7 @@ def commanded(
     q, times, hasty, blocked = found.q[rows], None, rows[:0], list[int]()
     if collisions is not None:
         moves = enumerate(pairwise(q), 1)
-        blocked = [k for k, move in moves if not collisions.is_free(*move)]
+        blocked = [k for k, move in moves if not collisions.move_is_free(*move)]
     if timed is not None and len(rows):
         times, hasty = paced(model.chain, q, rows, timed)
     torn = motion and found.complete

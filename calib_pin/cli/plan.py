@@ -237,7 +237,7 @@ def _acceptance(
         limits=(lower[:count], upper[:count]),
         region=setup.region,
         free=None if collisions is None else collisions.free,
-        moves=None if collisions is None else collisions.is_free,
+        moves=None if collisions is None else collisions.move_is_free,
     )
     try:
         speeds = speed_limits(chain, 1.0)

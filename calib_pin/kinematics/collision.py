@@ -134,7 +134,7 @@ class Collisions:
         distances = self.clearances if clearances is None else clearances
         return Collisions(self._chain, geometry, distances[places])
 
-    def is_free(self, a: Floats, b: Floats) -> bool:
+    def move_is_free(self, a: Floats, b: Floats) -> bool:
         """Whether nothing touches on a straight move, its ends of shape (n,) included.
 
         Two places of it are checked if points of the robot move by more than twice the

@@ -61,7 +61,7 @@ def visits(
     if collisions is not None:
 
         def blocked(a: Floats, b: Floats) -> bool:
-            return not collisions.is_free(a, b)
+            return not collisions.move_is_free(a, b)
 
     # Joints that others do not follow, and that follow none.
     tied = {*chains.mimics, *(mimic.leader for mimic in chains.mimics.values())}

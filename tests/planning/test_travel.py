@@ -159,13 +159,13 @@ def touched(q: np.ndarray, obstacles: list[Obstacle]) -> bool:
 def test_a_move_through_a_sphere_is_seen(seed):
     q, obstacles = scene(seed)
     assert touched(q, obstacles)
-    assert not load_collisions(PLANAR, obstacles).is_free(*q)
+    assert not load_collisions(PLANAR, obstacles).move_is_free(*q)
 
 
 def test_free_moves_are_free():
     q, _ = scene(1)
     free = load_collisions(PLANAR)
-    assert free.is_free(q[0], q[0] + 0.02) and free.is_free(q[0], q[0])
+    assert free.move_is_free(q[0], q[0] + 0.02) and free.move_is_free(q[0], q[0])
 
 
 def test_no_point_of_the_robot_moves_farther_than_the_bound():

@@ -131,7 +131,7 @@ GOLDEN: dict[str, Callable[[], object]] = {
         lambda: DifferentialEvolution(population_size=3)
     ),
     "unknown mutation strategy 'rand1' (did you mean 'rand/1'?); allowed: rand/1, "
-    "best/1, rand-to-best/1, midpoint, tradeoff, l-shade": (
+    "best/1, rand-to-best/1, midpoint, tradeoff": (
         lambda: DifferentialEvolution(strategy="rand1")
     ),
     "elite leaves no room for children (value 5); allowed: less than population_size "

@@ -300,11 +300,11 @@ def added(text: str) -> int:
 
 SELECTED = (
     *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
-    *("seed", "distance", "motion", "parameters", "figures", "json"),
+    *("seed", "parameters", "figures", "json"),
 )
 """Fields of plans that an acceptance test has no use for."""
 
-SOLID = ("srdf", "clearance", "motion")
+SOLID = ("srdf", "clearance")
 """Fields that are for collisions."""
 
 
@@ -313,7 +313,6 @@ class Plan(
     options.Untouched,
     options.InDegrees,
     options.Pictured,
-    options.Shared,
     options.OfChain,
     options.OfParameters,
 ):
@@ -321,8 +320,7 @@ class Plan(
 
     They keep the joint limits, collide with nothing, lie in the region of the setup
     file, and are ordered for short travel. A table shows the accuracy that more or
-    fewer of them would give. Ctrl-C ends the search with the best plan so far. Exit
-    status 2: no free way was found for --motion, which is not written.
+    fewer of them would give. Ctrl-C ends the search with the best plan so far.
 
     Attributes:
         count: Number of configurations.
@@ -338,14 +336,10 @@ class Plan(
         tests: Configurations where the robot is to be accurate; by default everywhere.
         accept: Plan an acceptance test instead: five poses of a cube, and its schedule.
         cycles: Visits of each pose of an acceptance test.
-        distance: Least distance between configurations, as the largest movement of a
-            joint [rad, m].
         limits: Narrower joint limits, such as 'joint_*=-2:2' or
             'elbow=-120:120 [deg]'; may be repeated.
         ignore_collisions: Check no collisions.
         output: File of configurations to write.
-        motion: File of the whole motion to write: the configurations, with via
-            configurations where the straight way collides.
     """
 
     count: Annotated[int | None, Told("N", "Plan", (1, 1000))] = None
@@ -359,11 +353,9 @@ class Plan(
     tests: Annotated[Path | None, Told("CSV", "Plan")] = None
     accept: Annotated[bool, Told("", "Plan", excludes=SELECTED)] = False
     cycles: Annotated[int, Told("N", "Plan", (3, 1000), needs="accept")] = 30
-    distance: Annotated[float, Told("D", "Constraints", (0, 10))] = 0.0
     limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
     ignore_collisions: Annotated[bool, Told("", "Constraints", excludes=SOLID)] = False
     output: Annotated[Path, Told("CSV", "Output")]
-    motion: Annotated[Path | None, Told("CSV", "Output")] = None
 
 
 FRAMES, POINTS = ("measuring", "base"), ("tool", "tip")
@@ -377,13 +369,12 @@ FRAME, POINT = known("frame", "", *FRAMES), known("point", "", *POINTS)
 class Compensate(options.Untouched, options.InDegrees, options.OfChain):
     """Find joint commands that reach targets on the real robot.
 
-    Commands for targets have a column 'row', the line of the target, empty where a
-    command only leads around something. A motion keeps its other columns; its commands
-    bring the tip link to where that of the nominal robot would be in the base link
-    (with fewer than six joints: its position), as exactly as base and tool are known.
-    Exit status 2: a target cannot be reached (only the others are written, of a motion
-    none), no way to it is free or the calibration must not be trusted (no command is
-    written).
+    Commands for targets have a column 'row', the line of the target. A motion keeps its
+    other columns; its commands bring the tip link to where that of the nominal robot
+    would be in the base link (with fewer than six joints: its position), as exactly as
+    base and tool are known. Exit status 2: a target cannot be reached (only the others
+    are written, of a motion none), a straight move to it collides or the calibration
+    must not be trusted (no command is written).
 
     Attributes:
         calibration: A calibration.
@@ -400,8 +391,8 @@ class Compensate(options.Untouched, options.InDegrees, options.OfChain):
         station: Station in whose measurement frame the targets are; default the first.
         tool: Tool to bring there; default the first.
         position: Reach positions only, with any orientation.
-        avoid_collisions: Touch neither the robot itself nor the obstacles of the setup,
-            at targets and between them: via configurations are added.
+        avoid_collisions: Touch neither the robot itself nor the obstacles of the setup
+            at targets, and check the straight moves between them.
         format: csv (default); urscript, a program of moves; joint-trajectory, a message
             of ROS (YAML).
         speed: Part of the URDF's joint speeds at which commands follow one another: of

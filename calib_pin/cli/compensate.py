@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import calib_pin.control.compensation as compensation
 import calib_pin.report.compensation_text as texts
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import FRAMES, POINTS, Compensate
-from calib_pin.control import calibrated, joints
+from calib_pin.control import calibrated
 from calib_pin.control.calibrated import (
     block_of,
     model_errors,
@@ -32,7 +33,6 @@ from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.observations import BlockKey, Indices
-from calib_pin.planning.travel import Passage, Ways
 from calib_pin.report import blocks, trust
 from calib_pin.report.blocks import Block
 from calib_pin.report.compensation_text import line_list
@@ -43,7 +43,7 @@ from calib_pin.validation.result import CalibrationResult
 FAULTS = UNREACHED, COLLIDING, BLOCKED, HASTY, TORN = (
     "out of reach",
     "in collision",
-    "no free way to",
+    "no free move to",
     "faster than the URDF allows",
     "discontinuity in joint space",
 )
@@ -63,20 +63,17 @@ class Commanded:
     Attributes:
         chain: The nominal chain.
         targets: The targets.
-        ways: Ways on which nothing is touched; None where that is not looked at.
         found: Their commands.
-        passage: These one after another, with what leads around something.
-        row: The target of each of them; negative for none.
-        times: When each is reached [s]; None where the file has no times.
+        rows: The targets that are commanded, shape (K,).
+        times: When each of them is reached, shape (K,) [s]; None where the file has no
+            times.
         faults: Lines of the file by their fault.
     """
 
     chain: Chain
     targets: Targets
-    ways: Ways | None
     found: Compensation
-    passage: Passage
-    row: Indices
+    rows: Indices
     times: Floats | None
     faults: Mapping[str, list[int]]
 
@@ -95,14 +92,14 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     own: list[str | Path] = [robot, file.parent / robot, *written_before(file)]
     files.check_outputs([output], own, asked.force)
     targets, timed = read(asked, model, stated)
-    for remark in _remarks(asked, result, key, targets, chain):
+    for remark in _remarks(asked, result, key, targets):
         asked.tell(remark)
-    ways = None
+    collisions = None
     if asked.avoid_collisions:
         obstacles = stated.obstacles or model.setup.obstacles
-        collisions = asked.collisions(chain, obstacles, stated.file or str(file))
-        ways = ways_of("--avoid-collisions", chain, collisions)
-    done = commanded(asked, model, targets, timed, ways)
+        solid = asked.collisions(chain, obstacles, stated.file or str(file))
+        collisions = solids_of("--avoid-collisions", chain, solid)
+    done = commanded(asked, model, targets, timed, collisions)
     missed = {fault: lines for fault, lines in done.faults.items() if lines}
     apart = targets.T is not None and missed.keys() <= {UNREACHED, COLLIDING}
     contents = {}
@@ -112,8 +109,8 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     accuracy, written = model_errors(result), output if contents else None
     asked.give(
         contents,
-        lambda: compensation_document(done, doubt, written, accuracy),
-        _report(done, asked.targets, doubt, accuracy),
+        lambda: compensation_document(asked, done, doubt, written, accuracy),
+        _report(asked, done, doubt, accuracy),
         [f"wrote {written or 'nothing'}"],
     )
     if asked.quiet and not asked.json:
@@ -124,17 +121,16 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
 
 
 def _report(
-    done: Commanded, file: Path, doubt: str, accuracy: Accuracy
+    asked: Compensate, done: Commanded, doubt: str, accuracy: Accuracy
 ) -> Iterator[Block]:
     """The report that is printed."""
     lines, motion = done.targets.table.lines.tolist(), done.targets.T is None
     if doubt:
         yield from (trust.judged(doubt), blocks.Line(""))
-    about = {"motion": motion, "file": str(file), "lines": lines}
+    about = {"motion": motion, "file": str(asked.targets), "lines": lines}
     yield from texts.compensation_report(done.found, done.chain, **about)
-    if done.ways is not None:
-        shut = done.faults[BLOCKED]
-        yield from texts.ways_report(done.found, done.passage, lines, shut)
+    if asked.avoid_collisions:
+        yield from texts.ways_report(done.faults[COLLIDING], done.faults[BLOCKED])
     yield from texts.hasty_lines(done.faults[HASTY])
     yield from texts.accuracy_lines(accuracy)
 
@@ -144,7 +140,6 @@ def _remarks(
     result: CalibrationResult,
     key: BlockKey,
     targets: Targets,
-    chain: Chain,
 ) -> Iterator[str]:
     """Remarks on targets, before commands for them are looked for."""
     own = [k.model for k in result.model.terms if k.chain == key.chain]
@@ -154,13 +149,6 @@ def _remarks(
             "the tool was measured as a point: its orientation is the stated one, or "
             "that of the tip link"
         )
-    if targets.q is not None:
-        long = targets.table.lines[joints.Joints.of(chain).long_ways(targets.q)]
-        if len(long):
-            yield (
-                "a joint turns almost once around, where its limits allow a short way, "
-                f"to {line_list(long)}"
-            )
     ends = (asked.frame or FRAMES[0], asked.point or POINTS[0])
     if known := calibrated.ends_known(
         result, key, *(("base", "tip") if targets.T is None else ends)
@@ -211,11 +199,11 @@ def commanded(
     model: CalibratedChain,
     targets: Targets,
     timed: Floats | None,
-    ways: Ways | None,
+    collisions: Collisions | None,
 ) -> Commanded:
     """Commands for targets that are reached by times (N,) [s], and what is wrong."""
     motion, lines = targets.T is None, targets.table.lines
-    free = None if ways is None else ways.collisions.free
+    free = None if collisions is None else collisions.free
     with printing.progress_bar(quiet=asked.quiet) as bar:
         about: dict[str, Any] = {"free": free}
         about["progress"] = printing.stage(bar, "compensate")
@@ -228,25 +216,24 @@ def commanded(
             assert targets.q is not None
             turned = not asked.position and len(targets.columns.tells) >= 6
             found = compensation.follow(model, targets.q, orientation=turned, **about)
-        (rows,) = np.nonzero(found.good)
-        passage = Passage.straight(found.q[rows])
-        if ways is not None:
-            rng = None if motion else np.random.default_rng(0)
-            passage = ways.through(found.q[rows], rng, printing.stage(bar, "ways"))
-    row, times, hasty = passage.of(rows), None, rows[:0]
+    (rows,) = np.nonzero(found.good)
+    q, times, hasty, blocked = found.q[rows], None, rows[:0], list[int]()
+    if collisions is not None:
+        moves = enumerate(pairwise(q), 1)
+        blocked = [k for k, move in moves if not collisions.move_is_free(*move)]
     if timed is not None and len(rows):
-        times, hasty = paced(model.chain, passage.q, row, timed)
+        times, hasty = paced(model.chain, q, rows, timed)
     torn = motion and found.complete
-    at = (~found.reached, found.collides, rows[list(passage.blocked)], hasty)
+    at = (~found.reached, found.collides, rows[blocked], hasty)
     faults = zip(FAULTS, (*at, found.jumps & torn), strict=True)
     named = {fault: lines[of].tolist() for fault, of in faults}
-    chain = model.chain
-    return Commanded(chain, targets, ways, found, passage, row, times, named)
+    return Commanded(model.chain, targets, found, rows, times, named)
 
 
 def encoded(asked: Compensate, done: Commanded, comments: Sequence[str]) -> bytes:
     """The file of commands."""
-    chain, targets, q, times = done.chain, done.targets, done.passage.q, done.times
+    chain, targets, times = done.chain, done.targets, done.times
+    q = done.found.q[done.rows]
     part = SPEED if asked.speed is None else asked.speed
     if asked.format != "csv":
         program = PROGRAMS[asked.format]
@@ -256,16 +243,21 @@ def encoded(asked: Compensate, done: Commanded, comments: Sequence[str]) -> byte
     elif targets.T is None:
         times = None  # The motion keeps its own.
     return encode_commands(
-        targets, q, done.row, degrees=asked.degrees, times=times, comments=comments
+        targets, q, done.rows, degrees=asked.degrees, times=times, comments=comments
     )
 
 
 def compensation_document(
-    done: Commanded, doubt: str, output: Path | None, accuracy: Accuracy
+    asked: Compensate,
+    done: Commanded,
+    doubt: str,
+    output: Path | None,
+    accuracy: Accuracy,
 ) -> Json:
     """The summary of a compensation.
 
     Args:
+        asked: What is asked for.
         done: The commands.
         doubt: Why the calibration must not be trusted; empty where it may.
         output: File that the commands were written to; None for none.
@@ -290,12 +282,9 @@ def compensation_document(
         "rows": len(found),
         "reached": reached.sum(),
         "too_fast": faults[HASTY],
-        "collisions": done.ways
-        and {
-            "vias": done.passage.vias,
-            "colliding": faults[COLLIDING],
-            "blocked": faults[BLOCKED],
-        },
+        "collisions": {"colliding": faults[COLLIDING], "blocked": faults[BLOCKED]}
+        if asked.avoid_collisions
+        else None,
         "unreachable": [
             dict(zip(("line", *errors), row, strict=True)) for row in missed
         ],
@@ -327,30 +316,19 @@ def _spread(values: Floats) -> dict[str, float] | None:
     return {"mean": known.mean(), "max": known.max()} if len(known) else None
 
 
-def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:
-    """The ways of a chain on which nothing is touched.
+def solids_of(option: str, chain: Chain, collisions: Collisions | None) -> Collisions:
+    """The collisions of a chain.
 
     Raises:
-        OptionError: If its URDF describes no solids, or a joint follows one elsewhere.
+        OptionError: If its URDF describes no solids, which an option needs, or a joint
+            follows one elsewhere.
     """
     chains = Chains.of(chain)
     if len(chains.joints) > len(chain.joints):
         reason = f"{option} needs the joints that others mimic in the chain"
         raise OptionError(reason, value=chains.joints[-1])
-    solid = require_solids(option, chains, collisions)
-    return Ways(chains, solid, chain.lower, chain.upper)
-
-
-def require_solids(
-    option: str, chains: Chains, collisions: Collisions | None
-) -> Collisions:
-    """The collisions of a robot.
-
-    Raises:
-        OptionError: If its URDF describes no solids, which an option needs.
-    """
     if collisions is None:
         reason = f"{option} needs the solids of the robot, and the URDF has none"
-        file, allowed = chains.robot.file, "<collision> in its links"
+        file, allowed = chain.robot.file, "<collision> in its links"
         raise OptionError(reason, file=file, allowed=allowed)
     return collisions

@@ -596,8 +596,8 @@ class Shared:
     Attributes:
         workers: Processes on this machine that share the work; by default one for
             every core. The results are the same for any number.
-        cluster: Workers of a dask scheduler instead: its address, its scheduler.json,
-            or local. Only in a trusted network.
+        cluster: Workers of a dask scheduler instead: its address, or its
+            scheduler.json. Only in a trusted network.
     """
 
     workers: Annotated[int | None, Told("N", "Workers", (1, 1000))] = None

@@ -14,11 +14,11 @@ import numpy as np
 
 from calib_pin.cli import files, options, printing, results
 from calib_pin.cli.asked import Plan
-from calib_pin.cli.compensate import require_solids, ways_of
+from calib_pin.cli.compensate import solids_of
 from calib_pin.control.acceptance_poses import acceptance_poses
 from calib_pin.errors import CalibPinError, OptionError, counted, enumerated
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io import measurements, targets
+from calib_pin.io import measurements
 from calib_pin.io.columns import ANGLE, LENGTH, split_header
 from calib_pin.io.exchange.motions import speed_limits
 from calib_pin.io.json_text import Json, format_keys, merged, plain
@@ -30,10 +30,8 @@ from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.observations import BlockKey, Observations, fitted_and_held_out
 from calib_pin.parameters import matching
 from calib_pin.planning import plan as planning
-from calib_pin.planning import travel, workspace
 from calib_pin.planning.workspace import joint_limits
 from calib_pin.report.acceptance_text import acceptance_schedule
-from calib_pin.report.compensation_text import line_list
 from calib_pin.report.plan_text import plan_report
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
@@ -57,7 +55,7 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     check(asked)
     pictures = results.figure_files(asked, "plan")
     inputs = [asked.robot, asked.setup, asked.srdf, asked.tests, asked.start]
-    outputs = [asked.output, asked.motion, *pictures]
+    outputs = [asked.output, *pictures]
     files.check_outputs(outputs, [*inputs, *(asked.to or [])], asked.force)
     if asked.accept:
         stated = replace(stated, model="position")
@@ -67,13 +65,10 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
         collisions = asked.collisions(chains, stated.obstacles, stated.file)
     if asked.accept:
         return _acceptance(asked, chains, keys, stated, collisions, command)
-    if asked.motion is not None:
-        require_solids("--motion", chains, collisions)
     if asked.tests is not None:
         about = stated.joints, stated.columns
         poses = measurements.read_configurations(asked.tests, chains, *about)
     with (
-        options.asked_workers(asked.workers, asked.cluster) as several,
         printing.progress_bar(quiet=asked.quiet) as bar,
         _interruptible(bar) as progress,
     ):
@@ -85,7 +80,6 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
             "measured": rows,
             "collisions": collisions,
             "tests": poses,
-            "workers": several,
         }
         found = planning.plan(**given, progress=progress)
         drawn = results.draw("plan", found, bar) if pictures else []
@@ -99,33 +93,13 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     more: dict[str, Any] = {"places": found.places, "sides": planning.sides_of(found)}
     comments = [f"planned by: {command}"]
     table = encode(found.q, found.target, **more, comments=comments)
-    contents, shut = {asked.output: table, **figures}, list[int]()
+    contents = {asked.output: table, **figures}
     written = [f"wrote {counted(len(found.q), 'configuration')} to {asked.output}"]
-    if asked.motion is not None and collisions is not None:
-        with printing.progress_bar(quiet=asked.quiet) as bar:
-            free = travel.Ways(
-                chains, collisions, *workspace.joint_limits(found.problem)
-            )
-            rng = np.random.default_rng(asked.seed)
-            passage = free.through(found.q, rng, printing.stage(bar, "ways"))
-        # A configuration is named by its line in the other file.
-        first = table.count(b"\n") - len(found.q) + 1
-        shut = [first + k for k in passage.blocked]
-        lines = ["" if k == travel.VIA else str(first + k) for k in passage.row]
-        if not shut:
-            comments = [f"motion of: {command}"]
-            motion = encode(passage.q, places={targets.ROW: lines}, comments=comments)
-            contents[asked.motion] = motion
-            written.append(f"wrote {passage.vias} more on the way to {asked.motion}")
     written += results.told_figures(figures, pictures)
     asked.give(contents, lambda: plan_document(found), plan_report(found), written)
-    if shut:
-        printing.notice(
-            f"no motion: no free way was found to {asked.output}, {line_list(shut)}"
-        )
     if found.status is Status.STOPPED:
         printing.notice("interrupted: this is the best plan found so far")
-    return 2 if shut else 0
+    return 0
 
 
 def _opened(
@@ -254,17 +228,16 @@ def _acceptance(
     chain = chains[chains.names[0]]
     problem, count = nominal_problem(chains, keys, setup), len(chain.joints)
     lower, upper = joint_limits(problem)
-    ways = None
     if collisions is not None:
-        ways = ways_of("--accept", chain, collisions)
+        collisions = solids_of("--accept", chain, collisions)
     (term,) = problem.terms.values()
     found = acceptance_poses(
         chain,
         term.error.tool.homogeneous,
         limits=(lower[:count], upper[:count]),
         region=setup.region,
-        free=None if ways is None else ways.collisions.free,
-        moves=None if ways is None else ways.is_free,
+        free=None if collisions is None else collisions.free,
+        moves=None if collisions is None else collisions.move_is_free,
     )
     try:
         speeds = speed_limits(chain, 1.0)

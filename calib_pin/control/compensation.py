@@ -74,12 +74,6 @@ class Compensation(Brief, Solutions):
         return bool(self.good.all())
 
     @property
-    def reversals(self) -> int:
-        """How often joints turn back, so that their lost motion is made up for."""
-        sides = self.sides[self.good]
-        return int(np.sum(sides[1:] * sides[:-1] < 0))
-
-    @property
     def jumps(self) -> NDArray[np.bool_]:
         """Whether the corrections change too much from the row before, shape (N,).
 
@@ -141,9 +135,11 @@ def compensate(
     found = _in_parts(search, task, progress)
     collides = np.zeros(len(targets), bool)
     if free is not None:
-        others = free_solutions(task, found, free)
-        collides = found.reached & ~others.reached
-        found = found.replaced(others.reached, others.rows(others.reached))
+        (touching,) = np.nonzero(found.reached & ~free(found.q))
+        others = free_solutions(task.rows(touching), found.rows(touching), free)
+        good = others.reached
+        collides[touching] = ~good
+        found = found.replaced(touching[good], others.rows(good))
     if start is None:
         kept = np.flatnonzero(found.reached & ~collides)
         driven = joints.driven(found.q[kept])

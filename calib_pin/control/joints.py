@@ -99,16 +99,6 @@ class Joints:
         unwound = np.where(free, np.unwrap(driven, axis=0), driven)
         return q if (unwound == driven).all() else self.positions(unwound)
 
-    def long_ways(self, q: Floats) -> Indices:
-        """Rows of positions, (N, m), to which a joint does not take its short way.
-
-        Those to which it moves by more than half a turn further than its limits need.
-        """
-        driven = self.driven(q)
-        ways = (np.abs(np.diff(one, axis=0)) for one in (driven, self.unwound(driven)))
-        longer = next(ways) - next(ways)
-        return np.flatnonzero((longer > np.pi).any(axis=1)) + 1
-
     def driving(self, evaluate: Kinematics) -> Kinematics:
         """The kinematics of a chain as those of the joints that move it."""
 

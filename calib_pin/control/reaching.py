@@ -1,4 +1,4 @@
-"""Inverse kinematics: from a start, from many, and around what the robot touches.
+"""Inverse kinematics: from a start, from many, and where the robot touches nothing.
 
 A descent is by damped least squares for many targets at once: the damping is in
 proportion to the squared error (Sugihara, IEEE Trans. Robotics 27(5), 2011), so that it
@@ -13,9 +13,8 @@ joint that a step would lead beyond a limit stops there, and the others go on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -357,29 +356,23 @@ def _move(task: Task, rows: _Rows, sliding: Booleans) -> None:
     rows.J = np.where(taken[:, None, None], J, rows.J)
 
 
-# Solutions that collide with nothing, near one another.
+# Solutions that collide with nothing.
 
 Free: TypeAlias = Callable[[Floats], Booleans]
 """Joint positions of a chain, (N, n), to whether nothing touches there, (N,)."""
 
 STARTS = 48
-"""Configurations from which solutions for a target are sought: from half as many, ways
-to a start are a sixth longer."""
+"""Configurations from which solutions for a target are sought."""
 
 BLOCK = 64
 """Targets that are solved together: one at a time they take four times as long."""
 
-SAME = 1e-3
-"""Distance up to which two solutions are the same, whatever the turns [rad, m]."""
-
 
 def free_solutions(task: Task, own: Solutions, free: Free) -> Solutions:
-    """Solutions at which nothing touches; not reached where none was found.
+    """Other solutions at which nothing touches; not reached where none was found.
 
-    Of all that are found from many starts those are chosen that make the way from
-    target to target the shortest (by dynamic programming), or that are nearest to
-    given joint positions. An arm that keeps its elbow up has seldom to go around
-    anything.
+    Of all that are found from many starts the one nearest to given joint positions is
+    taken, without them that nearest to the solution that touches something.
 
     Args:
         task: The targets.
@@ -389,66 +382,15 @@ def free_solutions(task: Task, own: Solutions, free: Free) -> Solutions:
     joints, driven = task.joints, task.joints.driven(own.q)
     if not task.given:
         task = replace(task, start=driven)
-    found: list[Solutions] = []
+    found = [replace(own, q=driven).rows([])]
     for first in range(0, len(driven), BLOCK):
-        found += _each(task, driven, slice(first, first + BLOCK), free)
-    options = [rows.q for rows in found]
-    if task.given:
-        pairs = zip(options, task.start, strict=True)
-        ways = [_ways(q, at[None], joints) for q, at in pairs]
-        chosen = [int(way.argmin()) if len(way) else 0 for way in ways]
-    else:
-        chosen = _shortest(options, joints)
-    none = Solutions(driven, own.reached & False, own.position, own.orientation)
-    rows = [
-        some.rows([k]) if len(some) else none.rows([at])
-        for at, (some, k) in enumerate(zip(found, chosen, strict=True))
-    ]
-    best = Solutions.joined([none.rows([]), *rows])
-    return replace(best, q=joints.positions(best.q))
-
-
-def _each(task: Task, own: Floats, rows: slice, free: Free) -> Iterator[Solutions]:
-    """The solutions of each of some targets that differ and are free."""
-    joints, count = task.joints, len(own[rows])
-    some = np.tile(joints.samples(STARTS), (count, 1, 1))
-    guess = np.concatenate([own[rows, None], some], axis=1)
-    each = np.repeat(np.arange(count), guess.shape[1])
-    repeated = task.rows(rows).rows(each)
-    tries = _descended(repeated, guess.reshape(len(each), -1), EXACT)
-    for k in range(count):
-        (reached,) = np.nonzero(tries.reached & (each == k))
-        kept: list[int] = []
-        for row in reached:
-            if all(joints.distances(tries.q[row], tries.q[kept]) > SAME**2):
-                kept.append(int(row))
-        found = tries.rows(kept)
-        yield found.rows(free(joints.positions(found.q)))
-
-
-def _ways(a: Floats, b: Floats, joints: Joints) -> Floats:
-    """Ways between solutions, (K, n) and (L, n), whatever the turns, shape (K, L)."""
-    way = a[:, None] - b[None]
-    turns = np.where(joints.revolute, np.round(way / (2.0 * np.pi)), 0.0)
-    return np.asarray(np.abs(way - 2.0 * np.pi * turns).sum(axis=2))
-
-
-def _shortest(options: Sequence[Floats], joints: Joints) -> list[int]:
-    """One of the solutions of each target, none of targets without; the rest is 0."""
-    known = [k for k, q in enumerate(options) if len(q)]
-    chosen = [0] * len(options)
-    if not known:
-        return chosen
-    # The first ones are compared by their way from the middle.
-    total = _ways(options[known[0]], joints.home[None], joints)[:, 0] * SAME
-    best = []
-    for last, k in pairwise(known):
-        ways = total[:, None] + _ways(options[last], options[k], joints)
-        best.append(ways.argmin(axis=0))
-        total = ways.min(axis=0)
-    at = int(total.argmin())
-    for k, back in zip(reversed(known[1:]), reversed(best), strict=True):
-        chosen[k] = at
-        at = int(back[at])
-    chosen[known[0]] = at
-    return chosen
+        some = task.rows(slice(first, first + BLOCK))
+        count = len(some.targets)
+        each = some.rows(np.repeat(np.arange(count), STARTS))
+        tries = _descended(each, np.tile(joints.samples(STARTS), (count, 1)), EXACT)
+        good = tries.reached & free(joints.positions(tries.q))
+        away = np.where(good, joints.distances(tries.q, each.start), np.inf)
+        nearest = away.reshape(count, STARTS).argmin(axis=1)
+        tries = replace(tries, reached=good)
+        found.append(tries.rows(STARTS * np.arange(count) + nearest))
+    return _commanded(Solutions.joined(found), joints)

@@ -171,7 +171,7 @@ class Proposals:
             solid, rng = None, np.random.default_rng(fitted.seed)
             if self.free:
                 solid = self._collisions(fitted.chains, setup)
-            workspace = Workspace.create(problem, solid, 0.0, aims)
+            workspace = Workspace.create(problem, solid, aims)
             self._known = workspace, workspace.candidates(SAMPLES, rng)
         workspace, spread = self._known
         _, rows, information = identification(problem, aims, spread, fitted.rows)

@@ -148,8 +148,7 @@ def encode_commands(
     Args:
         targets: The requested targets or motion.
         q: Joint commands for K of the targets, shape (K, n) [rad, m].
-        rows: Indices of these targets, shape (K,); negative for a command that only
-            leads around something from the one before, whose cell of `row` is empty.
+        rows: Indices of these targets, shape (K,).
         degrees: Whether angles are in degrees, where the target file has no joints.
         times: When each is reached, shape (K,) [s], as a column `time`.
         comments: Lines for the head of the file.
@@ -168,14 +167,12 @@ def encode_commands(
         >>> encode_commands(targets, np.zeros((1, 6)), np.array([0])).splitlines()[1]
         b'0.0,0.0,0.0,0.0,0.0,0.0,2'
     """
-    via = rows < 0
-    latest = np.maximum.accumulate(np.where(via, 0, np.arange(len(rows))))
-    columns = _command_columns(targets, q, rows[latest], degrees)
+    columns = _command_columns(targets, q, rows, degrees)
     if targets.T is not None:
         if ROW in targets.columns.names:
             reason = f"a joint column is called '{ROW}', which is the line of a target"
             raise OutputError(reason)
-        columns[ROW] = np.where(via, "", targets.table.lines[rows].astype(str)).tolist()
+        columns[ROW] = targets.table.lines[rows].tolist()
     if times is not None:
         columns["time"] = times.tolist()
     return encode_table(columns, comments)

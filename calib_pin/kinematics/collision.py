@@ -8,7 +8,8 @@ until two of them touch. Bounding boxes keep the hulls from being looked at in v
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,9 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.joint_space import FREE_TRAVEL, WIDEST
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.threads import PerThread
-from calib_pin.kinematics.tree import Configurations, turns
+from calib_pin.kinematics.tree import Configurations
 
 ROUNDING = 1e-5
 """Distance kept beyond the clearance [m]: at the very edge of a collision, where a
@@ -29,6 +29,9 @@ descent may end, rounding would decide."""
 SLACK = 1e-3
 """Distance within which hulls count as meeting [m]: the meshes decide, but whether
 hulls just touch comes out differently now and then."""
+
+LEAST = 0.01
+"""Least motion of points between two places of a move that are checked [m]."""
 
 FLAT = 1e-6
 """Thickness by length up to which a mesh counts as flat."""
@@ -89,10 +92,6 @@ class Collisions:
             (_name(model, solids[a]), _name(model, solids[b])) for a, b in pairs
         )
 
-    def __reduce__(self) -> tuple[type[Collisions], tuple[object, ...]]:
-        """The arguments that build the same elsewhere, without hulls and results."""
-        return Collisions, (self._chain, self._meshes, self.clearances)
-
     def free(self, q: Floats) -> NDArray[np.bool_]:
         """Configurations where no pair is closer than its clearance.
 
@@ -135,37 +134,48 @@ class Collisions:
         distances = self.clearances if clearances is None else clearances
         return Collisions(self._chain, geometry, distances[places])
 
-    @property
+    def move_is_free(self, a: Floats, b: Floats) -> bool:
+        """Whether nothing touches on a straight move, its ends of shape (n,) included.
+
+        Two places of it are checked if points of the robot move by more than twice the
+        clearance between them, so that what keeps off at both touches nothing between.
+        """
+        clearance = float(self.clearances.max(initial=0.0))
+        moved = float(np.abs(b - a) @ self.reach)
+        count = 1 + max(1, int(np.ceil(moved / max(2.0 * clearance, LEAST))))
+        places = np.linspace(a, b, count)
+        # A few places far apart first: most moves that are blocked are so for long.
+        return all(self.free(places[k::7]).all() for k in range(7))
+
+    @cached_property
     def reach(self) -> Floats:
         """How far points of the robot move at most by each joint, shape (n,).
 
         A bound by the lengths of all links beyond [m/rad, 1 for prismatic joints].
         """
-        return np.array([self._reach(joint) for joint in self._chain.joints])
+        chain = self._chain
+        ways = np.maximum(np.abs(chain.lower), np.abs(chain.upper))
+        travel = np.where(chain.revolute, 0.0, ways)
+        slides = dict(zip(chain.joints, travel.tolist(), strict=True))
+        longest = np.array([self._longest(name, slides) for name in chain.joints])
+        return np.where(chain.revolute, longest, 1.0)
 
-    def _reach(self, name: str) -> float:
-        model, joint = self._model, self._model.getJointId(name)
-        if not turns(model, name):
-            return 1.0
-        longest = 0.0
+    def _longest(self, name: str, slides: Mapping[str, float]) -> float:
+        """Longest way from a joint to a point that it moves, by lengths of links."""
+        model, longest = self._model, 0.0
+        joint = model.getJointId(name)
         for solid in self._meshes.geometryObjects:
             above = [*model.supports[solid.parentJoint]]
             if joint not in above:
                 continue
-            length = 0.0
-            for beyond in above[above.index(joint) + 1 :]:
-                length += float(
-                    np.linalg.norm(model.jointPlacements[beyond].translation)
-                )
-                if not turns(model, model.names[beyond]):
-                    index = model.idx_qs[beyond]
-                    ends = model.lowerPositionLimit, model.upperPositionLimit
-                    travel = max(abs(float(end[index])) for end in ends)
-                    length += travel if travel < WIDEST else FREE_TRAVEL
             shape = solid.geometry
             shape.computeLocalAABB()
             center = solid.placement.act(np.array(shape.aabb_center))
-            length += float(np.linalg.norm(center)) + float(shape.aabb_radius)
+            length = float(np.linalg.norm(center)) + float(shape.aabb_radius)
+            for beyond in above[above.index(joint) + 1 :]:
+                way = model.jointPlacements[beyond].translation
+                length += float(np.linalg.norm(way))
+                length += slides.get(model.names[beyond], 0.0)
             longest = max(longest, length)
         return longest
 

@@ -142,10 +142,6 @@ def advice(chain: Chain, missing: Sequence[str]) -> str:
     drives = drives_of(chain)
     if [*missing] == drives[: len(missing)] != drives and not chain.reversed.any():
         return f"; start behind them with --base {chain.robot.carried(missing[-1])}"
-    if len(missing) == 1:
-        (one,) = missing
-        follows = f"'joints: {{{one}: {{joint: {one}, coupled: {{OTHER: -1}}}}}}'"
-        return f"; if it follows others, add a column of zeros and {follows}"
     return ""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +11,6 @@ from calib_pin.kinematics.spatial import Floats
 
 SIDES = 32
 """Sides of a round surface."""
-
-EDGE = math.radians(35.0)
-"""Angle between triangles from which on their common edge looks sharp [rad]."""
 
 
 @dataclass(frozen=True)
@@ -58,33 +54,6 @@ def capsule(radius: float, length: float) -> Surface:
     ends = 0.5 * length * np.sign(angles.round(12))
     profile = np.column_stack([np.cos(angles), np.sin(angles)]) * radius
     return _revolved([(r, z + end) for (r, z), end in zip(profile, ends, strict=True)])
-
-
-def creased(surface: Surface) -> Surface:
-    """The same surface with vertices of its own for each smooth part.
-
-    A browser averages the normals of the triangles at a vertex, so that edges between
-    triangles that share theirs look round.
-    """
-    from scipy.sparse import coo_array  # Slow to import, and only the viewer's.
-    from scipy.sparse.csgraph import connected_components
-
-    corners, triangles = surface.vertices, surface.triangles
-    sides = np.diff(corners[triangles], axis=1)
-    normals = np.cross(sides[:, 0], sides[:, 1])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edge = ends[:, 0] * len(corners) + ends[:, 1]
-    order = np.argsort(edge, kind="stable")
-    owner, shared = order // 3, np.diff(edge[order]) == 0
-    first, second = owner[:-1][shared], owner[1:][shared]
-    flat = np.einsum("ij,ij->i", normals[first], normals[second]) > math.cos(EDGE)
-    links = (np.ones(flat.sum()), (first[flat], second[flat]))
-    count, part = connected_components(
-        coo_array(links, shape=(len(triangles), len(triangles))), directed=False
-    )
-    used, index = np.unique(triangles * count + part[:, None], return_inverse=True)
-    return Surface(corners[used // max(count, 1)], index.reshape(-1, 3))
 
 
 def simplified(surface: Surface, cell: float) -> Surface:

@@ -19,7 +19,6 @@ def shortest_turns(
     lower: Floats,
     upper: Floats,
     revolute: NDArray[np.bool_],
-    start: Floats | None = None,
 ) -> Floats:
     """The same positions in the turns in which the joints move least from row to row.
 
@@ -32,7 +31,6 @@ def shortest_turns(
         lower: Lower limits, shape (n,); minus infinity where there is none.
         upper: Upper limits, shape (n,); infinity where there is none.
         revolute: The joints of which whole turns move nothing, shape (n,).
-        start: Where the joints are before the first, shape (n,).
 
     Examples:
         >>> q = np.array([[1.0], [3.0], [-3.0]])
@@ -42,27 +40,23 @@ def shortest_turns(
     """
     result = np.array(q, float)
     for k in np.flatnonzero(revolute) if len(q) else ():
-        first = None if start is None else float(start[k])
         if np.isinf(lower[k]) or np.isinf(upper[k]):
-            ahead = [] if first is None else [first]
-            result[:, k] = np.unwrap([*ahead, *q[:, k]])[len(ahead) :]
+            result[:, k] = np.unwrap(q[:, k])
         else:
-            result[:, k] = _shortest(q[:, k], float(lower[k]), float(upper[k]), first)
+            result[:, k] = _shortest(q[:, k], float(lower[k]), float(upper[k]))
     return result
 
 
-def _shortest(q: Floats, lower: float, upper: float, start: float | None) -> Floats:
+def _shortest(q: Floats, lower: float, upper: float) -> Floats:
     """The turns of one joint with limits, shape (N,)."""
     most = int(np.ceil((upper - lower) / TURN))
     turns = np.arange(-most, most + 1)
     allowed = q[:, None] + TURN * turns
     # A position beyond its limits is left where it is.
     inside = (allowed >= lower) & (allowed <= upper) | (turns == 0)
-    if (inside.sum(axis=1) == 1).all():
-        return q
     at = np.where(inside, allowed, np.inf)
     cost = PREFERENCE * np.abs(at - 0.5 * (lower + upper))
-    total = cost[0] if start is None else cost[0] + np.abs(at[0] - start)
+    total = cost[0]
     best = np.empty(at.shape, np.intp)
     for row in range(1, len(q)):
         # From the turns along the first axis to those along the second.

@@ -62,11 +62,12 @@ class PoseLinearization:
     fading: Fading | None = None
 
     def joint_twists(self) -> Floats:
-        """Body twists of the tool by the joint positions, shape (N, 6, n)."""
+        """Body twists of the tool by the joint positions, shape (N, 6, n).
+
+        They are those of the whole learned correction where it fades.
+        """
         if self.fading is not None:
-            of_plain, of_whole, whole = self.fading
-            plain = replace(self, fading=None).joint_twists()
-            return np.asarray(of_plain @ plain + of_whole @ whole.joint_twists())
+            return self.fading.whole.joint_twists()
         blocks = self.regressor.reshape(len(self.T), 6, len(self.axes), 6)
         at_tip = np.einsum("nakb,kb->nak", blocks, self.axes)
         behind = self.to_tip if self.learned is None else self.to_tip @ self.learned

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -29,14 +29,8 @@ SAMPLES = 200
 """Configurations that the usual torques are taken from."""
 
 
-class Loading(Protocol):
-    """Loads of a payload and gravity at configurations, shape (N, n) -> (N, ...)."""
-
-    def __call__(
-        self, q: Floats, gravity: Sequence[float], payload: Payload | None
-    ) -> Floats:
-        """The loads."""
-        ...
+Loading = Callable[..., Floats]
+"""Loads of configurations (N, n) by gravity and a payload, shape (N, ...)."""
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
@@ -19,7 +18,7 @@ from calib_pin.parameterizations.base import (
     Screw,
     owner,
 )
-from calib_pin.parameters import Parameter, by_joint
+from calib_pin.parameters import Parameter
 from calib_pin.setup import Setup
 
 EXPANSION = 2e-5
@@ -45,55 +44,36 @@ class _Growth(Parameterization):
 
     The joint moves along the nominal way from the joint before it, by the length of
     that way times the growth times a function of the conditions; so does the tip, named
-    after the fixed joint that carries it. Links of one material share its growth,
-    `<material>.<kind>.growth`. The prior is as wide as the expected size.
+    after the fixed joint that carries it. The prior is as wide as the expected size.
 
     Attributes:
-        materials: Names or globs of joints by the name of a material.
+        function: Function of the conditions that the growth is multiplied by.
         unit: Unit of the growth.
         size: Its expected size.
     """
 
-    materials: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    function: BasisFunctions
     geometric = False
     requires = ("thermal",)
     unit: ClassVar[str]
     size: ClassVar[float]
 
-    @property
-    @abstractmethod
-    def function(self) -> BasisFunctions:
-        """Function of the conditions that the growth is multiplied by."""
-
     def screws(self, chain: Chain) -> Sequence[Screw]:
-        """A screw along the way to every joint and to the tip, per unit of growth.
-
-        Raises:
-            OptionError: If a material belongs to no joint of the robot.
-        """
-        robot = chain.robot
-        joints = [*list(robot.model.names)[1:], *robot.fixed_parents.values()]
-        owners = self._owners(joints)
-        functions = self.function
+        """A screw along the way to every joint and to the tip, per unit of growth."""
         return [
             Screw(
                 Parameter(
-                    f"{owners.get(joint, owner(joint))}.{self.kind}.growth",
+                    f"{owner(joint)}.{self.kind}.growth",
                     self.unit,
                     self.size,
                     prior=self.size,
                 ),
                 frame,
                 np.concatenate([way, np.zeros(3)]),
-                BasisFunction(functions, 0),
+                BasisFunction(self.function, 0),
             )
             for frame, joint, way in _ways(chain)
         ]
-
-    def _owners(self, joints: Sequence[str]) -> dict[str, str]:
-        """Material by joint; later entries win."""
-        stated = [(p, owner(m)) for m, of in self.materials.items() for p in of]
-        return by_joint(stated, joints, "thermal.materials")
 
 
 @dataclass(frozen=True)
@@ -101,12 +81,8 @@ class ThermalGrowth(_Growth):
     """`<joint>.thermal.growth`: growth by `temperature - reference`, see `_Growth`.
 
     No material grows ten times as much as expected.
-
-    Attributes:
-        reference: Temperature at which the geometry holds [degC].
     """
 
-    reference: float = REFERENCE
     name = "thermal"
     conditions: ClassVar[tuple[str, ...]] = ("temperature",)
     unit: ClassVar[str] = "1/K"
@@ -116,12 +92,7 @@ class ThermalGrowth(_Growth):
     def of_setup(cls, setup: Setup) -> Self:
         """The growth from the reference temperature of a setup."""
         stated = setup.thermal.reference
-        return cls(setup.thermal.materials, REFERENCE if stated is None else stated)
-
-    @property
-    def function(self) -> BasisFunctions:
-        """Temperature from the reference on [K]."""
-        return _Warmth(self.reference)
+        return cls(_Warmth(REFERENCE if stated is None else stated))
 
 
 @dataclass(frozen=True)
@@ -132,14 +103,8 @@ class WarmUp(_Growth):
     of the length that it has when it is warm. The geometry, and so the URDF, is that of
     the warm robot, as it is where no time is stated. To take another time for t0 only
     scales the growth.
-
-    Attributes:
-        since: Times at which the robot was switched on, ascending [s].
-        time: Time constant T [s].
     """
 
-    since: tuple[float, ...] = (0.0,)
-    time: float = WARM_UP
     name = "warm-up"
     conditions: ClassVar[tuple[str, ...]] = ("time",)
     unit: ClassVar[str] = "1"
@@ -148,14 +113,8 @@ class WarmUp(_Growth):
     @classmethod
     def of_setup(cls, setup: Setup) -> Self:
         """The growth since the times of a setup."""
-        thermal = setup.thermal
-        since = tuple(sorted(thermal.switched_on)) or cls.since
-        return cls(thermal.materials, since, thermal.warm_up_time or cls.time)
-
-    @property
-    def function(self) -> BasisFunctions:
-        """The lack of final length by the growth: -1 when it is cold."""
-        return _Coldness(self.since, self.time)
+        since = tuple(sorted(setup.thermal.switched_on)) or (0.0,)
+        return cls(_Coldness(since, setup.thermal.warm_up_time or WARM_UP))
 
 
 def _ways(chain: Chain) -> Iterator[tuple[int, str, Floats]]:
@@ -177,7 +136,11 @@ def _ways(chain: Chain) -> Iterator[tuple[int, str, Floats]]:
 
 @dataclass(frozen=True)
 class _Warmth:
-    """The temperature from a reference on; zero where it is not stated."""
+    """The temperature from a reference on [K]; zero where it is not stated.
+
+    Attributes:
+        reference: Temperature at which the geometry holds [degC].
+    """
 
     reference: float
 
@@ -189,7 +152,12 @@ class _Warmth:
 
 @dataclass(frozen=True)
 class _Coldness:
-    """Minus one when a robot was switched on, and later zero; zero without a time."""
+    """Minus one when a robot was switched on, and later zero; zero without a time.
+
+    Attributes:
+        since: Times at which it was switched on, ascending [s].
+        constant: Time constant T [s].
+    """
 
     since: tuple[float, ...]
     constant: float

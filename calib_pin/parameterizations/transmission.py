@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -63,14 +62,20 @@ class Transmission(Parameterization):
         """Transmission errors with the gear ratios of a setup."""
         return cls(setup.gear_ratios)
 
-    def _waves(self, unit: str, ratio: float | None) -> Iterator[tuple[str, float]]:
-        """Names with a place for `sin` and `cos`, and frequencies of the waves."""
+    def _waves(self, drive: Drive, ratio: float | None) -> Iterator[_Wave]:
+        """Gain and waves of a drive, whose motor has a gear of a ratio or of none."""
+        unit = drive.unit
+        if self.of_joint:
+            yield _Wave(drive, "gain", f"{unit}/{unit}", GAIN_SCALE)
+        named = list[tuple[str, float]]()
         if unit == "rad" and self.of_joint:
-            for k in range(1, HARMONICS + 1):
-                yield f"{{}}{k}", float(k)
+            named += [(f"{{}}{k}", float(k)) for k in range(1, HARMONICS + 1)]
         if ratio is not None:
-            yield "motor_{}", ratio
-            yield "motor_{}2", 2.0 * ratio
+            named += [("motor_{}", ratio), ("motor_{}2", 2.0 * ratio)]
+        scale = AMPLITUDE_SCALES[unit]
+        for name, frequency in named:
+            for wave, phase in (("sin", 0.0), ("cos", np.pi / 2.0)):
+                yield _Wave(drive, name.format(wave), unit, scale, frequency, phase)
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """Screws along every joint's own motion, as large as its position says.
@@ -80,33 +85,18 @@ class Transmission(Parameterization):
         """
         joints = list(chain.robot.model.names)[1:]
         ratios = by_joint(self.gear_ratios.items(), joints, "gear_ratios")
-        parts: list[tuple[Drive, str, str, float, float, float]] = []
+        waves = list[_Wave]()
         for drive in drives(chain):
-            unit = drive.unit
-            if self.of_joint:
-                parts.append((drive, "gain", f"{unit}/{unit}", GAIN_SCALE, 0.0, 0.0))
-            for name, frequency in self._waves(unit, ratios.get(drive.joint)):
-                for wave, phase in (("sin", 0.0), ("cos", np.pi / 2.0)):
-                    component = name.format(wave)
-                    scale = AMPLITUDE_SCALES[unit]
-                    parts.append((drive, component, unit, scale, frequency, phase))
-        if not parts:
-            return []
-        functions = _Waves(
-            joint=np.array([part[0].frame - 1 for part in parts], np.intp),
-            factor=np.array([part[0].factor for part in parts]),
-            offset=np.array([part[0].offset for part in parts]),
-            frequency=np.array([part[4] for part in parts]),
-            phase=np.array([part[5] for part in parts]),
-        )
+            waves += self._waves(drive, ratios.get(drive.joint))
+        functions = _Waves(tuple(waves))
         return [
             Screw(
-                self.parameter(drive.joint, component, unit, scale),
-                drive.frame,
-                drive.motion,
+                self.parameter(one.drive.joint, one.component, one.unit, one.scale),
+                one.drive.frame,
+                one.drive.motion,
                 BasisFunction(functions, column),
             )
-            for column, (drive, component, unit, scale, _, _) in enumerate(parts)
+            for column, one in enumerate(waves)
         ]
 
 
@@ -124,24 +114,32 @@ class MotorRipple(Transmission):
     effects: ClassVar[Effects | None] = None
 
 
+class _Wave(NamedTuple):
+    """A component of a drive: `sin(frequency q + phase)`, or q where that is 0."""
+
+    drive: Drive
+    component: str
+    unit: str
+    scale: float
+    frequency: float = 0.0
+    phase: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """`factor sin(frequency q + phase)` of one drive each; q where the frequency is 0.
+    """Components of drives at positions q, by the factors of the joints that they move.
 
-    The joint that the drive moves stands at `factor q + offset`.
+    The joint that a drive moves stands at `factor q + offset`.
     """
 
-    joint: NDArray[np.intp]
-    factor: Floats
-    offset: Floats
-    frequency: Floats
-    phase: Floats
+    waves: tuple[_Wave, ...]
 
     def __call__(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
-        result = np.empty((len(self.joint), len(q)))
-        for k, (joint, factor) in enumerate(zip(self.joint, self.factor, strict=True)):
-            of_drive = (q[:, joint] - self.offset[k]) / factor
-            if self.frequency[k] != 0.0:
-                np.sin(self.frequency[k] * of_drive + self.phase[k], out=of_drive)
-            np.multiply(factor, of_drive, out=result[k])
+        result = np.empty((len(self.waves), len(q)))
+        for row, one in zip(result, self.waves, strict=True):
+            drive = one.drive
+            of_drive = (q[:, drive.frame - 1] - drive.offset) / drive.factor
+            if one.frequency != 0.0:
+                np.sin(one.frequency * of_drive + one.phase, out=of_drive)
+            np.multiply(drive.factor, of_drive, out=row)
         return result.T

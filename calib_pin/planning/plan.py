@@ -41,7 +41,6 @@ from calib_pin.planning.workspace import (
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates, robot_errors
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate, Printed
-from calib_pin.workers import SERIAL, Workers
 
 CRITERION_NAMES = (*CRITERIA, "prediction")
 """Names of all criteria."""
@@ -147,11 +146,9 @@ def plan(
     measured: Measurements | Observations | None = None,
     collisions: Collisions | None = None,
     candidates: int = 1000,
-    distance: float = 0.0,
     tests: Floats | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-    workers: Workers = SERIAL,
 ) -> Plan:
     """Plan which configurations to measure.
 
@@ -168,16 +165,12 @@ def plan(
             the frames that they show.
         collisions: Collisions to avoid.
         candidates: Number of quasi-random configurations to choose from.
-        distance: Least distance between configurations: the largest difference of a
-            joint [rad, m].
         tests: Configurations at which the tip is to be accurate, shape (N, n)
             [rad, m]; default candidates from all of the workspace. Of several chains
             the mean counts.
         seed: Random seed.
         progress: Told the stage and the part of it that is done, 0 to 1; returns True
             to stop with the best set so far.
-        workers: Who tries and scores candidates, and descends along the gradient; the
-            plan does not depend on it.
 
     Raises:
         OptionError: If a name does not exist, or the request cannot be met: limits
@@ -209,12 +202,11 @@ def plan(
         for key, term in problem.terms.items()
         if term.frames.tool in assumed
     }
-    workspace = Workspace.create(
-        problem, collisions, distance, Aims.of(problem, keys), points
-    )
+    aims = Aims.of(problem, keys)
+    workspace = Workspace.create(problem, collisions, aims, points)
     # However few are to choose from, all that may be measured shows the structure.
     wanted = max(candidates, count, SAMPLES)
-    spread = workspace.candidates(wanted, rng, progress, count, workers)
+    spread = workspace.candidates(wanted, rng, progress, count)
     spread.require(count)
     # A part of an even spread is one too.
     first = slice(max(candidates, count))
@@ -231,7 +223,6 @@ def plan(
         rng,
         progress,
         measured=0 if data is None else len(data),
-        workers=workers,
     )
     best = search.run(method)
     return _finished(search, best, structure, at, data)
@@ -260,8 +251,8 @@ def _finished(
     q, aim, closed = visits(workspace, rows, best.q, best.aim, start)
     q = _rounded(workspace, q, aim)
 
-    assert workspace.allowed(q, aim).all(), "methods only end in allowed sets"
-    information = search.objective.information(rows.rows(q, aim))
+    assert workspace.inside(q, aim).all(), "methods only end in allowed sets"
+    information = search.information(rows.rows(q, aim))
     assert information is not None, "the search only ends in sets that determine all"
     rng = np.random.default_rng(0)  # A generator that nothing shares.
     size, count = len(search.candidates.q), search.count
@@ -293,12 +284,10 @@ def _finished(
 
 
 def _rounded(workspace: Workspace, q: Floats, aim: Indices) -> Floats:
-    """Positions as people write them, where that leaves a set allowed."""
+    """Positions as people write them, where these are allowed."""
     tidy = np.clip(np.round(q * TIDY) / TIDY, workspace.lower, workspace.upper)
     tidy = workspace.settled(tidy, aim)
-    if workspace.distance == 0.0:
-        return np.where(workspace.inside(tidy, aim)[:, None], tidy, q)
-    return tidy if workspace.allowed(tidy, aim).all() else q
+    return np.where(workspace.inside(tidy, aim)[:, None], tidy, q)
 
 
 def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
@@ -314,7 +303,7 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
     subset = search.selection(members, table)
 
     def step() -> Step:
-        found = search.objective.information(table[subset.chosen])
+        found = search.information(table[subset.chosen])
         position = np.inf if found is None else tip.value(found, len(subset.chosen))
         return Step(len(subset.chosen), subset.value, position)
 

@@ -29,7 +29,6 @@ from calib_pin.solvers import (
     particle_swarm,
     projected_descent,
 )
-from calib_pin.workers import SERIAL, Workers
 
 Progress = Callable[[str, float], bool | None]
 """Told the stage and the part that is done, 0 to 1; True stops the search."""
@@ -75,81 +74,6 @@ class Found:
     status: Status
 
 
-@dataclass(frozen=True)
-class Objective:
-    """A criterion of sets of configurations that may be measured.
-
-    Attributes:
-        rows: The rows of a configuration.
-        workspace: The constraints of configurations.
-        criterion: Criterion to minimize.
-        known: Information that is there already, shape (m, m).
-    """
-
-    rows: IdentificationRows
-    workspace: Workspace
-    criterion: Criterion
-    known: Floats
-
-    def information(self, rows: Floats) -> Information | None:
-        """Information of rows (..., m) together with what is known."""
-        U = rows.reshape(-1, rows.shape[-1])
-        return Information.of(self.known + U.T @ U, self.rows.nuisances)
-
-    def cost(self, rows: Floats) -> float:
-        """Cost of rows (..., m); infinite where they do not determine everything."""
-        found = self.information(rows)
-        return np.inf if found is None else self.criterion.cost(found)
-
-    def descended(
-        self, sharpnesses: Sequence[float], limits: tuple[float, int], start: Found
-    ) -> Found:
-        """The best end of descents with a sharper and sharper cost.
-
-        Each begins where the one before ended.
-
-        Args:
-            sharpnesses: Those of the cost.
-            limits: Tolerance and steps of each descent.
-            start: Set to go down from.
-        """
-        best, q, aim = start, start.q, start.aim
-        settled = partial(self.workspace.settled, aim=aim)
-
-        def smooth(sharpness: float, q: Floats) -> tuple[float, Floats]:
-            rows, pullback = self.rows.linearize(settled(q), aim)
-            found = self.information(rows)
-            if found is None:
-                return np.inf, np.zeros_like(q)
-            cost, by_M = self.criterion.slope(found, sharpness)
-            return cost, pullback(2.0 * rows @ by_M)
-
-        for sharpness in sharpnesses:
-            result = projected_descent(
-                partial(smooth, sharpness),
-                self.workspace.bounds,
-                q,
-                allowed=lambda q: self.workspace.allowed(settled(q), aim),
-                tolerance=limits[0],
-                max_iterations=limits[1],
-            )
-            q = settled(result.x)
-            # Points that were held up may have come too close to others that moved.
-            if not self.workspace.allowed(q, aim).all():
-                break
-            cost = self.cost(self.rows.rows(q, aim))
-            if cost < best.cost:
-                best = Found(q, aim, cost, "gradient", result.status)
-        return best
-
-
-Task = tuple[Sequence[float], tuple[float, int], Found]
-
-
-def _descend(objective: Objective, task: Task) -> Found:
-    return objective.descended(*task)
-
-
 @dataclass(eq=False)
 class Search:
     """A search for the best set of configurations.
@@ -165,7 +89,6 @@ class Search:
         progress: Told how far the search is; may stop it.
         starts: Most random sets from which the gradient method starts.
         measured: Number of measurements that the known information comes from.
-        workers: Who descends.
         stopped: Whether the search was asked to stop.
 
     Raises:
@@ -182,17 +105,11 @@ class Search:
     progress: Progress | None = None
     starts: int = STARTS
     measured: int = 0
-    workers: Workers = SERIAL
     stopped: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         """Check that there are enough candidates."""
         self.candidates.require(self.count)
-
-    @cached_property
-    def objective(self) -> Objective:
-        """The criterion of sets, as descents need it."""
-        return Objective(self.rows, self.workspace, self.criterion, self.known)
 
     @cached_property
     def table(self) -> Floats:
@@ -211,6 +128,16 @@ class Search:
         found = METHODS[method](self)
         return replace(found, status=Status.STOPPED) if self.stopped else found
 
+    def information(self, rows: Floats) -> Information | None:
+        """Information of rows (..., m) together with what is known."""
+        U = rows.reshape(-1, rows.shape[-1])
+        return Information.of(self.known + U.T @ U, self.rows.nuisances)
+
+    def _cost(self, rows: Floats) -> float:
+        """Cost of rows (..., m); infinite where they do not determine everything."""
+        found = self.information(rows)
+        return np.inf if found is None else self.criterion.cost(found)
+
     def selection(
         self, chosen: Sequence[int] | Indices = (), table: Floats | None = None
     ) -> Selection:
@@ -226,7 +153,7 @@ class Search:
     def by_exchange(self) -> Found:
         """DETMAX, from what is best greedily or by its determinant."""
         starts = self._greedy("start"), self._determined
-        start = min(starts, key=lambda some: self.objective.cost(self.table[[*some]]))
+        start = min(starts, key=lambda some: self._cost(self.table[[*some]]))
         result = exchange(
             self.selection(start),
             lambda steps, cost: self.told("exchange", steps / (steps + 200.0)),
@@ -237,7 +164,7 @@ class Search:
         """A genetic algorithm over subsets of the candidates (case B)."""
 
         def costs(subsets: NDArray[np.intp]) -> Floats:
-            return np.array([self.objective.cost(self.table[one]) for one in subsets])
+            return np.array([self._cost(self.table[one]) for one in subsets])
 
         result = genetic_selection(
             costs,
@@ -305,21 +232,64 @@ class Search:
             for _ in range(min(self.starts, max(1, most)))
         ]
         sets = [one for one in (best, *drawn) if np.isfinite(one.cost)]
-        explored = self._descents([(stages[:1], EXPLORING, one) for one in sets], 0.0)
+        explored = self._descents(sets, stages[:1], EXPLORING, 0.0)
         explored.sort(key=lambda one: one.cost)
-        tasks = [(stages, REFINING, one) for one in explored[:FINALISTS]]
-        refined = self._descents(tasks, 0.5)
+        refined = self._descents(explored[:FINALISTS], stages, REFINING, 0.5)
         return min([best, *explored, *refined], key=lambda one: one.cost)
 
-    def _descents(self, tasks: Sequence[Task], begin: float) -> list[Found]:
+    def _descents(
+        self,
+        starts: Sequence[Found],
+        sharpnesses: Sequence[float],
+        limits: tuple[float, int],
+        begin: float,
+    ) -> list[Found]:
         """Ends of descents, of those that are done when the search is stopped."""
         found = list[Found]()
-        if not self.stopped:
-            for one in self.workers.map(_descend, self.objective, tasks):
-                found.append(one)
-                if self.told("gradient", begin + 0.5 * len(found) / len(tasks)):
-                    break
+        for start in starts:
+            if self.stopped:
+                break
+            found.append(self._down(start, sharpnesses, limits))
+            self.told("gradient", begin + 0.5 * len(found) / len(starts))
         return found
+
+    def _down(
+        self, start: Found, sharpnesses: Sequence[float], limits: tuple[float, int]
+    ) -> Found:
+        """The best end of descents with a sharper and sharper cost.
+
+        Each begins where the one before ended.
+
+        Args:
+            start: Set to go down from.
+            sharpnesses: Those of the cost.
+            limits: Tolerance and steps of each descent.
+        """
+        best, q, aim = start, start.q, start.aim
+        settled = partial(self.workspace.settled, aim=aim)
+
+        def smooth(sharpness: float, q: Floats) -> tuple[float, Floats]:
+            rows, pullback = self.rows.linearize(settled(q), aim)
+            found = self.information(rows)
+            if found is None:
+                return np.inf, np.zeros_like(q)
+            cost, by_M = self.criterion.slope(found, sharpness)
+            return cost, pullback(2.0 * rows @ by_M)
+
+        for sharpness in sharpnesses:
+            result = projected_descent(
+                partial(smooth, sharpness),
+                self.workspace.bounds,
+                q,
+                allowed=lambda q: self.workspace.inside(settled(q), aim),
+                tolerance=limits[0],
+                max_iterations=limits[1],
+            )
+            q = settled(result.x)
+            cost = self._cost(self.rows.rows(q, aim))
+            if cost < best.cost:
+                best = Found(q, aim, cost, "gradient", result.status)
+        return best
 
     def _greedy(self, stage: str) -> tuple[int, ...]:
         """The set that grows by the best candidate; where stopped, `_determined`."""
@@ -376,14 +346,13 @@ class Search:
         aims = np.tile(aim, size)
         sets = self.workspace.settled(sets.reshape(-1, n), aims).reshape(sets.shape)
         bad = ~self.workspace.inside(sets.reshape(-1, n), aims).reshape(size, count)
-        bad |= ~np.array([self.workspace.apart(q) for q in sets])
         # The fewer are forbidden the better, however bad the set is otherwise.
         costs = FORBIDDEN + bad.sum(axis=1, dtype=float)
         good = np.flatnonzero(~bad.any(axis=1))
         if len(good):
             rows = self.rows.rows(sets[good].reshape(-1, n), np.tile(aim, len(good)))
             rows = rows.reshape(len(good), -1, rows.shape[2])
-            costs[good] = [self.objective.cost(member) for member in rows]
+            costs[good] = [self._cost(member) for member in rows]
         return np.asarray(costs)
 
     def _of(
@@ -394,7 +363,7 @@ class Search:
     ) -> Found:
         at = list(chosen)
         q, aim = self.candidates.q[at], self.candidates.aim[at]
-        return Found(q, aim, self.objective.cost(self.table[at]), method, status)
+        return Found(q, aim, self._cost(self.table[at]), method, status)
 
     def told(self, stage: str, part: float) -> bool:
         """Tell the progress; whether the search is to stop."""

@@ -1,33 +1,24 @@
-"""The visit of planned configurations: their order, turns of joints, ways between.
+"""The visit of planned configurations: their order, and the turns of joints.
 
 The order is an open traveling-salesman path by nearest neighbors and 2-opt (Croes
 1958), where the way between two configurations is the largest joint movement, which
 sets the time. A move that is blocked counts as very long; whether one is blocked is
 asked only for moves of the path that stands, because asking is expensive.
-
-A way on which the robot touches nothing is the straight one in joint space where that
-is free; else rapidly-exploring random trees
-from both ends (RRT-Connect, Kuffner and LaValle, ICRA 2000) first near the straight way
-and then farther around it, whose way is then made shorter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.kinematics.turns import TURN, shortest_turns
+from calib_pin.kinematics.turns import TURN
 from calib_pin.observations import Indices
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.workspace import Workspace
-from calib_pin.progress import Progress
 
 ROUNDS = 30
 """Times that a path with blocked moves is improved anew."""
@@ -49,10 +40,10 @@ def visits(
     aim: Indices,
     start: Floats | None,
 ) -> tuple[Floats, Indices, tuple[int, ...]]:
-    """Configurations in the order and in the turns of short travel.
+    """Configurations in an order of short travel, joints in their middle turn.
 
-    A joint stands in another turn only where nothing that is estimated depends on it:
-    a gear's gain does.
+    Joints are turned only where nothing that is estimated depends on it: a gear's gain
+    does.
 
     Args:
         workspace: The configurations that may be measured.
@@ -65,25 +56,20 @@ def visits(
         Configurations and aims in the order of visits, and the places in it to which
         the straight move is blocked.
     """
-    chains, lower, upper = workspace.problem.chains, workspace.lower, workspace.upper
+    chains, collisions = workspace.problem.chains, workspace.collisions
     blocked: Callable[[Floats, Floats], bool] | None = None
-    if workspace.collisions is not None:
-        ways = Ways(chains, workspace.collisions, lower, upper)
+    if collisions is not None:
 
         def blocked(a: Floats, b: Floats) -> bool:
-            return not ways.is_free(a, b)
+            return not collisions.move_is_free(a, b)
 
     # Joints that others do not follow, and that follow none.
     tied = {*chains.mimics, *(mimic.leader for mimic in chains.mimics.values())}
     free = chains.revolute & [name not in tied for name in chains.joints]
-
-    def allowed(turned: Floats, q: Floats, aim: Indices) -> bool:
-        same = np.array_equal(turned, q) or _same(rows, turned, q, aim)
-        return same and bool(workspace.allowed(turned, aim).all())
-
-    middle = 0.5 * (lower + upper)
+    middle = 0.5 * (workspace.lower + workspace.upper)
     turned = q - np.where(free, np.round((q - middle) / TURN), 0.0) * TURN
-    q = turned if allowed(turned, q, aim) else q
+    if _same(rows, turned, q, aim) and workspace.inside(turned, aim).all():
+        q = turned
     # A tool is mounted and an instrument placed only once.
     places: dict[tuple[str, ...], list[int]] = {}
     for k, one in enumerate(aim):
@@ -94,15 +80,7 @@ def visits(
         closed += tuple(len(order) + place for place in shut)
         order = np.concatenate([order, members[found]])
         ahead = q[order[-1]]
-    q, aim = q[order], aim[order]
-    turned = shortest_turns(q, lower, upper, free, start)
-    if not np.array_equal(turned, q) and allowed(turned, q, aim):
-        way = turned if start is None else np.concatenate([start[None], turned])
-        moves = enumerate(pairwise(way), 1 if start is None else 0)
-        shut = tuple(k for k, (a, b) in moves if blocked is not None and blocked(a, b))
-        if len(shut) <= len(closed):
-            q, closed = turned, shut
-    return q, aim, closed
+    return q[order], aim[order], closed
 
 
 def _same(rows: IdentificationRows, a: Floats, b: Floats, aim: Indices) -> bool:
@@ -190,239 +168,3 @@ def _improved(path: list[int], way: Floats, fixed: int) -> list[int]:
                 tour[i : j[k] + 1] = tour[i : j[k] + 1][::-1].copy()
                 improved = True
     return [int(place) for place in tour[1:-1]]
-
-
-VIA = -1
-"""Row of a configuration that only leads around something."""
-
-
-@dataclass(frozen=True)
-class WayOptions:
-    """Sizes of a search.
-
-    Attributes:
-        checks: Most configurations that are looked at for one way: a few seconds.
-        branch: Longest new branch, as the motion of the robot's points [m].
-        near: How far around the straight way the first samples are [rad, m].
-        growth: Samples after which they are as far again.
-        shortcuts: Tries to make a way shorter.
-        least: Least motion of points between two places that are checked [m].
-    """
-
-    checks: int = 10_000
-    branch: float = 0.3
-    near: float = 0.5
-    growth: int = 40
-    shortcuts: int = 40
-    least: float = 0.01
-
-
-OPTIONS = WayOptions()
-"""The default options."""
-
-
-@dataclass(frozen=True)
-class Passage:
-    """A motion through configurations.
-
-    Attributes:
-        q: All its configurations, shape (M, n) [rad, m].
-        row: Which of those that it goes through each is, `VIA` for others, shape (M,).
-        blocked: The rows to which no free way was found; the straight one stays.
-    """
-
-    q: Floats
-    row: Indices
-    blocked: tuple[int, ...]
-
-    @staticmethod
-    def straight(q: Floats) -> Passage:
-        """The straight ways through configurations, shape (N, n)."""
-        return Passage(q, np.arange(len(q)), ())
-
-    def of(self, rows: Indices) -> Indices:
-        """The same for rows that are a choice of others, shape (N,) -> (M,)."""
-        return np.where(self.row == VIA, VIA, rows[self.row])
-
-    @property
-    def vias(self) -> int:
-        """Number of configurations that only lead around something."""
-        return int((self.row == VIA).sum())
-
-
-@dataclass(frozen=True)
-class Ways:
-    """Ways of a robot on which it touches nothing.
-
-    Two places of a way are checked if the points of the robot move by more than twice
-    the clearance between them, so that what keeps off at both touches nothing between.
-
-    Attributes:
-        chains: The joints.
-        collisions: Collisions to avoid.
-        lower: Lower limits, shape (n,) [rad, m].
-        upper: Upper limits, shape (n,) [rad, m].
-    """
-
-    chains: Chains
-    collisions: Collisions
-    lower: Floats
-    upper: Floats
-
-    def is_free(self, a: Floats, b: Floats) -> bool:
-        """Whether nothing touches on the straight way, ends of shape (n,) included."""
-        places = self.places(a, b)
-        # A few places far apart first: most ways that are blocked are so for long.
-        return all(self.collisions.free(places[k::7]).all() for k in range(7))
-
-    def places(self, a: Floats, b: Floats) -> Floats:
-        """Places of the straight way that are checked, shape (P, n)."""
-        clearance = float(self.collisions.clearances.max(initial=0.0))
-        moved = float(np.abs(b - a) @ self.collisions.reach)
-        step = max(2.0 * clearance, OPTIONS.least)
-        return np.linspace(a, b, 1 + max(1, int(np.ceil(moved / step))))
-
-    def through(
-        self,
-        q: Floats,
-        rng: np.random.Generator | None,
-        progress: Progress | None = None,
-    ) -> Passage:
-        """A motion through configurations in their order.
-
-        Args:
-            q: The configurations, shape (N, n) [rad, m].
-            rng: Source of chance; every way has its own. None where the straight ways
-                must not be changed.
-            progress: Told the part that is done, 0 to 1.
-        """
-        parts, rows, blocked = [q[:1]], [np.arange(len(q[:1]))], []
-        ways = max(len(q) - 1, 0)
-        for k, own in enumerate(rng.spawn(ways) if rng else [None] * ways, 1):
-            if progress is not None:
-                progress(k / len(q))
-            around = self.around(q[k - 1], q[k], own)
-            if around is None:
-                blocked.append(k)
-                around = q[:0]
-            parts += [around, q[k : k + 1]]
-            rows += [np.full(len(around), VIA), np.array([k])]
-        return Passage(np.concatenate(parts), np.concatenate(rows), tuple(blocked))
-
-    def around(
-        self, a: Floats, b: Floats, rng: np.random.Generator | None
-    ) -> Floats | None:
-        """Configurations between two, by which straight ways are free.
-
-        Args:
-            a: The first, shape (n,) [rad, m].
-            b: The last, shape (n,) [rad, m].
-            rng: Source of chance; None to look for no other way.
-
-        Returns:
-            The configurations, shape (V, n), none where the straight way is free; None
-            if no way was found.
-        """
-        if self.is_free(a, b):
-            return np.empty((0, len(a)))
-        if rng is None or not self.collisions.free(np.array([a, b])).all():
-            return None
-        path = _connected(self, a, b, rng)
-        return None if path is None else self._shorter(path, rng)[1:-1]
-
-    def _shorter(self, path: Floats, rng: np.random.Generator) -> Floats:
-        """A way with fewer and nearer configurations, shape (M, n)."""
-        path = self._pruned(path)
-        for _ in range(OPTIONS.shortcuts):
-            (i, j), (s, t) = np.sort(rng.integers(0, len(path) - 1, 2)), rng.random(2)
-            first = path[i] + s * (path[i + 1] - path[i])
-            last = path[j] + t * (path[j + 1] - path[j])
-            if i != j and self.is_free(first, last):
-                path = np.concatenate([path[: i + 1], [first, last], path[j + 1 :]])
-        return self._pruned(path)
-
-    def _pruned(self, path: Floats) -> Floats:
-        """The way without configurations that can be left out."""
-        kept = [0]
-        while kept[-1] < len(path) - 1:
-            last = kept[-1]
-            farther = range(len(path) - 1, last + 1, -1)
-            straight = (k for k in farther if self.is_free(path[last], path[k]))
-            kept.append(next(straight, last + 1))
-        return path[kept]
-
-
-def _connected(
-    ways: Ways, a: Floats, b: Floats, rng: np.random.Generator
-) -> Floats | None:
-    """A way by two trees that grow towards each other, shape (M, n), or none."""
-    tree, other = _Tree(ways, a), _Tree(ways, b)
-    drawn = 0
-    while tree.checks + other.checks < OPTIONS.checks:
-        drawn += 1
-        # Around the straight way, the farther the later.
-        around = min(OPTIONS.near * (1.0 + drawn / OPTIONS.growth), np.pi)
-        low, high = np.minimum(a, b), np.maximum(a, b)
-        low = np.minimum(low, np.maximum(ways.lower, low - around))
-        high = np.maximum(high, np.minimum(ways.upper, high + around))
-        sample = ways.chains.follow(rng.uniform(low, high)[None])[0]
-        last, _ = tree.grow(sample, OPTIONS.branch)
-        if last is not None:
-            end, met = other.grow(tree.nodes[last], np.inf)
-            if met and end is not None:
-                way = [*tree.branch(last)[::-1], *other.branch(end)[1:]]
-                return np.array(way if tree.nodes[0] is a else way[::-1])
-        tree, other = other, tree
-    return None
-
-
-class _Tree:
-    """A tree of free configurations.
-
-    Args:
-        ways: What is free.
-        root: Its first configuration, shape (n,).
-
-    Attributes:
-        nodes: Its configurations.
-        checks: Number of configurations that were looked at.
-    """
-
-    def __init__(self, ways: Ways, root: Floats) -> None:
-        self.nodes, self.checks = [root], 0
-        self._ways, self._parents = ways, [0]
-
-    def grow(self, target: Floats, longest: float) -> tuple[int | None, bool]:
-        """Grow a branch towards a configuration.
-
-        Returns:
-            The last new node, none if there is none, or the node that is there already;
-            and whether it is the target.
-        """
-        away = np.abs(np.array(self.nodes) - target) @ self._ways.collisions.reach
-        at = int(away.argmin())
-        if away[at] == 0.0:
-            return at, True
-        whole = min(1.0, longest / float(away[at]))
-        parts = max(1, int(np.ceil(whole * float(away[at]) / OPTIONS.branch)))
-        begin, new = self.nodes[at], None
-        for k in range(1, parts + 1):
-            # The very target at the end: rounding would keep the trees apart.
-            q = begin + (k * whole / parts) * (target - begin)
-            q = target if k == parts and whole == 1.0 else q
-            places = self._ways.places(self.nodes[at], q)[1:]
-            self.checks += len(places)
-            if not self._ways.collisions.free(places).all():
-                return new, False
-            self.nodes.append(q)
-            self._parents.append(at)
-            at = new = len(self.nodes) - 1
-        return new, whole == 1.0
-
-    def branch(self, node: int) -> list[Floats]:
-        """The configurations from a node to the root."""
-        found = [self.nodes[node]]
-        while node:
-            node = self._parents[node]
-            found.append(self.nodes[node])
-        return found

@@ -36,7 +36,6 @@ from calib_pin.observations import (
 )
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import matching
-from calib_pin.workers import SERIAL, Workers
 
 SWAY = np.array(
     [
@@ -270,7 +269,7 @@ class Candidates:
             raise OptionError(
                 f"{len(self.q)} of the tried configurations may be measured, fewer "
                 f"than the {count} wanted",
-                allowed="fewer configurations, wider limits, or a shorter distance",
+                allowed="fewer configurations, or wider limits",
             )
 
 
@@ -286,8 +285,6 @@ class Workspace:
         points: The measured point in the tip, whose place the region limits, by the
             block of an aim; default the origin of the tool.
         collisions: Collisions to avoid; None if no shapes are known.
-        distance: Least distance between two configurations of a set: the largest
-            difference of a joint [rad, m].
     """
 
     problem: Problem
@@ -296,13 +293,11 @@ class Workspace:
     aims: Aims
     points: Mapping[BlockKey, pin.SE3]
     collisions: Collisions | None = None
-    distance: float = 0.0
 
     @staticmethod
     def create(
         problem: Problem,
         collisions: Collisions | None = None,
-        distance: float = 0.0,
         aims: Aims | None = None,
         points: Mapping[BlockKey, pin.SE3] | None = None,
     ) -> Workspace:
@@ -311,26 +306,16 @@ class Workspace:
         Args:
             problem: Chains, frames and instruments.
             collisions: Collisions to avoid.
-            distance: Least distance between configurations [rad, m].
             aims: What can be measured at a configuration; default by all instruments.
             points: The measured points, see `points`.
 
         Raises:
             RobotError: If limits of the URDF cross.
-            OptionError: If limits of the setup match no joint or leave nothing, or
-                the distance is negative.
+            OptionError: If limits of the setup match no joint or leave nothing.
         """
-        if not 0.0 <= distance < np.inf:
-            raise OptionError(
-                "the distance between configurations is out of range",
-                value=distance,
-                allowed="0 or more",
-            )
         lower, upper = joint_limits(problem)
         aims = aims or Aims.of(problem, tuple(problem.terms))
-        return Workspace(
-            problem, lower, upper, aims, points or {}, collisions, distance
-        )
+        return Workspace(problem, lower, upper, aims, points or {}, collisions)
 
     @property
     def bounds(self) -> Floats:
@@ -359,29 +344,12 @@ class Workspace:
         """
         return np.asarray(sum(self.refusals(q, aim).values()) == 0)
 
-    def allowed(self, q: Floats, aim: Indices) -> Booleans:
-        """The same as `inside`, for a set that must also keep its distances."""
-        return self.inside(q, aim) & self.apart(q)
-
-    def apart(self, q: Floats) -> Booleans:
-        """Whether each configuration of a set keeps its distance from all others.
-
-        Args:
-            q: Configurations, shape (K, n) [rad, m].
-        """
-        if self.distance == 0.0:
-            return np.ones(len(q), bool)
-        between = np.abs(q[:, None] - q[None]).max(axis=2)
-        np.fill_diagonal(between, np.inf)
-        return np.asarray((between >= self.distance).all(axis=1))
-
     def candidates(
         self,
         count: int,
         rng: np.random.Generator,
         progress: Callable[[str, float], bool | None] | None = None,
         least: int = 0,
-        workers: Workers = SERIAL,
     ) -> Candidates:
         """Quasi-random configurations, evenly spread over what is allowed.
 
@@ -391,7 +359,6 @@ class Workspace:
             progress: Told the name of this stage and the part that is done; returns
                 True to be content with the least number.
             least: Number without which nothing can be planned.
-            workers: Who tries the configurations.
 
         Raises:
             InputError: If none of many is allowed; says what refused them.
@@ -400,19 +367,16 @@ class Workspace:
         q, aim, drawn = np.empty((0, len(shift))), np.empty(0, int), np.empty(0, int)
         refused: dict[str, int] = {}
         budget = max(LEAST_DRAWS, DRAWS * count)
-        blocks = workers.map(_block, (self, shift), range(0, budget, BLOCK))
         # Where nothing is allowed, more of the same would be a loop.
         while len(q) < count and taken < (budget if len(q) else LEAST_DRAWS):
             part = max(len(q) / count, taken / budget)
             enough = progress is not None and progress("candidates", part)
             if enough and len(q) >= max(least, 1):
                 break
-            (new, of_new, places, reasons), taken = next(blocks), taken + BLOCK
+            new, of_new, places, reasons = self._block(shift, taken)
+            taken += BLOCK
             for reason, number in reasons.items():
                 refused[reason] = refused.get(reason, 0) + number
-            if self.distance > 0.0:
-                kept = _apart(new, q, self.distance)
-                new, of_new, places = new[kept], of_new[kept], places[kept]
             q, aim = np.concatenate([q, new]), np.concatenate([aim, of_new])
             drawn = np.concatenate([drawn, places])
         if not len(q):
@@ -428,6 +392,24 @@ class Workspace:
                 allowed=allowed,
             )
         return Candidates(q[:count], aim[:count], drawn[:count])
+
+    def _block(
+        self, shift: Floats, begin: int
+    ) -> tuple[Floats, Indices, Indices, dict[str, int]]:
+        """Try the configurations of the sequence from one on.
+
+        Returns:
+            Those that may be measured, shape (C, n), what is measured at each, where
+            they are in the sequence, and the number of the others by what refused them.
+        """
+        unit = quasi_random(shift, begin, BLOCK)
+        q = self.lower + unit * (self.upper - self.lower)
+        aim = (begin + np.arange(BLOCK)) % len(self.aims.each)
+        q = self.settled(q, aim)
+        refusals = self.refusals(q, aim)
+        free = sum(refusals.values()) == 0
+        refused = {reason: int(rows.sum()) for reason, rows in refusals.items()}
+        return q[free], aim[free], begin + np.flatnonzero(free), refused
 
     def unmeasurable(self, candidates: Candidates) -> tuple[str, ...]:
         """The targets that no candidate can measure."""
@@ -492,43 +474,6 @@ class Workspace:
         if len(free):
             rest = free[[np.abs(free - rest).max(axis=1).argmin()]]
         return moving, rest[0]
-
-
-def _block(
-    shared: tuple[Workspace, Floats], begin: int
-) -> tuple[Floats, Indices, Indices, dict[str, int]]:
-    """Try the configurations of the sequence from one on.
-
-    Returns:
-        Those that may be measured, shape (C, n), what is measured at each, where they
-        are in the sequence, and the number of the others by what refused them.
-    """
-    workspace, shift = shared
-    unit = quasi_random(shift, begin, BLOCK)
-    q = workspace.lower + unit * (workspace.upper - workspace.lower)
-    aim = (begin + np.arange(BLOCK)) % len(workspace.aims.each)
-    q = workspace.settled(q, aim)
-    refusals = workspace.refusals(q, aim)
-    free = sum(refusals.values()) == 0
-    refused = {reason: int(rows.sum()) for reason, rows in refusals.items()}
-    return q[free], aim[free], begin + np.flatnonzero(free), refused
-
-
-def _apart(points: Floats, others: Floats, distance: float) -> Indices:
-    """Positions of points that keep a distance from others and from those before them.
-
-    Args:
-        points: The points, shape (N, n).
-        others: Those that they keep away from, shape (K, n).
-        distance: The distance, the largest difference of a component.
-    """
-    # By columns: rows take five times as long among many candidates.
-    every, count = np.concatenate([others, points]).T.copy(), len(others)
-    kept = np.arange(every.shape[1]) < count
-    for k in range(count, len(kept)):
-        between = np.abs(every[:, :k] - every[:, k : k + 1]).max(axis=0)
-        kept[k] = not (kept[:k] & (between < distance)).any()
-    return np.flatnonzero(kept[count:])
 
 
 def joint_limits(problem: Problem) -> tuple[Floats, Floats]:

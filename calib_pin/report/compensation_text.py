@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 
 from calib_pin.control.compensation import Compensation
-from calib_pin.errors import counted
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.travel import Passage
 from calib_pin.report.blocks import Block, Line, Names, Table, Tone, note, table
 from calib_pin.report.tables import UNIT, amount, measures
 
@@ -47,9 +45,9 @@ def compensation_report(
         )
     if found.sides.any():
         yield Line(
-            f"Lost motion is made up for as the commands follow one another: joints "
-            f"turn back {found.reversals} times. Until a joint has moved once, it is "
-            "taken to stand in the middle of its lost motion."
+            "Lost motion is made up for as the commands follow one another. Until a "
+            "joint has moved once, it is taken to stand in the middle of its lost "
+            "motion."
         )
     entries = []
     for row in np.flatnonzero(~found.reached):
@@ -72,30 +70,18 @@ def compensation_report(
         )
 
 
-def ways_report(
-    found: Compensation, passage: Passage, lines: Sequence[int], shut: Sequence[int]
-) -> Iterator[Line]:
-    """Collisions at targets and between them; `shut` are lines without a way."""
-    colliding = np.asarray(lines)[found.collides]
+def ways_report(colliding: Sequence[int], shut: Sequence[int]) -> Iterator[Line]:
+    """Lines at which something touches, and to which a straight move does."""
     yield from _at(
         colliding,
         "Something touches there, and at all other solutions that were found: {}.",
     )
-    yield from _at(shut, "No free way from the command before was found to {}.")
-    if passage.vias and not len(shut):
-        vias = counted(passage.vias, "via configuration")
-        leads = "leads" if passage.vias == 1 else "lead"
-        yield Line(
-            f"Straight ways between commands collide; {vias} {leads} around what is in "
-            "the way, as the nominal robot and the clearance have it."
-        )
-        if found.sides.any():
-            yield Line(
-                "Lost motion is made up for as on straight ways: behind a via "
-                "configuration joints may come from the other side.",
-                "bad",
-            )
-    elif not len(shut) and not len(colliding):
+    yield from _at(
+        shut,
+        "The straight move from the command before collides to {}; add a target that "
+        "leads around.",
+    )
+    if not len(shut) and not len(colliding):
         yield Line("Nothing touches at the commands and on straight ways between them.")
 
 

@@ -579,8 +579,6 @@ class ThermalSetup(Section):
     Attributes:
         reference: Temperature at which the geometry holds [degC]; None for the mean of
             the measurements.
-        materials: Names or globs of joints by the name of a material: the links before
-            these joints, and to a tip on such a fixed joint, grow alike.
         switched_on: Times since which the robot grows warm [s]; empty for that of the
             first measurement.
         warm_up_time: Time in which it covers 63 % of the way from cold to warm [s];
@@ -588,7 +586,6 @@ class ThermalSetup(Section):
     """
 
     reference: Temperature | None = None
-    materials: Mapping[str, tuple[Text, ...]] = empty()
     switched_on: tuple[Annotated[float, Value("s")], ...] = ()
     warm_up_time: Annotated[float, Value("s", SMALLEST)] | None = None
 

@@ -14,13 +14,12 @@ slow; best/1 is fast and gets stuck; the others lie between. Their mutants have
 2 F^2 (best/1), (1 - F)^2 + 2 F^2 (rand-to-best/1) and 1/4 + 2 F^2 (midpoint) times the
 variance of the members: below F = 0.71, 0.67 and 0.61 the population contracts even
 without selection. That is quick in one basin and too early in a long bent valley, which
-wants F of 0.7 to 0.8, or l-shade.
+wants F of 0.7 to 0.8.
 
 References:
     Liu, Ni, Liu, Xu 2012, doi 10.1007/s11771-012-1095-1: calibration of a robot with a
     laser distance sensor; rand/1, best/1 and the "tradeoff" mutation (eq. 16).
     Storn, Price 1997, doi 10.1023/A:1008202821328: differential evolution.
-    Tanabe, Fukunaga 2014, doi 10.1109/CEC.2014.6900380: L-SHADE.
 """
 
 from __future__ import annotations
@@ -41,8 +40,6 @@ from calib_pin.solvers.evolution import (
     Indices,
     Rng,
     Stops,
-    Variant,
-    below,
     crossing,
     evolve,
     three_others,
@@ -103,7 +100,7 @@ MUTATIONS: dict[str, Mutation] = {
 }
 MUTATIONS["tradeoff"] = MUTATIONS[TRADEOFF]
 
-STRATEGIES = (*MUTATIONS, "l-shade")
+STRATEGIES = tuple(MUTATIONS)
 """Names of the mutation strategies."""
 
 BLOCK = 16
@@ -118,16 +115,14 @@ class DifferentialEvolution(NumericOptions):
     """Options of differential evolution; the defaults are those of Liu et al. (2012).
 
     Attributes:
-        strategy: `rand/1`, `best/1`, `rand-to-best/1`, `midpoint`, `tradeoff` (here
-            the same as `rand-to-best/1`, a reconstruction) or `l-shade`.
+        strategy: `rand/1`, `best/1`, `rand-to-best/1`, `midpoint` or `tradeoff` (here
+            the same as `rand-to-best/1`, a reconstruction).
         population_size: Number of members Np, 4 to 100 000. (The popsize of scipy is a
             multiple of the number of components instead.)
-        mutation: Factor F of the differences, in (0, 2]. l-shade adapts its own.
+        mutation: Factor F of the differences, in (0, 2].
         recombination: CR, in [0, 1]: part of the components that a trial takes from
-            the mutant. l-shade adapts its own.
+            the mutant.
         maxiter: Limit on the generations after the first population, 1 or more.
-            l-shade spends the same population_size * (maxiter + 1) evaluations on
-            more generations of a shrinking population.
         target: Ends when `best cost <= target`; the V of Liu et al.
         tol: Converged when `std(costs) <= atol + tol * |mean(costs)|`, as in scipy.
         atol: Absolute part of that, in the unit of the cost.
@@ -159,7 +154,7 @@ class DifferentialEvolution(NumericOptions):
         return int(self.population_size) * (int(self.maxiter) + 1)
 
 
-class _Classic(Variant):
+class _Classic:
     """One mutation with fixed factors and binomial crossover."""
 
     def __init__(self, options: DifferentialEvolution, dimension: int, rng: Rng):
@@ -186,128 +181,6 @@ def _chances(
     while True:
         others = three_others(shape[1], shape[0], rng)
         yield from zip(others, crossing(shape, CR, rng), strict=True)
-
-
-@dataclass(frozen=True)
-class LShadeOptions:
-    """Constants of L-SHADE.
-
-    Attributes:
-        smallest: Members at the end: current-to-pbest/1 draws from as many.
-        memory: Entries H of the success history.
-        pbest: Part p of the members from which the leader is chosen.
-        archive: Members the archive holds, relative to the population.
-        spread: Scale of the distributions of F and CR about their remembered means.
-    """
-
-    smallest: int = 4
-    memory: int = 6
-    pbest: float = 0.11
-    archive: float = 2.6
-    spread: float = 0.1
-
-
-OPTIONS = LShadeOptions()
-"""The default options."""
-
-TERMINAL = -np.inf
-"""Mean of CR where only CR = 0 succeeded: draws about it stay 0 forever."""
-
-
-class LShade(Variant):
-    """The variant L-SHADE.
-
-    The mutant of x_i is current-to-pbest/1 (eq. 3), with F_i and CR_i of its own,
-
-        v = x_i + F_i (x_pbest - x_i) + F_i (x_r1 - x_r2),
-
-    where x_pbest is one of the best members and x_r2 may also come from an archive of
-    members that better trials replaced: those point the way that the population went.
-    F_i and CR_i are drawn about means that worked before, and the population shrinks
-    linearly over the evaluations, from exploring to refining. Equation numbers and
-    constants are those of Tanabe and Fukunaga 2014.
-    """
-
-    def __init__(self, size: int, dimension: int, budget: int, rng: Rng) -> None:
-        """Start with an empty archive, and a budget of evaluations."""
-        self.size, self.budget, self.rng = size, budget, rng
-        self.archive = np.empty((round(OPTIONS.archive * size), dimension))
-        self.archived = 0
-        self.mean_F = np.full(OPTIONS.memory, 0.5)
-        self.mean_CR = np.full(OPTIONS.memory, 0.5)
-        self.entry = 0  # Written next.
-        self.F = self.CR = np.empty(0)
-
-    def breed(self, population: Floats, energies: Floats) -> Floats:
-        """One trial for every member, with factors of its own."""
-        size, rng = len(population), self.rng
-        self._draw_factors(size)
-        count = max(2, round(OPTIONS.pbest * size))
-        leaders = np.argsort(energies, kind="stable")[:count]
-        pbest = population.take(leaders[below(count, size, rng)], axis=0)
-        # Offsets from the target, as in `three_others`; those of r2 that go beyond the
-        # population lead into the archive.
-        first = below(size - 1, size, rng)
-        second = below(size + self.archived - 2, size, rng)
-        second += second >= first
-        following = np.arange(1, size + 1)
-        r1 = population.take(first + following, axis=0, mode="wrap")
-        r2 = population.take(second + following, axis=0, mode="wrap")
-        old = np.flatnonzero(second >= size - 1)
-        r2[old] = self.archive[second[old] - (size - 1)]
-        step = pbest - population + r1 - r2
-        mutants = population + self.F[:, None] * step
-        crossed = crossing(population.shape, self.CR[:, None], rng)
-        return np.where(crossed, mutants, population)
-
-    def _draw_factors(self, size: int) -> None:
-        """CR_i normal (eq. 1) and F_i Cauchy (eq. 2) about remembered means."""
-        rng = self.rng
-        entry = below(OPTIONS.memory, size, rng)
-        CR = self.mean_CR[entry] + OPTIONS.spread * rng.standard_normal(size)
-        self.CR = np.clip(CR, 0.0, 1.0)
-        # A Cauchy number is the tangent of a uniform angle. To begin at the angle
-        # where F = 0 is the same as to draw again until F > 0, but takes one pass.
-        mean = self.mean_F[entry]
-        least = -np.arctan(mean / OPTIONS.spread)
-        angle = least + rng.random(size) * (np.pi / 2 - least)
-        self.F = np.minimum(mean + OPTIONS.spread * np.tan(angle), 1.0)
-
-    def learn(
-        self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
-    ) -> int:
-        """Remember successes, archive the replaced members, shrink (eq. 10)."""
-        better = np.flatnonzero(fresh < energies)
-        if len(better):
-            self._remember(energies[better] - fresh[better], better)
-            self._archive(parents[better], round(OPTIONS.archive * len(parents)))
-        part = evaluations / self.budget
-        size = round(self.size + (OPTIONS.smallest - self.size) * part)
-        # The last generations take the evaluations that are left.
-        return max(OPTIONS.smallest, min(size, self.budget - evaluations))
-
-    def _remember(self, gains: Floats, better: Indices) -> None:
-        """Write the Lehmer means of successful factors, weighted by gains (eq. 7)."""
-        # A cost that was infinite gained infinitely: nothing else counts beside it.
-        infinite = np.isinf(gains)
-        weights = infinite if infinite.any() else gains / gains.max()
-        F, CR = self.F[better], self.CR[better]
-        self.mean_F[self.entry] = (weights @ F**2) / (weights @ F)
-        if self.mean_CR[self.entry] != TERMINAL:
-            total = weights @ CR
-            self.mean_CR[self.entry] = (
-                (weights @ CR**2) / total if total > 0.0 else TERMINAL
-            )
-        self.entry = (self.entry + 1) % OPTIONS.memory
-
-    def _archive(self, replaced: Floats, capacity: int) -> None:
-        """Put members into free places, or into those of random older ones."""
-        held = min(self.archived, capacity)
-        places = np.arange(held, held + len(replaced))
-        full = places >= capacity
-        places[full] = below(capacity, int(full.sum()), self.rng)
-        self.archive[places] = replaced
-        self.archived = min(held + len(replaced), capacity)
 
 
 def differential_evolution(
@@ -351,16 +224,11 @@ def differential_evolution(
         ('cost target reached', [1.0, 1.0])
     """
     box, size = Box.of(bounds), int(options.population_size)
-    variant: Variant
-    if options.strategy == "l-shade":
-        variant = LShade(size, len(box.lower), options.budget, rng)
-    else:
-        variant = _Classic(options, len(box.lower), rng)
     return evolve(
         costs,
         box,
         box.populate(size, options.init, x0, rng),
-        variant,
+        _Classic(options, len(box.lower), rng).breed,
         Stops(options.target, options.tol, options.atol, options.budget),
         rng,
         callback,

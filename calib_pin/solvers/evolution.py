@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,35 +206,16 @@ class Box:
         trials.flat[outside] = bound + rng.random(len(outside)) * (inner - bound)
 
 
-class Variant(Protocol):
-    """Breeding and learning of one kind of evolution."""
-
-    def breed(self, population: Floats, energies: Floats) -> Floats:
-        """One trial for every member, a new array (S, D) that may leave the box."""
-        ...
-
-    def learn(
-        self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
-    ) -> int:
-        """Take note of the trials' success; by default of nothing.
-
-        Args:
-            parents: The population before selection, shape (S, D).
-            energies: Its costs, shape (S,).
-            fresh: Costs of the trials, shape (S,); NaN counts as worse.
-            evaluations: Number of evaluations so far.
-
-        Returns:
-            How many of the best members live on, S at most; by default all.
-        """
-        return len(parents)
+Breed = Callable[[Floats, Floats], Floats]
+"""One trial for every member, by the population (S, D) and its costs (S,): a new array
+(S, D) that may leave the box."""
 
 
 def evolve(
     costs: Costs,
     box: Box,
     population: Floats,
-    variant: Variant,
+    breed: Breed,
     stops: Stops,
     rng: Rng,
     callback: Callback | None = None,
@@ -245,7 +226,7 @@ def evolve(
         costs: Costs of a population; called once per generation with all trials.
         box: Bounds of the members.
         population: First population, shape (S, D), within the bounds.
-        variant: Breeds the trials.
+        breed: Breeds the trials.
         stops: Stopping criteria.
         rng: Source of chance for the way back into the box.
         callback: Called after every generation.
@@ -265,18 +246,14 @@ def evolve(
         if nfev + len(population) > stops.evaluations:
             status = Status.GENERATIONS
             break
-        trials = variant.breed(population, energies)
+        trials = breed(population, energies)
         box.repair(trials, population, rng)
         fresh = evaluate(costs, trials)
         nfev += len(trials)
-        size = variant.learn(population, energies, fresh, nfev)
         # A tie goes to the trial, so that members can cross a plateau; NaN never wins.
         better = fresh <= energies
         np.copyto(population, trials, where=better[:, None])
         np.copyto(energies, fresh, where=better)
-        if size < len(energies):
-            keep = np.argsort(energies, kind="stable")[:size]
-            population, energies = population[keep], energies[keep]
         best, (mean, deviation) = energies.argmin(), _moments(energies)
         best_history.append(float(energies[best]))
         mean_history.append(mean)
@@ -347,14 +324,14 @@ def three_others(size: int, generations: int, rng: Rng) -> Indices:
     return np.where(others >= size, others - size, others)
 
 
-def crossing(shape: tuple[int, ...], CR: Floats | float, rng: Rng) -> Booleans:
+def crossing(shape: tuple[int, ...], CR: float, rng: Rng) -> Booleans:
     """Components that trials take from their mutants in binomial crossover.
 
     Those where `rand <= CR`, and one at a random place in any case.
 
     Args:
         shape: (..., D).
-        CR: Recombination, one number or an array that broadcasts to the shape.
+        CR: Recombination.
         rng: Source of chance.
     """
     # Single precision is chance enough, and these are most of all random numbers.

@@ -107,7 +107,6 @@ def genetic_selection(
     rng: Rng,
     options: Genetic = Genetic(),
     *,
-    x0: Indices | None = None,
     callback: Callback | None = None,
 ) -> SelectionResult:
     """Select the items that together cost least.
@@ -120,8 +119,6 @@ def genetic_selection(
         count: Number of items to select, 1 to size.
         rng: Source of chance; the same seed gives the same result.
         options: Sizes, probabilities and stops.
-        x0: Members of the first population, shape (S0, count), in any order, S0 up to
-            the population size. The others are drawn by chance.
         callback: Called after each generation with its number, the best subset
             (count,) and its cost; returns True to stop.
 
@@ -129,7 +126,7 @@ def genetic_selection(
         The result. Not finite if the first population had no feasible member.
 
     Raises:
-        OptionError: If size, count or x0 cannot be used, or `costs` does not give one
+        OptionError: If size or count cannot be used, or `costs` does not give one
             number per member.
 
     Examples:
@@ -145,7 +142,7 @@ def genetic_selection(
         {"size": LIMIT, "count": Limits(Integral, 1, size, f"1 to size = {size}")},
     )
     nursery = _Nursery(options, count, rng)
-    subsets = nursery.founders(size, x0)
+    subsets = nursery.founders(size)
     energies = _energies(costs, subsets)
     nfev, best = len(subsets), int(energies.argmin())
     best_history, mean_history = [float(energies[best])], [float(energies.mean())]
@@ -202,35 +199,9 @@ class _Nursery:
     def __init__(self, options: Genetic, count: int, rng: Rng) -> None:
         self.options, self.count, self.rng = options, count, rng
 
-    def founders(self, size: int, x0: Indices | None) -> Indices:
+    def founders(self, size: int) -> Indices:
         """The first population, shape (S, count)."""
-        shape = int(self.options.population_size), size
-        subsets = self._highest(self.rng.random(shape))
-        if x0 is not None:
-            given = self._checked(np.asarray(x0), size)
-            subsets[: len(given)] = given
-        return subsets
-
-    def _checked(self, x0: Indices, size: int) -> Indices:
-        """Subsets that the caller gave, each in ascending order."""
-        most = int(self.options.population_size)
-        if x0.ndim != 2 or x0.shape[1] != self.count or len(x0) > most:
-            raise OptionError(
-                "x0 has the wrong shape",
-                value=x0.shape,
-                allowed=f"(up to {most}, {self.count})",
-            )
-        subsets = np.sort(x0, axis=1)
-        whole = np.issubdtype(x0.dtype, np.integer)
-        within = whole & (subsets >= 0) & (subsets < size)
-        repeated = (np.diff(subsets, axis=1) == 0).any(axis=1)
-        for row in np.flatnonzero(repeated | ~within.all(axis=1)):
-            raise OptionError(
-                f"row {row} of x0 is not a subset",
-                value=x0[row].tolist(),
-                allowed=f"{self.count} different whole numbers, 0 to {size - 1}",
-            )
-        return subsets.astype(np.intp)
+        return self._highest(self.rng.random((int(self.options.population_size), size)))
 
     def children(self, subsets: Indices, energies: Floats, size: int) -> Indices:
         """Children of a population, one for each member outside of the elite."""

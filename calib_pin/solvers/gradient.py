@@ -37,10 +37,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.evolution import Booleans, Box
-from calib_pin.solvers.options import LIMIT, TOLERANCE, require_numbers
 from calib_pin.solvers.status import Status
 
 
@@ -127,8 +125,7 @@ def projected_descent(
         be held up at the edge of a forbidden place.
 
     Raises:
-        OptionError: If the bounds, x0 or memory cannot be used, or `function` or
-            `allowed` answers in the wrong shape.
+        OptionError: If the bounds or x0 cannot be used.
 
     Examples:
         >>> def valley(x):
@@ -139,10 +136,6 @@ def projected_descent(
         >>> result.status.value, result.x.round(6).tolist()
         ('converged', [[1.0, 0.5], [1.0, 0.5], [1.0, 0.5]])
     """
-    require_numbers(
-        {"memory": memory, "max_iterations": max_iterations, "tolerance": tolerance},
-        {"memory": LIMIT, "max_iterations": LIMIT, "tolerance": TOLERANCE},
-    )
     box = Box.of(bounds)
     start = box.checked(x0, "K")
     problem = _Problem(function, box, allowed, start.shape)
@@ -238,12 +231,6 @@ class _Problem:
         """The function and its gradient per width of the box, shape (N,)."""
         self.evaluations += 1
         fun, gradient = self.function(self.points(x))
-        if np.shape(gradient) != self.shape:
-            raise OptionError(
-                "the gradient has the wrong shape",
-                value=np.shape(gradient),
-                allowed=str(self.shape),
-            )
         # A new array, as the caller may use its own again.
         gradient = gradient.ravel() * self.width
         return (float(fun) if np.isfinite(gradient).all() else math.inf), gradient
@@ -285,14 +272,7 @@ class _Problem:
         """Put points back that are where they may not be; which those are, (K,)."""
         if self.allowed is None:
             return self.nobody
-        allowed = np.asarray(self.allowed(self.points(moved)), bool)
-        if allowed.shape != self.nobody.shape:
-            raise OptionError(
-                "allowed must give one answer per point",
-                value=allowed.shape,
-                allowed=str(self.nobody.shape),
-            )
-        blocked = ~allowed
+        blocked = ~np.asarray(self.allowed(self.points(moved)), bool)
         if blocked.any():
             self.points(moved)[blocked] = self.points(x)[blocked]
         return blocked

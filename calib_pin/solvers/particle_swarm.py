@@ -60,7 +60,6 @@ from calib_pin.solvers.evolution import (
     EvolutionResult,
     Rng,
     Stops,
-    Variant,
     below,
     evolve,
 )
@@ -180,14 +179,14 @@ def particle_swarm(
         costs,
         box,
         places,
-        _Swarm(options, box, places.copy(), rng),
+        _Swarm(options, box, places.copy(), rng).breed,
         Stops(options.target, options.tol, options.atol, options.budget),
         rng,
         callback,
     )
 
 
-class _Swarm(Variant):
+class _Swarm:
     """Places and velocities of the particles."""
 
     def __init__(self, options: ParticleSwarm, box: Box, Y: Floats, rng: Rng) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calib_pin.kinematics.shapes import Shape, creased
+from calib_pin.kinematics.shapes import Shape
 from calib_pin.kinematics.skeleton import corners, floor_height
 from calib_pin.kinematics.spatial import Floats, to_quaternion
 from calib_pin.viewer.scene import Body, Scene
@@ -63,12 +63,12 @@ class Group:
 
     def add(self, name: str, link: int, shape: Shape, color: RGB, **more: Any) -> None:
         """Hang a shape on a link."""
-        sharp = creased(shape.surface)
         self._api.add_mesh_simple(
             f"{self.root.name}/{link}/{name}",
-            sharp.vertices.astype(np.float32),
-            sharp.triangles.astype(np.uint32),
+            shape.surface.vertices.astype(np.float32),
+            shape.surface.triangles.astype(np.uint32),
             color=color,
+            flat_shading=True,
             position=shape.placement[:3, 3],
             wxyz=_wxyz(shape.placement),
             **more,

@@ -6,11 +6,9 @@ workers. So only in a trusted network, or with TLS (docs/how-to/fleet.md).
 
 from __future__ import annotations
 
-import asyncio
 import json
 import logging
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from importlib import import_module
@@ -19,7 +17,6 @@ from typing import Any
 
 from calib_pin.errors import CalibPinError, OptionError, words_of
 from calib_pin.workers.base import Submit, WorkerLost, Workers, run
-from calib_pin.workers.local import cores
 
 PATIENCE = 5.0
 """Time to wait for an answer of the scheduler [s]."""
@@ -29,8 +26,8 @@ class Cluster(Workers, AbstractContextManager["Cluster"]):
     """The workers of a scheduler; a context that parts from it.
 
     Args:
-        address: Address of the scheduler (`tcp://host:8786`, `tls://...`), its file
-            (`scheduler.json`), or `local` for processes of our own, one for every core.
+        address: Address of the scheduler (`tcp://host:8786`, `tls://...`), or its file
+            (`scheduler.json`).
 
     Raises:
         OptionError: If dask.distributed is not there, nothing answers at the address,
@@ -51,39 +48,30 @@ class Cluster(Workers, AbstractContextManager["Cluster"]):
         for name in logging.root.manager.loggerDict:
             if name.partition(".")[0] == "distributed":
                 logging.getLogger(name).setLevel(logging.CRITICAL)
-        found: dict[str, Any] = {"address": address, "timeout": PATIENCE}
-        if address == "local":
-            own = {"n_workers": cores(), "threads_per_worker": 1}
-            found = {**own, "dashboard_address": "127.0.0.1:0"}
-        elif address.endswith(".json"):
+        there = address
+        if address.endswith(".json"):
             try:
-                stated = json.loads(Path(address).read_bytes())
-                found["address"] = str(stated["address"])
+                there = str(json.loads(Path(address).read_bytes())["address"])
             except (OSError, LookupError, TypeError, ValueError, RecursionError) as e:
                 raise OptionError("is no file of a scheduler", file=address) from e
         try:
-            if address != "local":
-                # A client that meets nobody takes long to give up; in a notebook this
-                # thread has a loop already.
-                with ThreadPoolExecutor(1) as pool:
-                    pool.submit(asyncio.run, _greet(found["address"])).result()
-            self._client: Any = distributed.Client(**found)
+            self._client: Any = distributed.Client(there, timeout=PATIENCE)
         except Exception as error:  # Anything may answer, in any language.
             reason = words_of(error)
             raise OptionError(
                 f"no scheduler answers at --cluster '{address}': {reason}",
-                allowed="tcp://HOST:PORT, tls://HOST:PORT, a scheduler.json, local",
+                allowed="tcp://HOST:PORT, tls://HOST:PORT, a scheduler.json",
             ) from error
         self.count = sum(self._client.nthreads().values())
         if not self.count:
             self._client.close()
             raise OptionError(f"the cluster at '{address}' has no workers")
-        # For dask a batch is no pure function: two alike are two batches.
+        # For dask an item is no pure function's: two alike are done twice.
         self._executor = self._client.get_executor(pure=False)
         self.died = distributed.KilledWorker
 
     def __exit__(self, *_: object) -> None:
-        """Part from the scheduler; workers of our own end."""
+        """Part from the scheduler."""
         self._client.close()
 
     @contextmanager
@@ -106,11 +94,3 @@ class Cluster(Workers, AbstractContextManager["Cluster"]):
         """
         if self._client.status != "running":
             raise WorkerLost("the cluster no longer answers")
-
-
-async def _greet(address: str) -> None:
-    """Meet a scheduler once."""
-    connect: Any = import_module("distributed.comm").connect
-    # Its own limit does not cover whoever answers and then says nothing.
-    comm = await asyncio.wait_for(connect(address, timeout=PATIENCE), PATIENCE + 1.0)
-    await comm.close()

@@ -7,7 +7,7 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Future
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from calib_pin.workers.base import Done, Submit, Workers, alone, run
+from calib_pin.workers.base import Submit, Workers, alone, run
 
 if TYPE_CHECKING:
     from concurrent.futures import ProcessPoolExecutor
@@ -71,7 +71,7 @@ class LocalProcesses(Workers, AbstractContextManager["LocalProcesses"]):
         finally:
             Path(file.name).unlink(missing_ok=True)
 
-    def _submit(self, file: str, items: Sequence[Any]) -> Future[Done]:
+    def _submit(self, file: str, item: Any) -> Future[Any]:
         if self._executor is None:
             # Most commands need none, and do not load what starts them.
             from concurrent.futures import ProcessPoolExecutor
@@ -81,10 +81,10 @@ class LocalProcesses(Workers, AbstractContextManager["LocalProcesses"]):
             spawn, ties = get_context("spawn"), (os.getpid(), self._folder.name)
             self._executor = ProcessPoolExecutor(self.count, spawn, _begin, ties)
         try:
-            return self._executor.submit(run, file, items)
+            return self._executor.submit(run, file, item)
         except BrokenExecutor:
             self._executor = None
-            return self._submit(file, items)
+            return self._submit(file, item)
 
 
 def _begin(parent: int, folder: str) -> None:

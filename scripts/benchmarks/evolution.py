@@ -79,7 +79,7 @@ def main() -> None:
     seconds = _show("calib-pin, tradeoff", partial(ours, "tradeoff"), 5)
     line = partial(_show, reference=seconds)
     line("one Pinocchio loop, 1000 times", partial(_loops, ranger), 3)
-    for strategy in ("best/1", "rand/1", "l-shade"):
+    for strategy in ("best/1", "rand/1"):
         line(f"calib-pin, {strategy}", partial(ours, strategy), 3)
     for strategy, name, cost in (
         ("rand1bin", "matrices", ranger.matrices),

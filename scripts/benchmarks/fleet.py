@@ -8,11 +8,10 @@ Robots are UR10 with a tracker, 30 positions each, as `fleet --monte-carlo` draw
 from __future__ import annotations
 
 import argparse
-import pickle
 import resource
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import nullcontext
 from dataclasses import replace
@@ -27,7 +26,6 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, LimitSetup, MonteCarloSetup, Setup
 from calib_pin.simulation import simulate
 from calib_pin.workers import Workers
-from calib_pin.workers.base import SECONDS, Done
 from calib_pin.workers.local import LocalProcesses, cores
 
 JOBS = 10_000
@@ -133,7 +131,7 @@ def _overhead() -> None:
 
 
 class _Fake(Workers):
-    """Workers that pretend to have worked for a second on every batch."""
+    """Workers that have nothing to do."""
 
     patience = 0.0
 
@@ -143,35 +141,34 @@ class _Fake(Workers):
     def sharing(self, payload: bytes) -> nullcontext[Any]:
         return nullcontext(self._submit)
 
-    def _submit(self, items: Sequence[Any]) -> Future[Done]:
-        future: Future[Done] = Future()
-        future.set_result(Done([pickle.dumps(item) for item in items], None, SECONDS))
+    def _submit(self, item: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(item)
         return future
 
 
 def _saturation() -> None:
-    """Time of the one who gives the work, by number of workers: batches of a second.
+    """Time of the one who gives the work, by number of workers.
 
     Local processes cost more than the fake ones: what they get is pickled and goes
     through a pipe. Their share is measured with as many as there are cores.
     """
-    print("batches of a second that can be given out in one:")
+    print("items that can be given out in a second:")
     for count in FAKES:
-        batches = 20 * count + 1000
-        items: Iterator[int] = iter(range(batches))
+        size = 20 * count + 1000
+        items: Iterator[int] = iter(range(size))
         begin = time.process_time()
         for _ in _Fake(count).map(_wait, 0.0, items):
             pass
-        each = (time.process_time() - begin) / batches
+        each = (time.process_time() - begin) / size
         print(f"  {count:5} fake workers {1e6 * each:20.1f} us: {1.0 / each:9.0f}")
     with LocalProcesses(patience=0.0) as workers:
         list(workers.map(_wait, 0.0, range(2 * workers.count)))
-        batches = 10 * workers.count
+        size = 1000 * workers.count
         begin = time.process_time()
-        # Each takes so long that it is a batch of its own.
-        for _ in workers.map(_wait, 1.1 * SECONDS, iter(range(batches))):
+        for _ in workers.map(_wait, 0.0, iter(range(size))):
             pass
-        each = (time.process_time() - begin) / batches
+        each = (time.process_time() - begin) / size
     print(f"  {cores():5} processes    {1e6 * each:20.1f} us: {1.0 / each:9.0f}")
 
 

@@ -27,7 +27,7 @@ class Factored(Selection):
     def _best(self, some: Indices, sign: float) -> tuple[int, float]:
         """The best of all trials by their costs."""
         costs = [
-            self._judged(self._M + sign * self._rows[k].T @ self._rows[k])[1]
+            self._judged(self._M + sign * self.rows[k].T @ self.rows[k])[1]
             for k in some
         ]
         return int(some[np.argmin(costs)]), min(costs)
@@ -40,7 +40,7 @@ class Fresh(Search):
         self, chosen: Sequence[int] = (), table: Floats | None = None
     ) -> Selection:
         """A subset of the candidates under the criterion."""
-        known, nuisances = self.objective.known, self.rows.nuisances
+        known, nuisances = self.known, self.rows.nuisances
         return Factored(self.table, nuisances, self.criterion, known, chosen)
 
 

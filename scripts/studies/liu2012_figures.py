@@ -21,7 +21,6 @@ LINES = {
     "best/1": (C["red"], "-"),
     "rand-to-best/1": (C["blue"], "-"),
     "midpoint": (C["green"], "--"),
-    "l-shade": (C["purple"], "-."),
 }
 """Color and dashes of every mutation."""
 

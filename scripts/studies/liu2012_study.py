@@ -284,10 +284,9 @@ def _evolve(
 ) -> tuple[Floats, Floats]:
     """Parameters (P,) and history (G + 1,) [m^2] of an evolution in all parameters."""
     free = problem.parameters.free
-    costs, sizes = PopulationCost(problem, threads=1), []
+    costs = PopulationCost(problem, threads=1)
 
-    def counted(members: Floats) -> Floats:
-        sizes.append(len(members))
+    def of_free(members: Floats) -> Floats:
         theta = np.zeros((len(members), len(free)))
         theta[:, free] = members
         return costs(theta)
@@ -306,14 +305,13 @@ def _evolve(
         tol=0.0,
     )
     found = differential_evolution(
-        counted, np.column_stack([-half, half]), rng, options
+        of_free, np.column_stack([-half, half]), rng, options
     )
     x = np.zeros(len(free))
     x[free] = found.x
-    # l-shade shrinks its population: the same effort, other generations.
-    ends = np.cumsum(sizes) / settings.population
-    last = np.searchsorted(ends, np.arange(1, settings.generations + 2), side="right")
-    return x, found.best_history[last - 1] / whitened
+    # Where the target was reached, nothing changes any more.
+    rest = settings.generations + 1 - len(found.best_history)
+    return x, np.pad(found.best_history, (0, rest), mode="edge") / whitened
 
 
 def _outcome(

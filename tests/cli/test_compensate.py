@@ -16,7 +16,6 @@ from calib_pin.cli import main
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.results import read_calibration
 from calib_pin.io.urdf import load_chain
-from calib_pin.planning.travel import Ways
 from calib_pin.setup import Obstacle
 from tests.cli.files import document, numbers, table, undrawn, write
 
@@ -404,10 +403,6 @@ AROUND = np.array([[-0.6, 0.3, 0.2, 0.1], [0.6, 0.3, 0.2, 0.1], [0.7, -0.2, 0.5,
 
 CELL = "compensate solid/calibration.json targets.csv --setup ball.yaml -o commands.csv"
 AVOID = f"{CELL} --avoid-collisions"
-CELL_PLAN = (
-    "plan solid.urdf --tip tool --model position --count 10 --method greedy "
-    "--candidates 60 --setup ball.yaml -o plan.csv"
-)
 
 
 @pytest.fixture(scope="module")
@@ -459,50 +454,33 @@ def ways_taken() -> tuple[np.ndarray, list[str]]:
     return np.array([row[:4] for row in rows], float), [row[4] for row in rows]
 
 
-def test_via_configurations_lead_around(solid, run):
+def targets_at(model, *q: np.ndarray) -> None:
+    write("targets.csv", "x,y,z", model.poses(np.array(q))[:, :3, 3])
+
+
+def test_a_move_that_collides_is_named(solid, run, withholds):
     straight = run(CELL.replace("--setup ball.yaml ", ""))
     assert straight.status == 0
     assert touches(solid, ways_taken()[0])
-    result = run(f"{AVOID} --force --json")
-    assert (result.status, result.err) == (0, "")
-    q, rows = ways_taken()
-    assert not touches(solid, q)
-    assert [row for row in rows if row] == ["3", "4", "5"]
-    assert rows[0] and rows[-1] and "" in rows
-    reached = solid.poses(q[[row != "" for row in rows]])[:, :3, 3]
-    np.testing.assert_allclose(reached, solid.poses(AROUND)[:, :3, 3], atol=1e-9)
-    chain = solid.chain
-    assert ((q >= chain.lower) & (q <= chain.upper)).all()
-    document = json.loads(result.out)
-    vias = rows.count("")
-    assert document["collisions"] == {"vias": vias, "colliding": [], "blocked": []}
+    Path("commands.csv").unlink()
+    assert "collides to line 4" in " ".join(withholds(AVOID).out.split())
+    found = json.loads(run(f"{AVOID} --json").out)
+    assert found["collisions"] == {"colliding": [], "blocked": [4]}
 
 
-def test_programs_take_the_same_way(solid, run):
-    assert run(AVOID).status == 0
-    words = AVOID.replace("commands.csv", "way.yaml")
-    assert run(f"{words} --format joint-trajectory").status == 0
-    points = yaml.safe_load(Path("way.yaml").read_text())["points"]
-    np.testing.assert_array_equal([p["positions"] for p in points], ways_taken()[0])
+def test_nothing_touches_where_a_target_leads_around(solid, run):
+    targets_at(solid, AROUND[1], AROUND[2])
+    assert "Nothing touches" in run(AVOID).out
+    assert not touches(solid, ways_taken()[0])
 
 
 def test_a_target_in_an_obstacle_is_left_out(solid, run):
-    targets = solid.poses(AROUND)[:, :3, 3]
+    targets = solid.poses(AROUND[1:])[:, :3, 3]
     write("targets.csv", "x,y,z", [*targets, BALL.xyz])
     result = run(AVOID)
     assert result.status == 2
-    assert [row for row in ways_taken()[1] if row] == ["3", "4", "5"]
-    assert run(f"{AVOID} --force --quiet").err.endswith("targets.csv, line 6\n")
-
-
-def test_where_no_way_is_free_nothing_is_written(solid, run, withholds, monkeypatch):
-    monkeypatch.setattr(Ways, "around", lambda *about: None)
-    assert "lines 4, 5" in " ".join(withholds(AVOID).out.split())
-    result = run(f"{CELL_PLAN} --motion motion.csv")
-    assert result.status == 2
-    lines = ", ".join(map(str, range(4, 13)))
-    assert f"plan.csv, lines {lines}" in result.err
-    assert Path("plan.csv").exists() and not Path("motion.csv").exists()
+    assert [row for row in ways_taken()[1] if row] == ["3", "4"]
+    assert run(f"{AVOID} --force --quiet").err.endswith("targets.csv, line 5\n")
 
 
 def test_a_motion_is_checked_and_stays(solid, run, withholds):
@@ -521,29 +499,7 @@ def test_a_motion_is_checked_and_stays(solid, run, withholds):
         (f"{AVOID} --clearance 2", "0 to 1 m"),
         (f"{AVOID} --srdf none.srdf", "none.srdf"),
         (AVOID.replace("solid/", "done/"), "URDF"),
-        (f"{CELL_PLAN} --motion motion.csv".replace("solid.urdf", "arm.urdf"), "URDF"),
-        (f"{CELL_PLAN} --motion motion.csv --ignore-collisions", "--ignore-collisions"),
-        (f"{CELL_PLAN} --motion plan.csv", "plan.csv"),
     ],
 )
 def test_wrong_ways_to_ask(solid, fails, words, named):
     fails(words, named)
-
-
-def test_the_motion_of_a_plan(solid, run, monkeypatch):
-    # The order of a plan itself avoids what is in the way.
-    as_found = "calib_pin.planning.travel.shortest_order"
-    monkeypatch.setattr(as_found, lambda q, *about: (np.arange(len(q)), ()))
-    assert run(f"{CELL_PLAN} --motion motion.csv").status == 0
-    header, rows, comments = table("motion.csv")
-    assert header == [*JOINTS, "row"]
-    assert comments[0].startswith("# motion of: calib-pin plan solid.urdf")
-    q = np.array([row[:4] for row in rows], float)
-    assert not touches(solid, q)
-    # Those of the plan, by their lines, among configurations around the ball.
-    lines = Path("plan.csv").read_text().splitlines()
-    named = {int(row[4]): row[:4] for row in rows if row[4]}
-    assert named == {k: line.split(",") for k, line in enumerate(lines, 1) if k > 2}
-    planned = [row[4] != "" for row in rows]
-    assert planned.count(False) >= 1
-    assert touches(solid, q[planned])

@@ -15,14 +15,14 @@ SETUP = """
 model: position
 parameters: [joint-offset, cross-compliance, thermal, instrument-drift]
 payloads: {load: {mass: 20, com: [0.1, 0, 0.1]}}
-thermal: {reference: 20, materials: {aluminium: [joint_2, joint_3]}}
+thermal: {reference: 20}
 frames: {base: {estimate: true}, tool: {xyz: [0, 0, 0.1], estimate: true}}
 noise: {position: 2e-5}
 """
 DRIFT = "drift: {spans: {base: [0, 3600]}, shift: 1e-4, turn: 0}\n"
 ERRORS = """
 base.instrument-drift.x2: 1e-4
-aluminium.thermal.growth: 2.3e-5
+joint_2.thermal.growth: 2.3e-5
 joint_3.cross-compliance.kx: 3e-6
 """
 
@@ -50,7 +50,7 @@ def test_errors_of_conditions_come_back(measured) -> None:  # type: ignore[no-un
     stated = document("out")
     found = {p["name"]: p for p in stated["parameters"]}
     for name, size in (
-        ("aluminium.thermal.growth", 2.3e-5),
+        ("joint_2.thermal.growth", 2.3e-5),
         ("joint_3.cross-compliance.kx", 3e-6),
     ):
         assert abs(found[name]["value"] - size) < 5.0 * found[name]["sigma"] < size

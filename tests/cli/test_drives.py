@@ -146,20 +146,6 @@ def test_continuous_joints_go_the_short_way(job, run):
     np.testing.assert_allclose(np.diff(timed[:, 4]), np.radians(2.0) / 0.5, atol=1e-2)
 
 
-def test_a_long_way_of_a_joint_with_limits_is_told(job, run):
-    text = Path("lift.urdf").read_text()
-    wide = 'name="last" type="revolute"'
-    before, after = text.split(wide)
-    wider = after.replace('lower="-2.0" upper="2.0"', 'lower="-6.3" upper="6.3"', 1)
-    Path("lift.urdf").write_text(before + wide + wider)
-    assert run(CALIBRATE).status == 0
-    motion = np.tile([0.5, 0.0, 0.4, 3.1], (4, 1))
-    motion[2:, 3] = -3.1
-    write("motion.csv", ",".join(COLUMNS), motion)
-    result = run(f"{RUN} motion.csv -o moved.csv")
-    assert "a short way, to line 5" in result.err and result.status == 0
-
-
 def test_what_to_do_about_joints_without_a_column(job, fails):
     header, rows, _ = table("rows.csv")
 
@@ -171,9 +157,8 @@ def test_what_to_do_about_joints_without_a_column(job, fails):
     where = "start behind them with --base drive"
     fails("calibrate lift.urdf behind.csv --tip tool -o out", "'lift'", where)
     without("Elbow [wrist]", "within.csv")
-    follows = ("Elbow [wrist]", "column of zeros", "coupled")
-    fails("calibrate lift.urdf within.csv --tip tool -o out", *follows)
-    fails("init lift.urdf within.csv", *follows)
+    fails("calibrate lift.urdf within.csv --tip tool -o out", "Elbow [wrist]")
+    fails("init lift.urdf within.csv", "Elbow [wrist]")
 
 
 def test_a_base_that_moves_in_all_directions(job, fails):

@@ -121,16 +121,8 @@ def test_a_folder_is_that_of_the_command_that_stands_in_it(jobs, run, inside):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize(
-    "workers",
-    [
-        "--workers 2",
-        pytest.param("--cluster local", marks=pytest.mark.needs("cluster")),
-    ],
-)
-def test_any_workers_have_the_same_bytes(jobs, run, request, workers):
-    run(f"fleet jobs.csv -o many --no-pages --quiet {workers}")
+def test_any_workers_have_the_same_bytes(jobs, run, request):
+    run("fleet jobs.csv -o many --no-pages --quiet --workers 2")
     request.getfixturevalue("inside")
     run("fleet jobs.csv -o one --no-pages --quiet")
     assert contents("one") == contents("many")

@@ -250,7 +250,7 @@ def test_obstacles_region_and_limits_of_the_setup_file(here, run):
     Path("cell.yaml").write_text(CELL)
     words = (
         "plan boxes.urdf --model position --setup cell.yaml --count 8 --candidates 60 "
-        "--method exchange --distance 0.2 -o plan.csv --json"
+        "--method exchange -o plan.csv --json"
     )
     result = run(words)
     assert (result.status, result.err) == (0, "")
@@ -266,9 +266,6 @@ def test_obstacles_region_and_limits_of_the_setup_file(here, run):
     for corner in corners:
         height = tool[:, 2, :3] @ corner + tool[:, 2, 3]
         assert height.min() >= 0.16 + 0.009
-    between = np.abs(q[:, None] - q[None]).max(axis=2)
-    np.fill_diagonal(between, np.inf)
-    assert between.min() >= 0.2
 
 
 # --- while it runs -----------------------------------------------------------------

@@ -199,7 +199,7 @@ gravity: [0, 0, 9.81]
 prior: {"*.placement.*": 0.002}
 loss: gnc
 limit: {position: 5e-4}
-thermal: {reference: 20, materials: {steel: [J1, "J2*"]}, switched_on: [0]}
+thermal: {reference: 20, switched_on: [0]}
 drift: {spans: {base: [0, 60]}, shift: 0}
 gauge: 0.01
 monte_carlo: {robot: pa10, configurations: [9, 12], errors: {"*": 1e-3}}

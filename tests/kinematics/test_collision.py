@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -176,14 +175,6 @@ def test_more_configurations_and_some_of_the_pairs(
     some = collisions.only(kept)
     assert some.pairs == tuple(collisions.pairs[k] for k in kept)
     np.testing.assert_array_equal(some.contacts(q), contacts[:, kept])
-    # They travel to other processes, each pair with its own clearance.
-    count = len(collisions.pairs)
-    wide = collisions.only(range(0, count, 2), np.linspace(0.0, 0.2, count))
-    sent = pickle.loads(pickle.dumps(wide))
-    assert sent.pairs == wide.pairs
-    assert sent.clearances.tobytes() == wide.clearances.tobytes()
-    assert sent.free(q).tobytes() == wide.free(q).tobytes()
-    assert sent.contacts(q).tobytes() == wide.contacts(q).tobytes()
 
 
 def test_clearance(arm: Chain) -> None:

@@ -1,4 +1,4 @@
-"""Simple solids, their edges, and surfaces of fewer triangles."""
+"""Simple solids, and surfaces of fewer triangles."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from calib_pin.kinematics.shapes import (
     ball,
     box,
     capsule,
-    creased,
     cylinder,
     simplified,
 )
@@ -20,21 +19,6 @@ def volume(surface: Surface) -> float:
     """By the divergence theorem; negative for a surface that is inside out."""
     a, b, c = np.moveaxis(surface.vertices[surface.triangles], 1, 0)
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
-
-
-def turned(surface: Surface, sharp: float) -> int:
-    """Edges that two triangles share by their vertices at an angle above `sharp`."""
-    corners = surface.vertices[surface.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    sizes = np.linalg.norm(normals, axis=1)
-    owners: dict[tuple[int, int], list[int]] = {}
-    for k in np.flatnonzero(sizes > 1e-12):
-        a, b, c = surface.triangles[k]
-        for edge in ((a, b), (b, c), (c, a)):
-            owners.setdefault((min(edge), max(edge)), []).append(k)
-    pairs = [pair for pair in owners.values() if len(pair) == 2]
-    unit = normals / np.maximum(sizes, 1e-12)[:, None]
-    return sum(float(unit[a] @ unit[b]) < np.cos(sharp) for a, b in pairs)
 
 
 @pytest.mark.parametrize(
@@ -52,11 +36,6 @@ def test_solids(
     assert np.ptp(surface.vertices, axis=0) == pytest.approx(size, rel=0.01)
     assert surface.vertices.mean(axis=0) == pytest.approx([0, 0, 0], abs=1e-9)
     assert volume(surface) == pytest.approx(content, rel=within)
-    sharp = creased(surface)
-    assert volume(sharp) == pytest.approx(volume(surface))
-    assert turned(sharp, np.radians(40.0)) == 0
-    if surface.vertices.shape == (8, 3):
-        assert (turned(surface, np.radians(40.0)), len(sharp.vertices)) == (12, 24)
 
 
 def test_a_simplified_surface_is_where_it_was_with_fewer_triangles() -> None:

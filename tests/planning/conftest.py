@@ -27,12 +27,11 @@ def workspace_of() -> Callable[..., Workspace]:
         robot: Any,
         model: str = "position",
         collisions: Collisions | None = None,
-        distance: float = 0.0,
         **settings: Any,
     ) -> Workspace:
         chain = calib_pin.load_chain(robot) if isinstance(robot, str) else robot
         problem = nominal_problem(chain, model, Setup(**settings))
-        return Workspace.create(problem, collisions, distance)
+        return Workspace.create(problem, collisions)
 
     return make
 

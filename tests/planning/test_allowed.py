@@ -34,14 +34,12 @@ class Cell:
         obstacles: What stands around it.
         region: Corners of the box in which the tool must be.
         limits: Narrower limits, by names or globs.
-        distance: Least distance.
     """
 
     chain: Chain
     obstacles: tuple[Obstacle, ...]
     region: tuple[Any, Any]
     limits: dict[str, tuple[float, float]]
-    distance: float = 0.0
 
     def collisions(self) -> Collisions:
         found = calib_pin.load_collisions(self.chain, self.obstacles, clearance=0.0)
@@ -75,9 +73,6 @@ class Cell:
             ends += [self.limits[key] for key in self.limits if fnmatchcase(name, key)]
             for low, high in ends:
                 assert low <= column.min() and column.max() <= high, name
-        between = np.abs(q[:, None] - q[None]).max(axis=2)
-        np.fill_diagonal(between, np.inf)
-        assert between.min() >= self.distance
 
 
 CELLS = {
@@ -95,7 +90,6 @@ CELLS = {
         ),
         ((-3.0, -3.0, 0.2), (3.0, 3.0, 4.0)),
         {"joint_*": (-2.5, 2.5)},
-        0.4,
     ),
 }
 
@@ -113,7 +107,6 @@ def planned(cell: Cell, method: str, most: int) -> Any:
         method=method,
         collisions=cell.collisions(),
         candidates=50,
-        distance=cell.distance,
         progress=lambda *_: next(calls) > most,
     )
 

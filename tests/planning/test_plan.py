@@ -50,7 +50,7 @@ FEW = {"setup": KNOWN, "count": 4}
 
 @pytest.fixture
 def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Configurations that keep a distance are soon looked for in vain."""
+    """Configurations are soon looked for in vain."""
     monkeypatch.setattr("calib_pin.planning.workspace.LEAST_DRAWS", 3000)
     monkeypatch.setattr("calib_pin.planning.workspace.DRAWS", 50)
 
@@ -194,23 +194,6 @@ def test_steps_lead_from_the_least_to_twice_the_set() -> None:
     # More rows never make the tip worse.
     positions = [step.position for step in plan.steps]
     assert all(b <= a * (1 + 1e-9) for a, b in pairwise(positions))
-
-
-@pytest.mark.parametrize(
-    ("method", "distance"),
-    [("exchange", 1.5), pytest.param("gradient", 0.8, marks=pytest.mark.slow)],
-)
-def test_sets_keep_their_distance(
-    method: str, distance: float, few_draws: None
-) -> None:
-    plan = small(method=method, distance=distance)
-    check_set(plan)
-    between = np.abs(plan.q[:, None] - plan.q[None]).max(axis=2)
-    np.fill_diagonal(between, np.inf)
-    assert between.min() >= distance
-    # Nobody stopped it, whatever was held up on the way.
-    assert plan.status is not Status.STOPPED
-    assert better("prediction", plan.value, plan.random)
 
 
 # --- joint corrections -------------------------------------------------------------
@@ -403,8 +386,6 @@ def test_a_stopped_search_returns_a_valid_plan(method: str, after: int) -> None:
         ({"model": "positions"}, {"allowed": ["position", "pose"]}),
         ({"count": 0}, {"value": 0, "reason": "count"}),
         ({"candidates": 0}, {"value": 0, "reason": "candidates"}),
-        ({"distance": -1.0}, {"value": -1.0}),
-        ({"count": 30, "distance": 3.0}, {"reason": "the 30 "}),
         ({"count": 4}, {"reason": ["4", "27"], "allowed": "9"}),
         ({"count": 5, "candidates": 5}, {"reason": "5"}),
         ({"setup": replace(SETUP, fixed=("*",))}, {"file": "space6"}),

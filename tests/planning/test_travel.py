@@ -9,10 +9,8 @@ import pytest
 
 import calib_pin
 from calib_pin.io.collision import load_collisions
-from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.kinematics.turns import shortest_turns
-from calib_pin.planning.travel import VIA, Ways, shortest_order
+from calib_pin.planning.travel import shortest_order
 from calib_pin.setup import Obstacle, Setup
 
 CHAIN = calib_pin.load_chain("example:ur5_robot", tip="tool0")
@@ -30,10 +28,7 @@ def test_turns_change_nothing_of_what_is_planned(monkeypatch):
     monkeypatch.setattr("calib_pin.planning.travel._same", lambda *about: False)
     as_found = calib_pin.plan(CHAIN, "position", 10, **QUICK)
     assert turned.value == pytest.approx(as_found.value, rel=1e-4)
-    limits = CHAIN.lower + 0.01, CHAIN.upper - 0.01
-    again = shortest_turns(turned.q, *limits, CHAIN.revolute)
-    np.testing.assert_array_equal(again, turned.q)
-    assert np.abs(np.diff(turned.q, axis=0)).max() < np.pi + 0.5
+    assert np.abs(turned.q).max() <= np.pi + 1e-6
     travels = [
         np.abs(np.diff(p.q, axis=0)).max(axis=1).sum() for p in (turned, as_found)
     ]
@@ -152,12 +147,6 @@ def scene(seed: int) -> tuple[np.ndarray, list[Obstacle]]:
             return ends, around
 
 
-def ways_around(obstacles: list[Obstacle]) -> Ways:
-    chains = Chains.of(PLANAR)
-    collisions = load_collisions(PLANAR, obstacles)
-    return Ways(chains, collisions, chains.lower, chains.upper)
-
-
 def touched(q: np.ndarray, obstacles: list[Obstacle]) -> bool:
     """Whether anything touches, at no clearance, on straight ways cut very finely."""
     bare = load_collisions(PLANAR, obstacles, clearance=0.0)
@@ -166,47 +155,17 @@ def touched(q: np.ndarray, obstacles: list[Obstacle]) -> bool:
     return not all(bare.free(a + parts * (b - a)).all() for a, b in pairwise(q))
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
-def test_a_way_around_a_sphere(seed):
+@pytest.mark.parametrize("seed", range(3))
+def test_a_move_through_a_sphere_is_seen(seed):
     q, obstacles = scene(seed)
     assert touched(q, obstacles)
-    ways = ways_around(obstacles)
-    assert not ways.is_free(*q)
-    found = ways.through(q, np.random.default_rng(0))
-    assert found.blocked == ()
-    assert 0 < found.vias < 10
-    assert not touched(found.q, obstacles)
-    np.testing.assert_array_equal(found.q[found.row != VIA], q)
-    assert found.row[[0, -1]].tolist() == [0, 1]
-    assert ((found.q >= PLANAR.lower) & (found.q <= PLANAR.upper)).all()
-    again = ways.through(q, np.random.default_rng(0))
-    np.testing.assert_array_equal(again.q, found.q)
-    # Not all through the house.
-    straight = np.abs(q[1] - q[0]) @ ways.collisions.reach
-    assert (
-        np.abs(np.diff(found.q, axis=0)) @ ways.collisions.reach
-    ).sum() < 4.0 * straight + 8.0
+    assert not load_collisions(PLANAR, obstacles).move_is_free(*q)
 
 
-def test_where_there_is_no_way_the_straight_one_is_named():
-    """In a cage that is closed, and with an end in the obstacle."""
-    q, _ = scene(0)
-    wall = [Obstacle(box=(0.02, 6.0, 6.0), xyz=(x, 0.0, 0.0)) for x in (-9.0, 0.0)]
-    ways = ways_around(wall)
-    assert ways.around(*q, np.random.default_rng(0)) is None
-    found = ways.through(q, np.random.default_rng(0))
-    assert found.blocked == (1,)
-    np.testing.assert_array_equal(found.q, q)
-    assert ways.through(q, None).blocked == (1,)
-
-
-def test_free_ways_stay_straight():
+def test_free_moves_are_free():
     q, _ = scene(1)
-    ways = ways_around([])
-    found = ways.through(np.array([q[0], q[0] + 0.02, q[0]]), np.random.default_rng(0))
-    assert (found.vias, found.blocked) == (0, ())
-    assert len(ways.through(q[:0], np.random.default_rng(0)).q) == 0
-    assert len(ways.through(q[:1], np.random.default_rng(0)).q) == 1
+    free = load_collisions(PLANAR)
+    assert free.move_is_free(q[0], q[0] + 0.02) and free.move_is_free(q[0], q[0])
 
 
 def test_no_point_of_the_robot_moves_farther_than_the_bound():

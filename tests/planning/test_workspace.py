@@ -1,4 +1,4 @@
-"""Where configurations may be: limits, region, sight, distances, spread."""
+"""Where configurations may be: limits, region, sight, spread."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def test_candidates_have_a_low_discrepancy(
     assert np.abs(other - q).max() > 0.1
 
 
-# --- region, sight, distance -------------------------------------------------------
+# --- region, sight -----------------------------------------------------------------
 
 
 def tool_points(workspace: Workspace, q: np.ndarray) -> np.ndarray:
@@ -236,34 +236,6 @@ def test_the_ranger_sees_its_planes(
         assert 0.3 - 1e-9 <= distance <= 2.5 + 1e-9
         angle = np.arccos(min(1.0, abs(normal @ beam) / np.linalg.norm(normal)))
         assert angle <= incidence + 1e-9
-
-
-def test_candidates_keep_their_distance(
-    workspace_of: Callable[..., Workspace], rng: np.random.Generator
-) -> None:
-    distance = 1.0
-    workspace = workspace_of("space6", distance=distance)
-    q = workspace.candidates(150, rng).q
-    between = np.abs(q[:, None] - q[None]).max(axis=2)
-    np.fill_diagonal(between, np.inf)
-    assert len(q) == 150
-    assert between.min() >= distance
-    assert workspace.apart(q).all()
-    assert workspace.allowed(q, np.zeros(150, int)).all()
-    # One that comes too close makes two of them bad, and no others.
-    q[7] = q[3] + 0.9 * distance * np.sign(0.1 - q[3])
-    bad = np.flatnonzero(~workspace.apart(q))
-    assert {3, 7} <= set(bad.tolist())
-    expected = (np.abs(q[:, None] - q[None]).max(axis=2) < distance).sum(axis=1) > 1
-    assert bad.tolist() == np.flatnonzero(expected).tolist()
-    # A cube of edge 0.2 has room for one such box at each of its 64 corners.
-    limits = {"*": (-0.1, 0.1)}
-    narrow = workspace_of("space6", distance=0.15, limits=limits)
-    assert 2 <= len(narrow.candidates(200, rng).q) <= 64
-    for wrong in (-0.1, np.nan):
-        with pytest.raises(OptionError) as caught:
-            workspace_of("space6", distance=wrong)
-        assert caught.value.value == pytest.approx(wrong, nan_ok=True)
 
 
 # --- what cannot be ----------------------------------------------------------------

@@ -15,23 +15,13 @@ NEVER = {"target": -np.inf, "tol": 0.0, "atol": 0.0}
 
 
 class Script:
-    """A variant that brings the trials, and the sizes, that a test prescribes."""
+    """A variant that brings the trials that a test prescribes."""
 
-    def __init__(self, *generations: list[float], sizes: tuple[int, ...] = ()) -> None:
+    def __init__(self, *generations: list[float]) -> None:
         self.trials = [np.array(members)[:, None] for members in generations]
-        self.sizes = list(sizes)
-        self.learnt: list[tuple[list[float], list[float], list[float], int]] = []
 
     def breed(self, population: Floats, energies: Floats) -> Floats:
         return self.trials.pop(0)
-
-    def learn(
-        self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
-    ) -> int:
-        self.learnt.append(
-            (parents[:, 0].tolist(), energies.tolist(), fresh.tolist(), evaluations)
-        )
-        return self.sizes.pop(0) if self.sizes else len(parents)
 
 
 def cost(x: Floats) -> Floats:
@@ -47,7 +37,7 @@ def run(first: list[float], script: Script, **options: object) -> EvolutionResul
         costs,  # type: ignore[arg-type]
         UNIT,
         np.array(first)[:, None],
-        script,
+        script.breed,
         Stops(**stops),  # type: ignore[arg-type]
         np.random.default_rng(0),
         callback,  # type: ignore[arg-type]
@@ -75,22 +65,6 @@ def test_trials_are_brought_back_and_ties_go_to_them() -> None:
     first, trials = calls
     assert first == [0.1, 0.7] and trials[0] == 0.3 and 0.7 < trials[1] < 1.0
     assert result.population[:, 0].tolist() == trials
-
-
-def test_the_variant_sees_what_was_before_selection() -> None:
-    script = Script([0.3, 0.9], [0.4, 0.4])
-    run([0.5, 0.6], script)
-    assert script.learnt == [
-        ([0.5, 0.6], [0.5, 0.6], [0.3, 0.9], 4),
-        ([0.3, 0.6], [0.3, 0.6], [0.4, 0.4], 6),
-    ]
-
-
-def test_the_best_live_on_when_the_population_shrinks() -> None:
-    script = Script([0.9, 0.1, 0.9, 0.9], [0.8, 0.8], sizes=(2, 2))
-    result = run([0.4, 0.5, 0.2, 0.6], script, evaluations=10)
-    assert sorted(result.population[:, 0]) == [0.1, 0.2]
-    assert (result.nfev, result.nit) == (10, 2)
 
 
 def test_generations_end_before_they_exceed_the_evaluations() -> None:

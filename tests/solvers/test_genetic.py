@@ -89,20 +89,6 @@ def test_members_are_subsets_in_order_and_are_counted() -> None:
     assert result.mean_history[-1] == pytest.approx(result.population_energies.mean())
 
 
-def test_x0_are_members_of_the_first_population() -> None:
-    seen: list[Indices] = []
-
-    def costs(x: Indices) -> Floats:
-        seen.append(x)
-        return (x != np.arange(6)).sum(axis=1).astype(float)
-
-    x0 = np.array([[5, 4, 3, 2, 1, 0], [19, 0, 1, 2, 3, 4]])
-    x0.flags.writeable = False
-    result = run(costs, x0=x0)
-    assert seen[0][:2].tolist() == [[0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, 19]]
-    assert (result.fun, result.x.tolist()) == (0.0, [0, 1, 2, 3, 4, 5])
-
-
 def test_what_is_not_feasible_loses() -> None:
     costs = determinant(20, 4)
 
@@ -152,11 +138,6 @@ def test_the_callback_sees_every_generation_and_stops() -> None:
         ({"size": 0}, 0),
         ({"count": 0}, 0),
         ({"count": 21}, 21),
-        ({"x0": np.arange(6)}, (6,)),
-        ({"x0": np.tile(np.arange(6), (31, 1))}, (31, 6)),
-        ({"x0": np.array([[0, 1, 2, 3, 4, 4]])}, [0, 1, 2, 3, 4, 4]),
-        ({"x0": np.array([[0, 1, 2, 3, 4, 20]])}, [0, 1, 2, 3, 4, 20]),
-        ({"x0": np.arange(6.0)[None]}, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
         ({"costs": lambda x: 0.0}, ()),
     ],
 )

@@ -241,15 +241,10 @@ def test_the_limits_end_it() -> None:
 @pytest.mark.parametrize(
     ("arguments", "value"),
     [
-        ({"memory": 0}, 0),
-        ({"max_iterations": 1.5}, 1.5),
-        ({"tolerance": np.nan}, np.nan),
         ({"x0": np.zeros(2)}, (2,)),
         ({"x0": np.zeros((0, 2))}, (0, 2)),
         ({"x0": np.array([[0.0, 0.0], [0.0, 3.0]])}, 3.0),
         ({"bounds": SQUARE[:, ::-1]}, (2.0, -2.0)),
-        ({"function": lambda x: (0.0, np.zeros(4))}, (4,)),
-        ({"allowed": lambda x: True}, ()),
     ],
 )
 def test_what_cannot_be_used(arguments: dict[str, Any], value: object) -> None:

@@ -12,7 +12,7 @@ from calib_pin.solvers import DifferentialEvolution, Genetic, ParticleSwarm, Sta
 
 GOOD = (
     DifferentialEvolution(
-        "l-shade",
+        "rand/1",
         np.int64(4),  # type: ignore[arg-type]
         **{"mutation": 2, "recombination": 0, "maxiter": 1, "target": -np.inf},
         **{"tol": 0, "atol": np.inf, "init": "random"},

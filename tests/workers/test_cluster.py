@@ -30,9 +30,8 @@ def who(shared: None, item: int) -> int:
 
 
 @pytest.mark.slow
-def test_processes_of_dask_have_the_same_results():
-    with Cluster("local") as cluster:
-        assert cluster.count >= 1
+def test_workers_of_dask_have_the_same_results(dask):
+    with Cluster(str(dask.file)) as cluster:
         items = range(300)
         assert list(cluster.map(square, 3, items)) == list(SERIAL.map(square, 3, items))
         assert os.getpid() not in set(cluster.map(who, None, range(4)))

@@ -142,4 +142,4 @@ def alive(process: int) -> bool:
 def test_without_dask_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(OptionError, match=r"calib-pin\[cluster\]"):
-        Cluster("local")
+        Cluster("tcp://127.0.0.1:9")

@@ -56,15 +56,15 @@ def moving_times(q: Floats, limits: Floats) -> Floats:
 
 
 def paced(
-    chain: Chain, q: Floats, row: Indices, time: Floats
+    chain: Chain, q: Floats, rows: Indices, time: Floats
 ) -> tuple[Floats, Indices]:
     """When commands are reached in a motion that has times of its own.
 
     Args:
         chain: The chain.
         q: Joint commands, shape (N, n) [rad, m].
-        row: The row of the motion that each is of, negative for one between two rows.
-        time: Times of the rows, shape (M,) [s].
+        rows: The rows of the motion that they are of, shape (N,).
+        time: Times of all its rows, shape (M,) [s].
 
     Returns:
         Times of the commands, shape (N,), and the rows to which a joint would move
@@ -74,15 +74,9 @@ def paced(
         limits = speed_limits(chain, 1.0)
     except OptionError:
         limits = np.full(len(chain.joints), np.inf)
-    known = row >= 0
-    # Between two rows the robot moves as evenly as it can.
-    way = moving_times(q, np.where(np.isinf(limits), 1.0, limits))
-    times = np.interp(way, way[known], time[row[known]])
-    times[known] = time[row[known]]
-    least = np.diff(moving_times(q, limits))
-    (late,) = np.nonzero(least > np.diff(times) * (1.0 + ROUNDING))
-    ahead = [row[k + 1 :][known[k + 1 :]][0] for k in late]
-    return times, np.unique(np.array(ahead, np.int64))
+    times, least = time[rows], np.diff(moving_times(q, limits))
+    late = least > np.diff(times) * (1.0 + ROUNDING)
+    return times, rows[1:][late]
 
 
 def urscript(

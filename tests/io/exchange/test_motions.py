@@ -50,17 +50,18 @@ def test_joints_without_a_speed():
 def test_moves_take_the_times_that_a_motion_has():
     chain = calib_pin.load_chain("example:ur10_robot", tip="tool0")
     q = np.array([[0.0] * 6, [0.1] * 6, [0.3] * 6])
-    times, fast = paced(chain, q, np.array([0, -1, 1]), np.array([5.0, 8.0]))
+    rows = np.array([0, 1, 3])
+    times, fast = paced(chain, q, rows, np.array([5.0, 6.0, 7.0, 8.0]))
     np.testing.assert_allclose(times, [5.0, 6.0, 8.0])
     assert fast.tolist() == []
     columns = JointColumns.of(chain)
     moves = urscript(chain, columns, q, 0.25, [], times).decode().splitlines()[1:4]
     assert [line.rpartition("], ")[2] for line in moves[1:]] == ["t=1)", "t=2)"]
     assert "a=1.2, v=" in moves[0]
-    # Named is the row behind a command between two rows.
-    _, fast = paced(chain, q, np.array([0, -1, 1]), np.array([5.0, 5.01]))
-    assert fast.tolist() == [1]
+    short = np.array([5.0, 6.0, 6.0, 6.01])
+    _, fast = paced(chain, q, rows, short)
+    assert fast.tolist() == [3]
     # A robot without speeds is not judged.
     still = slow_arm(*[0.0] * 6)
-    _, fast = paced(still, q, np.array([0, -1, 1]), np.array([5.0, 5.01]))
+    _, fast = paced(still, q, rows, short)
     assert fast.tolist() == []

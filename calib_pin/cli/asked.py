@@ -43,6 +43,7 @@ class Init(options.Answer, options.OfStations):
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(
     options.QuietAnswer,
+    options.Shown,
     options.Shared,
     options.Pictured,
     options.Detailed,
@@ -65,7 +66,7 @@ class Calibrate(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Watch(options.QuietAnswer, Request):
+class Watch(options.QuietAnswer, options.Shown, Request):
     """Follow measurements while they are taken.
 
     Reads the files again whenever another program has written to them. Each new row is
@@ -300,7 +301,7 @@ def added(text: str) -> int:
 
 SELECTED = (
     *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
-    *("seed", "distance", "motion", "parameters", "figures", "json"),
+    *("seed", "distance", "motion", "parameters", "figures"),
 )
 """Fields of plans that an acceptance test has no use for."""
 

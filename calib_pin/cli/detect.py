@@ -81,9 +81,6 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
         )
     median = float(np.median(np.concatenate([one.sigma for one in every])))
     shown, corners = sum(bool(k.names) for k in every), sum(len(k.names) for k in every)
-    document: dict[str, Any] = {"images": len(images), "shown": shown}
-    document |= {"corners": corners, "sigma": median, "camera": setup["camera"]}
-    document |= {"assumed": start.assumed, "rms": start.rms}
     ends = start.camera.focal, start.camera.center
     focal, center = (f"({a:.1f}, {b:.1f})" for a, b in ends)
     checked = start.rms is not None
@@ -96,7 +93,7 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
         f"{'start of the camera' if given.camera is None else 'camera as stated'}: "
         f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
     )
-    asked.give(contents, lambda: document, told)
+    asked.give(contents, told)
     return 0
 
 
@@ -106,7 +103,7 @@ def _drawn(asked: Detect, file: Path, detector: Detector) -> int:
     picture = encode_png(detector.drawn(SHEET), SHEET / detector.board.square)
     width, height = 1e3 * detector.extent
     told = f"print it at 100 %: {width:g} x {height:g} mm\n"
-    asked.give({file: picture}, dict, told)
+    asked.give({file: picture}, told)
     return 0
 
 

@@ -33,9 +33,7 @@ def export(asked: Export) -> int:
     if asked.chain is not None:
         require_known("measured chain", asked.chain, result.model.measured_chains)
     encoded = wanted.encode(exchange.Exported(result, file, asked.chain), template)
-    remarks = [*encoded.remarks]
-    document = {"format": form, "remarks": remarks}
-    for remark in remarks if not asked.json else ():
+    for remark in encoded.remarks:
         asked.tell(remark)
-    asked.give({output: encoded.data}, lambda: document)
+    asked.give({output: encoded.data})
     return 0

@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -19,7 +18,6 @@ from calib_pin.cli.files import check_outputs, require_distinct, require_folders
 from calib_pin.errors import InputError, OptionError, enumerated, stated_in
 from calib_pin.io.columns import LENGTH, Kind
 from calib_pin.io.first_look import Choose, Look, draft, first_look
-from calib_pin.io.setup import setup_document
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import DistanceSetup, Setup
@@ -39,14 +37,12 @@ def init(asked: Init, words: Sequence[str]) -> int:
     check_outputs([asked.output], [asked.robot, *files, asked.setup], asked.force)
     robot, look = looked_at(asked, _choose, _ask)
     text = draft(robot, look, printing.told_command(words))
-    found: dict[str, Any] = {"setup": setup_document(look.setup)}
-    found["nominal"] = look.errors
     written, contents = list[str](), dict[Path, bytes]()
     if asked.output is not None:
         contents = {asked.output: text.encode()}
         words = shlex.join(map(str, [asked.robot, *files, "--setup", asked.output]))
         written = [f"wrote {asked.output}", f"next: calib-pin calibrate {words} -o out"]
-    asked.give(contents, lambda: found, text, written)
+    asked.give(contents, text, written)
     return 0
 
 

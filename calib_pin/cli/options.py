@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import partial
 from importlib import import_module
@@ -467,7 +467,7 @@ class Request(OfStations, OfParameters):
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """How a command answers that writes no file.
+    """Whether a program reads what a command prints.
 
     Attributes:
         json: Print JSON.
@@ -475,55 +475,53 @@ class Shown:
 
     json: Annotated[bool, Told("", "Output")] = False
 
-    force = quiet = False
-
-    def give(
-        self,
-        contents: Mapping[Path, bytes],
-        document: Callable[[], Mapping[str, Any] | bytes],
-        blocks: Iterable[Block] | str = (),
-        written: Iterable[str] | None = None,
-        writing: AbstractContextManager[None] | None = None,
+    def show(
+        self, document: Callable[[], Mapping[str, Any]], blocks: Iterable[Block]
     ) -> None:
-        """Write files, and print what is found; neither if one of both fails.
-
-        Args:
-            contents: The files.
-            document: Makes what is printed as JSON, with the names of the files unless
-                it has them; or that as it is in a file.
-            blocks: The report that is printed else, or its text as it is.
-            written: Lines on the files that are in place; default their names.
-            writing: Puts the files in place where it ends well; default `write_files`.
-        """
-        from calib_pin.io.files import write_files
+        """Print what is found, as JSON or as a report."""
         from calib_pin.io.json_text import encode
 
-        told, names = not (self.json or self.quiet), [*map(str, contents)]
-        with writing or write_files(contents, force=self.force):
-            if self.json:
-                made = document()
-                if not isinstance(made, bytes):
-                    own = {"written": names} if names and "written" not in made else {}
-                    made = encode({**made, **own})
-                say(made.decode())
-            elif told and isinstance(blocks, str):
-                say(blocks)
-            elif told and (shown := [*blocks]):
-                show(shown)
-        lines = [f"wrote {name}" for name in names] if written is None else [*written]
-        if told:
-            say_written(lines)
+        if self.json:
+            say(encode(document()).decode())
+        else:
+            show(blocks)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer(Shown):
-    """How a command answers.
+class Answer:
+    """How a command answers that writes files.
 
     Attributes:
         force: Replace existing output.
     """
 
     force: Annotated[bool, Told("", "Output")] = False
+
+    quiet = False
+
+    def give(
+        self,
+        contents: Mapping[Path, bytes],
+        blocks: Iterable[Block] | str = (),
+        written: Iterable[str] | None = None,
+    ) -> None:
+        """Write files, and print what is found; neither if one of both fails.
+
+        Args:
+            contents: The files.
+            blocks: The report that is printed, or its text as it is.
+            written: Lines on the files that are in place; default their names.
+        """
+        from calib_pin.io.files import write_files
+
+        with write_files(contents, force=self.force):
+            if not self.quiet and isinstance(blocks, str):
+                say(blocks)
+            elif not self.quiet and (shown := [*blocks]):
+                show(shown)
+        if not self.quiet:
+            lines = (f"wrote {name}" for name in contents)
+            say_written(lines if written is None else written)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -541,13 +539,13 @@ class QuietAnswer(Answer):
         if not self.quiet:
             notice(remark)
 
-    def ended(self, verdict: str, reason: str) -> int:
-        """The exit status by a verdict, which is told where no report has told it."""
+    def ended(self, verdict: str, reason: str, *, told: bool) -> int:
+        """The exit status by a verdict, told here if no report has told it."""
         from calib_pin.estimation.evidence import TRUSTED
 
         if verdict in TRUSTED:
             return 0
-        if self.quiet or self.json:
+        if not told:
             notice(f"{verdict}: {reason}")
         return 2
 

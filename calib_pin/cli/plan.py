@@ -21,7 +21,6 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import measurements, targets
 from calib_pin.io.columns import ANGLE, LENGTH, split_header
 from calib_pin.io.exchange.motions import speed_limits
-from calib_pin.io.json_text import Json, format_keys, merged, plain
 from calib_pin.io.measured_columns import shown_columns
 from calib_pin.io.measurements import encode_configurations, encode_table
 from calib_pin.kinematics.chains import Chains
@@ -118,7 +117,7 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
             contents[asked.motion] = motion
             written.append(f"wrote {passage.vias} more on the way to {asked.motion}")
     written += results.told_figures(figures, pictures)
-    asked.give(contents, lambda: plan_document(found), plan_report(found), written)
+    asked.give(contents, plan_report(found), written)
     if shut:
         printing.notice(
             f"no motion: no free way was found to {asked.output}, {line_list(shut)}"
@@ -286,28 +285,7 @@ def _acceptance(
     text = encode_table(columns, [f"planned by: {command}", "", *schedule.splitlines()])
     asked.give(
         {asked.output: text},
-        dict,
         schedule,
         [f"wrote {len(found.q) * cycles} visits to {asked.output}"],
     )
     return 0
-
-
-def plan_document(plan: planning.Plan) -> Json:
-    """A plan: its configurations, what they reach, and the expected result."""
-    expected, blocked = plan.predicted, plan.blocked
-    return merged(
-        format_keys("calib-pin/plan"),
-        {"joints": plan.problem.chains.joints, "target": plan.target},
-        plain(plan),
-        {
-            "collisions": {
-                "checked": blocked is not None,
-                "blocked_moves": blocked or (),
-            },
-            "predicted": {
-                "rank": expected.directions.count,
-                "structural_rank": expected.rank,
-            },
-        },
-    )

@@ -71,7 +71,7 @@ def test_the_result_is_that_of_its_urdf(described, run):
         "identify arm.urdf.xacro reach:=0.5 --model position --json",
         "simulate arm.urdf.xacro reach:=0.5 --model pose --count 20 --seed 4 -o p.csv",
         "plan arm.urdf.xacro reach:=0.5 --model position --count 8 --candidates 30 "
-        "--ignore-collisions --method greedy --json -o p.csv",
+        "--ignore-collisions --method greedy -o p.csv",
     ],
 )
 def test_every_command_takes_it(described, run, words):

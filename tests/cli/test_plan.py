@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
@@ -125,8 +124,8 @@ def test_additions_in_every_form(words, measured, here, run):
 
 def test_validation_rows_are_not_counted(here, run, refuses):
     marked("rows.csv", 4)
-    result = run(f"{ADD} --add 4 --to rows.csv -o more.csv --json")
-    assert json.loads(result.out)["measured"] == 30
+    result = run(f"{ADD} --add 4 --to rows.csv -o more.csv")
+    assert "in addition to 30 measurements" in " ".join(result.out.split())
     marked("new.csv", 1)
     refuses(f"{ADD} --add 3 --to new.csv -o most.csv", column="set")
 
@@ -143,26 +142,6 @@ def test_the_same_words_give_the_same_bytes(here, run, refuses, listing):
     assert {name: after[name] for name in before} == before, "inputs stay"
     assert run(f"{words.replace('seed 3', 'seed 4')} --force").status == 0
     assert Path("plan.csv").read_bytes() != first
-
-
-def test_json(here, run):
-    result = run(f"{PLAN} --count 8 --criterion O1 -o plan.csv --json")
-    assert (result.status, result.err) == (0, "")
-    found = json.loads(result.out)
-    assert found["joints"] == ["joint1", "joint2", "joint3", "joint4"]
-    np.testing.assert_array_equal(found["configurations"], positions("plan.csv"))
-    assert found["criterion"]["name"] == "O1"
-    assert found["criterion"]["value"] > found["random"] > 0.0
-    assert (found["method"], found["status"]) == ("greedy", "converged")
-    assert found["collisions"] == {"checked": False, "blocked_moves": []}
-    assert found["candidates"] == 100
-    counts = [step["count"] for step in found["steps"]]
-    assert counts == list(range(counts[0], 17))
-    predicted = found["predicted"]
-    assert predicted["rank"] == predicted["structural_rank"] == 11
-    assert 0.0 < predicted["position"] < 1e-3
-    names = {p["name"] for p in predicted["parameters"]}
-    assert {"base.frame.x", "joint2.joint-offset.q", "tool.frame.z"} <= names
 
 
 def test_quiet(here, run):
@@ -250,11 +229,11 @@ def test_obstacles_region_and_limits_of_the_setup_file(here, run):
     Path("cell.yaml").write_text(CELL)
     words = (
         "plan boxes.urdf --model position --setup cell.yaml --count 8 --candidates 60 "
-        "--method exchange --distance 0.2 -o plan.csv --json"
+        "--method exchange --distance 0.2 -o plan.csv"
     )
     result = run(words)
     assert (result.status, result.err) == (0, "")
-    assert json.loads(result.out)["collisions"]["checked"] is True
+    assert "No configuration" in result.out and "collide" in result.out
     chain = calib_pin.load_chain("boxes.urdf")
     q = positions("plan.csv", "boxes.urdf")
     tool = chain.poses(q)
@@ -275,7 +254,7 @@ def test_obstacles_region_and_limits_of_the_setup_file(here, run):
 
 
 def test_ctrl_c_without_a_terminal(here, run, monkeypatch):
-    """No bar; the note comes all the same, and the JSON says how it ended."""
+    """No bar; the note comes all the same, and the report says how it ended."""
     told = Search.told
 
     def once(search: Search, *arguments: Any) -> Any:
@@ -290,13 +269,13 @@ def test_ctrl_c_without_a_terminal(here, run, monkeypatch):
         # The search would take minutes.
         result = run(
             "plan arm.urdf --model position --setup setup.yaml --count 40 "
-            "--candidates 5000 --method ga --ignore-collisions --json -o plan.csv"
+            "--candidates 5000 --method ga --ignore-collisions -o plan.csv"
         )
     finally:
         signal.signal(signal.SIGINT, before)
     assert result.status == 0
     assert result.err.startswith("calib-pin: note: interrupted")
-    assert json.loads(result.out)["status"] == "stopped"
+    assert "(stopped: the best so far)" in " ".join(result.out.split())
     assert len(table("plan.csv")[1]) == 40
 
 

@@ -80,9 +80,6 @@ class Watch(options.QuietAnswer, options.Shown, Request):
         output: Folder for the results, written at the end as by calibrate.
         plan: Configurations to measure.
         type: Ask for the readings of --plan one by one, and write the rows.
-        board: MEASUREMENTS are a folder of images of this board, see detect; their
-            corners go to a file of its name beside it.
-        joints: With --board, the configurations by a column 'image' (file name).
         limit: Expected error of the tool point to reach [m]; by default 'limit' of the
             setup file.
         srdf: SRDF file of the pairs of links that need no collision check.
@@ -92,8 +89,6 @@ class Watch(options.QuietAnswer, options.Shown, Request):
     output: Annotated[Path | None, Told("DIR", "Output")] = None
     plan: Annotated[Path | None, Told("CSV", "Watch")] = None
     type: Annotated[bool, Told("", "Watch", needs="plan", excludes=("json",))] = False
-    board: Annotated[str | None, Told("SPEC", "Watch")] = None
-    joints: Annotated[Path | None, Told("CSV", "Watch", needs="board")] = None
     limit: Annotated[float | None, Told("S", "Watch", (1e-6, 1))] = None
     srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
     once: Annotated[bool, Told("", "Watch", excludes=("output", "type"))] = False
@@ -528,11 +523,9 @@ class Windowed:
 
     Attributes:
         port: Port on this machine; 0 for any free port.
-        once: Stop when the last tab is closed.
     """
 
     port: Annotated[int, Told("N", "Window", (0, 65535))] = 8080
-    once: Annotated[bool, Told("", "Window")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -546,7 +539,7 @@ class View(Windowed, options.OfStations, options.OfChain, options.OfCalibration)
 
     Attributes:
         measurements: CSV or Parquet files.
-        plan: Configurations to play in order.
+        plan: Configurations to go through.
     """
 
     measurements: Annotated[list[Path] | None, Told("[MEASUREMENTS...]", "")] = None

@@ -1,7 +1,7 @@
 """The job of one tab of a page: choices, the result they lead to, and what is shown.
 
-All work is that of `init`, `calibrate`, `view` and `watch`, by the same functions; here
-stands only when.
+All work is that of `init`, `calibrate` and `view`, by the same functions; here stands
+only when.
 """
 
 from __future__ import annotations
@@ -23,9 +23,7 @@ from calib_pin.cli.init import looked_at
 from calib_pin.cli.options import Request, same
 from calib_pin.cli.printing import complaint, notice, stage, taken_notices
 from calib_pin.cli.requests import Opened, calibrated, opened
-from calib_pin.cli.watch import watched
 from calib_pin.errors import CalibPinError, OptionError
-from calib_pin.guidance import Event, Watch
 from calib_pin.io.columns import ANGLE, LENGTH, Column
 from calib_pin.io.first_look import draft
 from calib_pin.io.json_text import merged
@@ -54,9 +52,6 @@ NOTHING = "(choose)"
 
 OUT, SETUP, ALL = Path("calibrated"), Path("setup.yaml"), "calibrated.zip"
 
-LAST, STANDING = 6, ("waiting", "state", "next")
-"""Lines on the latest rows of a file that is followed, and what stands above them."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Chosen(Init):
@@ -84,7 +79,6 @@ class Read:
         text: The setup file.
         keys: Its keys.
         columns: Columns of the first file.
-        question: A question that only a person can answer; empty for none.
         opened: The input of `calibrate`; None as long as it cannot be used.
     """
 
@@ -94,7 +88,6 @@ class Read:
     text: str = ""
     keys: Mapping[str, Any] = field(default_factory=dict)
     columns: Mapping[str, Column] = field(default_factory=dict)
-    question: str = ""
     opened: Opened | None = None
 
 
@@ -127,10 +120,8 @@ class Job:
         self.scene: Scene | None = None
         self.result: CalibrationResult | None = None
         self.files = dict[str, bytes]()
-        self._remarks, self._events = list[str](), list[Event]()
+        self._remarks = list[str]()
         self._stage: tuple[str, float | None] | None = None
-        self._watch: Watch | None = None
-        self._seen: Opened | None = None
 
     # --- what a person does --------------------------------------------------------
 
@@ -163,7 +154,7 @@ class Job:
 
     def choose(self, **chosen: Any) -> None:
         """Change what was chosen, and read it."""
-        self.chosen, self._watch = replace(self.chosen, **chosen), None
+        self.chosen = replace(self.chosen, **chosen)
         self._do(self._read)
 
     def change(self, lines: Mapping[str, Any]) -> None:
@@ -174,17 +165,11 @@ class Job:
         """Calibrate."""
         self._do(self._calibrate)
 
-    def follow(self) -> None:
-        """Follow the measurements while they are written."""
-        assert self.read.opened is not None
-        request, self._events = self.read.opened.request, []
-        self._watch = watched(request, seen=partial(setattr, self, "_seen"))
-
     # --- what is done then ---------------------------------------------------------
 
-    def _do(self, work: Callable[[], None], name: str = "waiting") -> None:
+    def _do(self, work: Callable[[], None]) -> None:
         self.stopped.clear()
-        self._stage = name, None
+        self._stage = "waiting", None
         self._submit(self._done, work)
 
     def _done(self, work: Callable[[], None]) -> None:
@@ -197,9 +182,7 @@ class Job:
             problem = "stopped"
         except Exception as error:
             problem = complaint(error)
-        remarks = [*dict.fromkeys(taken_notices())]
-        if work != self._look:
-            self.problem, self._remarks = problem, remarks
+        self.problem, self._remarks = problem, [*dict.fromkeys(taken_notices())]
         self._stage = None
 
     def _bar(self, name: str, part: float | None) -> None:
@@ -258,8 +241,7 @@ class Job:
             return choices[0]
 
         def ask(question: str) -> str:
-            self.read.question = question
-            raise OptionError(question)
+            raise OptionError(f"{question}: state it as 'distances' in the setup file")
 
         changes, read = self.chosen.changes, self.read
         known: Any = {key: changes.get(key) for key in ("base", "tip", "model")}
@@ -282,15 +264,6 @@ class Job:
         self.result, model = found.result, found.result.model
         self.scene = self._drawn(model.chains, given.setup, model)
 
-    def _look(self) -> None:
-        if self._watch is None or (before := self.read.opened) is None:
-            return
-        if found := [*self._watch.look()]:
-            self._events += found
-            given = replace(self._seen or before, output=before.output)
-            self.read.opened = given
-            self.scene = self._drawn(given.chains, given.setup)
-
     def _drawn(
         self, chains: Chains, setup: Setup, model: CalibratedModel | None = None
     ) -> Scene:
@@ -303,12 +276,9 @@ class Job:
     # --- what is shown -------------------------------------------------------------
 
     def sections(self) -> Iterator[Section]:
-        """All sections of the page; files that are followed are looked at."""
-        if self._watch is not None and self._stage is None:
-            self._do(self._look, "")
+        """All sections of the page."""
         yield Section("Result", [*self._result()])
         yield Section("Now", [*self._now()])
-        yield Section("While it is measured", [*self._followed()])
         yield Section("Chosen", [*self._listed()])
         yield Section("Found in the files", [*self._found()])
         yield Section("Robot and measurements", [*self._asked()])
@@ -321,20 +291,17 @@ class Job:
 
     def _now(self) -> Iterator[Widget]:
         read, working = self.read, self._stage
-        if working is not None and working[0]:
+        if working is not None:
             yield Widget("progress", *working)
             yield Widget("button", "stop", do=self.stopped.set)
             return
         if self.problem:
             yield words(self.problem, "error")
-        if asked := read.question:
-            do = partial(self._take, "distance")
-            yield Widget("entry", "take this length", choices=(asked,), do=do)
         for remark in self._remarks:
             yield words(remark, "note")
         if self.problem and read.columns and read.opened is None:
             said = "Correct the file, or choose below what is known: tip, measured, "
-            yield words(said + "columns. A few rows need tip and measured.", "note")
+            yield words(said + "columns.", "note")
         if not self.chosen.robot:
             yield words("Begin with the robot: its file, or a bundled one.")
         elif not self.chosen.measurements:
@@ -344,20 +311,6 @@ class Job:
             yield Widget("button", "Calibrate", tone="good", do=self.calibrate)
         elif read.opened is not None:
             yield Widget("button", "Calibrate again", do=self.calibrate)
-
-    def _followed(self) -> Iterator[Widget]:
-        """The latest rows of files that another program writes, and where to go."""
-        paths = self.chosen.measurements if self.read.opened else ()
-        if self._watch is None and paths and all(path.is_absolute() for path in paths):
-            said = "follow the measurements while they are written"
-            yield Widget("button", said, do=self.follow)
-        if self._watch is None:
-            return
-        last = {e.kind: e for e in self._events if e.kind in STANDING}
-        rows = [event for event in self._events if event.kind not in STANDING]
-        for event in [*last.values(), *rows[-LAST:]]:
-            wrong = event.kind in ("problem", "finding") or event.numbers.get("wrong")
-            yield words(event.text, "error" if wrong else "plain")
 
     def _listed(self) -> Iterator[Widget]:
         robot, files = self.chosen.robot, self.chosen.measurements
@@ -431,13 +384,12 @@ class Job:
 
     def _lines(self) -> Iterator[Widget]:
         if self.chosen.measurements:
-            do = partial(self._take, "text")
+            do = self._take
             yield Widget("lines", "use these lines", self.read.text, do=do)
             yield self._links({SETUP.name: SETUP.name})
 
-    def _take(self, key: str, text: str) -> None:
-        changes = {} if key == "text" else self.chosen.changes
-        self.choose(**{key: text.strip() and text}, changes=changes)
+    def _take(self, text: str) -> None:
+        self.choose(text=text.strip() and text, changes={})
 
     def _links(self, names: Mapping[str, str], tone: str = "plain") -> Widget:
         """Links to those of the files that are there, by what stands on them."""

@@ -48,7 +48,6 @@ def watched(
     limit: float | None = None,
     *,
     srdf: Path | None = None,
-    seen: Callable[[Opened], object] = lambda _: None,
 ) -> guidance.Watch:
     """The watch of a calibration as `calibrate` takes it.
 
@@ -57,12 +56,11 @@ def watched(
         plan: Configurations to measure.
         limit: Expected error of the tool point that is to be reached [m].
         srdf: Pairs of links that need no collision check.
-        seen: Told the input whenever it was read.
     """
 
     def read() -> Any:
         try:
-            seen(found := opened(request, None))
+            found = opened(request, None)
             return found.chains, _so_far(found), found.measurements
         finally:
             taken_notices()
@@ -91,12 +89,6 @@ def watch(asked: Watch) -> int:
     """Do what `Watch` asks for."""
     own = options.same(asked, Request)
     before: Callable[[], object] = partial(time.sleep, PAUSE)
-    if asked.board is not None:
-        from calib_pin.cli.detect import images_of
-
-        folder = asked.measurements[0]
-        file, before = images_of(folder, asked.board, asked.joints, PAUSE)
-        own["measurements"] = [file]
     request = Request(**own)
     job = watched(request, asked.plan, asked.limit, srdf=asked.srdf)
     try:

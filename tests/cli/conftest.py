@@ -229,9 +229,8 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
         def show(self, scene: Scene) -> None:
             scenes.append(scene)
 
-        def run(self, once: bool) -> None:
-            if not once:
-                raise KeyboardInterrupt
+        def run(self) -> None:
+            raise KeyboardInterrupt
 
         def close(self) -> None:
             pass

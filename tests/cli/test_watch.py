@@ -166,40 +166,6 @@ def test_the_status_is_that_of_the_verdict(here: Path, run):
         assert run(words).status == status
 
 
-@pytest.mark.needs("vision")
-def test_only_new_images_are_detected(tmp_path: Path, monkeypatch):
-    import calib_pin.io.boards as boards
-    from calib_pin.cli.detect import images_of
-
-    folder, word = tmp_path / "images", "charuco:7x5:0.03:0.022"
-    folder.mkdir()
-    board = boards.drawn_board(boards.board_of(word))
-    png = boards.encode_png(board.generateImage((700, 500), None, 30), 1e4)
-    looked = list[str]()
-    find = boards.find_board
-
-    def counted(detector, paths, tell):
-        looked.extend(path.name for path in paths)
-        return find(detector, paths, tell)
-
-    monkeypatch.setattr(boards, "find_board", counted)
-    joints = tmp_path / "joints.csv"
-    joints.write_text("image,joint1\na.png,0.1\n")
-    (folder / "a.png").write_bytes(png)
-    file, add = images_of(folder, word, joints, 0.0)
-    first = file.read_text()
-    assert first.startswith("image,joint1,target,u,sigma_u,v,sigma_v\na.png,0.1,")
-    (folder / "b.png").write_bytes(png)
-    add()
-    assert file.read_text() == first
-    joints.write_text("image,joint1\na.png,0.1\nb.png,0.2\n")
-    add()
-    assert file.read_text().startswith(first)
-    assert file.read_text().count("b.png,0.2,") == first.count("a.png")
-    images_of(folder, word, joints, 0.0)
-    assert looked == ["a.png", "b.png"]
-
-
 def test_a_terminal_shows_the_state_below_the_rows():
     from rich.console import Console
 

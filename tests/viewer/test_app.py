@@ -238,19 +238,16 @@ def test_paths_examples_and_files_of_the_same_name(tab, tmp_path):
     assert "nobody" in tab.job.problem
 
 
-def test_a_length_that_only_a_person_knows_is_asked_for(tab, monkeypatch):
+def test_what_only_a_person_knows_is_told(tab, monkeypatch):
     def looked(asked: Any, choose: Any, ask: Any) -> None:
         assert choose("which link", ["a", "b"], "--tip") == "a"
-        raise OSError(5, asked.distance or ask("how far apart"))
+        ask("how far apart")
 
     monkeypatch.setattr("calib_pin.cli.page_job.looked_at", looked)
     tab.job.add("pa10")
     tab.job.give("rows.csv", table())
     assert "which link? a is taken" in tab.said("Now")
-    entry = tab.widget("Now", "take this length")
-    assert entry.choices == ("how far apart",)
-    entry.do("50 mm")
-    assert "50 mm" in tab.job.problem
+    assert "how far apart: state it as 'distances'" in tab.job.problem + tab.said("Now")
 
 
 def test_work_is_stopped(tab, monkeypatch):
@@ -275,24 +272,6 @@ def test_work_is_stopped(tab, monkeypatch):
     )
     assert tab.job.problem == "stopped" and tab.job.result is None
     assert tab.widget("Now", "Calibrate").tone == "good"
-
-
-def test_files_are_followed_while_they_are_written(tab, tmp_path):
-    *first, one = table().splitlines(keepends=True)[:23]
-    file = tmp_path / "live.csv"
-    file.write_bytes(b"".join(first))
-    tab.job.add("pa10")
-    tab.job.add("live.csv")
-    (follow,) = tab.shown("While it is measured")
-    follow.do()
-    [*tab.job.sections()]
-    told = tab.said("While it is measured")
-    assert told
-    with file.open("ab") as stream:
-        stream.write(one)
-    [*tab.job.sections()]
-    assert tab.said("While it is measured") != told
-    assert len(tab.job.scene.rows.data) == 22
 
 
 def test_lines_go_into_a_setup_file(tab):
@@ -343,13 +322,13 @@ def test_only_sections_that_changed_are_drawn_again(scene, viser_server, monkeyp
         monkeypatch.setattr(viser_server.gui, name, partial(recorded, known, add))
     folders, html = made.values()
     for _ in range(2):
-        page.tick(1.0)
+        page.tick()
         assert folders == ["Two"]  # One without widgets is not shown.
     told.shown = every[:2]
-    page.tick(1.0)
+    page.tick()
     assert folders == ["Two", "One"]
     told.view = [Widget("scene", value=scene)]
-    page.tick(1.0)
+    page.tick()
     assert folders[2] == "View" and "Residual map" in folders
     assert any("&lt;b&gt;1 &lt; 2" in content for content in html)
     robot, report = next(c for c in html if "a.urdf" in c).split("</a>")[:2]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 import calib_pin.cli.options as options
-from calib_pin.cli.options import SEED, Request, Told, known, number
+from calib_pin.cli.options import SEED, Request, Told, known
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,9 +22,8 @@ class Init(options.Answer, options.OfStations):
 
     Finds the tip, the joints, what was measured, foreign names of columns and their
     units, by testing candidates on the nominal robot, and says in comments what it
-    found. Prompts on a terminal for what it cannot infer; elsewhere an error names the
-    option that says it. The setup file that `detect` wrote (--setup) has the board and
-    the camera.
+    found. For what it cannot infer an error names the option that says it. The setup
+    file that `detect` wrote (--setup) has the board and the camera.
 
     Attributes:
         measurements: CSV or Parquet files with one row per measurement, as they are.
@@ -151,13 +150,11 @@ class Accept(options.QuietAnswer, options.OfCalibration):
         output: Folder for acceptance.json, .csv, .html and .pdf; without it the test is
             only printed.
         register: Fit the station of a calibration anew, never its tool.
-        path: The poses are points of a path, measured in every cycle: AT, RT.
     """
 
     measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
     output: Annotated[Path | None, Told("DIR", "Output")] = None
     register: Annotated[bool, Told("", "Robot")] = False
-    path: Annotated[bool, Told("", "Robot")] = False
 
 
 MANY = (1, 1e6)
@@ -175,7 +172,7 @@ class Simulate(options.Answer, options.OfParameters):
 
     Attributes:
         output: Measurement file to write.
-        model: Measurement model, or several joined by +; 'list' prints all.
+        model: Measurement model, or several joined by +.
         count: Number of random configurations, or
         configurations: the configurations of this file.
         errors: True errors by parameter name [m, rad]; by default drawn.
@@ -223,12 +220,10 @@ class Detect(options.QuietAnswer):
             marker:1x1:EDGE:DICT_4X4_50:first=7; columns x rows of squares (not of inner
             corners), circles or tags. Default is 'board' of the setup file.
         setup: Setup file with the 'board'.
-        joints: Configurations: those of a column 'image' (file name); a log with times,
-            see --times; or in the order of the images, img_2 before img_10. All its
-            columns are passed on, as 'time'. Without it the output has no joints; its
-            column 'image' tells which to add.
-        times: When the images were taken, columns 'image' and 'time': each gets the
-            joints of its standstill in the log of --joints.
+        joints: Configurations: those of a column 'image' (file name), or in the order
+            of the images, img_2 before img_10. All its columns are passed on, as
+            'time', by which join adds the joints of a log. Without it the output has no
+            joints; its column 'image' tells which to add.
         mount: Where the camera is: hand (default) or world (board on the robot).
         setup_output: Write a setup file for calibrate: the board, and the camera with
             intrinsics to start from.
@@ -240,7 +235,6 @@ class Detect(options.QuietAnswer):
     board: Annotated[str | None, Told("SPEC", "Images", excludes=("setup",))] = None
     setup: Annotated[Path | None, Told("FILE", "Images")] = None
     joints: Annotated[Path | None, Told("CSV", "Images")] = None
-    times: Annotated[Path | None, Told("CSV", "Images", needs="joints")] = None
     mount: Annotated[str, Told("WHERE", "Images", MOUNT)] = "hand"
     setup_output: Annotated[Path | None, Told("FILE", "Output")] = None
     draw: Annotated[Path | None, Told("PNG", "Output", excludes=IMAGED)] = None
@@ -289,18 +283,13 @@ CRITERION = known("criterion", "planning.plan:CRITERION_NAMES")
 METHOD = known("method", "planning.search:METHODS")
 
 
-def added(text: str) -> int:
-    """The value of `--add`; zero where that leaves the number to `--count`."""
-    return number(int, "--add", 1, 1000)(text) if text else 0
-
-
 SELECTED = (
     *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
-    *("seed", "distance", "motion", "parameters", "figures"),
+    *("seed", "distance", "parameters"),
 )
 """Fields of plans that an acceptance test has no use for."""
 
-SOLID = ("srdf", "clearance", "motion")
+SOLID = ("srdf", "clearance")
 """Fields that are for collisions."""
 
 
@@ -308,7 +297,6 @@ SOLID = ("srdf", "clearance", "motion")
 class Plan(
     options.Untouched,
     options.InDegrees,
-    options.Pictured,
     options.Shared,
     options.OfChain,
     options.OfParameters,
@@ -317,12 +305,11 @@ class Plan(
 
     They keep the joint limits, collide with nothing, lie in the region of the setup
     file, and are ordered for short travel. A table shows the accuracy that more or
-    fewer of them would give. Ctrl-C ends the search with the best plan so far. Exit
-    status 2: no free way was found for --motion, which is not written.
+    fewer of them would give.
 
     Attributes:
         count: Number of configurations.
-        add: Number of configurations to add to the measurements of --to.
+        add: Plan what tells most beside the measurements of --to.
         to: Measurements that exist already; may be repeated.
         criterion: prediction (default; the predicted tool-point uncertainty),
             condition, or O1 to O5.
@@ -336,16 +323,12 @@ class Plan(
         cycles: Visits of each pose of an acceptance test.
         distance: Least distance between configurations, as the largest movement of a
             joint [rad, m].
-        limits: Narrower joint limits, such as 'joint_*=-2:2' or
-            'elbow=-120:120 [deg]'; may be repeated.
         ignore_collisions: Check no collisions.
         output: File of configurations to write.
-        motion: File of the whole motion to write: the configurations, with via
-            configurations where the straight way collides.
     """
 
     count: Annotated[int | None, Told("N", "Plan", (1, 1000))] = None
-    add: Annotated[int | None, Told("[N]", "Plan", added, needs="to")] = None
+    add: Annotated[bool, Told("", "Plan", needs="to")] = False
     to: Annotated[list[Path] | None, Told("CSV", "Plan", needs="add")] = None
     criterion: Annotated[str, Told("NAME", "Plan", CRITERION)] = "prediction"
     method: Annotated[str, Told("NAME", "Plan", METHOD)] = "auto"
@@ -356,10 +339,8 @@ class Plan(
     accept: Annotated[bool, Told("", "Plan", excludes=SELECTED)] = False
     cycles: Annotated[int, Told("N", "Plan", (3, 1000), needs="accept")] = 30
     distance: Annotated[float, Told("D", "Constraints", (0, 10))] = 0.0
-    limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
     ignore_collisions: Annotated[bool, Told("", "Constraints", excludes=SOLID)] = False
     output: Annotated[Path, Told("CSV", "Output")]
-    motion: Annotated[Path | None, Told("CSV", "Output")] = None
 
 
 FRAMES, POINTS = ("measuring", "base"), ("tool", "tip")
@@ -419,7 +400,7 @@ class Compensate(options.Untouched, options.InDegrees, options.OfChain):
     speed: Annotated[float | None, Told("PART", "Output", (1e-3, 1))] = None
 
 
-FORMAT = known("format", "io.exchange:FORMATS", "list")
+FORMAT = known("format", "io.exchange:FORMATS")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -431,7 +412,7 @@ class Export(options.QuietAnswer, options.OfChain):
     Attributes:
         calibration: Folder of the results, or its .json file.
         format: One of ur-kinematics, xarm-kinematics, urdf, xacro, mjcf, ros2-control,
-            lerobot, joint-offsets, camera-info, dh, tf; 'list' explains them.
+            lerobot, joint-offsets, camera-info, dh, tf.
         output: The file to write.
         template: Your own file of this format, which is corrected: needed for
             ur-kinematics, xarm-kinematics and lerobot, possible for ros2-control.
@@ -439,7 +420,7 @@ class Export(options.QuietAnswer, options.OfChain):
 
     calibration: Annotated[Path, Told("DIR|CALIBRATION", "")]
     format: Annotated[str, Told("NAME", "Output", FORMAT)]
-    output: Annotated[Path | None, Told("FILE", "Output")] = None
+    output: Annotated[Path, Told("FILE", "Output")]
     template: Annotated[Path | None, Told("FILE", "Output")] = None
 
 
@@ -475,7 +456,7 @@ class Fleet(options.QuietAnswer, options.Shared):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare(options.Answer, options.Pictured):
+class Compare:
     """Print the difference between two calibrations of a robot.
 
     Tool points are compared in the base link. Where base and tool were estimated, a

@@ -16,7 +16,7 @@ from calib_pin.report.blocks import Block
 def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
     """Do what `Calibrate` asks for."""
     force, quiet, details = asked.force, asked.quiet, asked.details
-    pictures, folder = results.figure_files(asked, "calibration"), asked.output
+    pictures, folder = results.figure_files(asked), asked.output
     with printing.progress_bar(quiet=quiet) as bar:
         given = requests.opened(
             asked, folder, pictures, force=force, quiet=quiet, bar=bar
@@ -42,8 +42,10 @@ def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
             return contents[folder / DOCUMENT]
         return encode(calibration_document(result, suggestions=found.suggestions))
 
-    told, writing = not (quiet or asked.json), write_files(contents, force=force)
-    if folder is not None:
+    told = not (quiet or asked.json)
+    if folder is None:
+        writing = write_files(contents, force=force)
+    else:
         writing = results.write_results(result, folder, contents, force=force)
     # Nothing is written if nothing can be said, as to a full disk.
     with writing:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from calib_pin.cli import files, results
+from calib_pin.cli import files
 from calib_pin.cli.asked import Compare
+from calib_pin.cli.printing import show
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.results import document_file, read_result
 from calib_pin.report.comparison import comparison_report
@@ -15,17 +16,9 @@ def compare(asked: Compare) -> int:
     """Do what `Compare` asks for."""
     both = document_file(asked.first), document_file(asked.second)
     files.require_distinct(both)
-    pictures = results.figure_files(asked, "comparison")
-    files.check_outputs(pictures, both, asked.force)
     A, B = map(read_result, both)
     found = run(A, B, seed=asked.seed)
-    drawn = results.draw("comparison", found.drift, None) if pictures else []
-    contents = results.figure_contents(drawn, pictures)
-    asked.give(
-        contents,
-        comparison_report(found),
-        results.told_figures(contents, pictures),
-    )
+    show(comparison_report(found))
     trusted = {A.verdict, B.verdict} <= set(TRUSTED)
     different = any(fault.severity == "error" for fault in faults(found))
     return 0 if trusted and not different else 2

@@ -267,20 +267,8 @@ def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:
     if len(chains.joints) > len(chain.joints):
         reason = f"{option} needs the joints that others mimic in the chain"
         raise OptionError(reason, value=chains.joints[-1])
-    solid = require_solids(option, chains, collisions)
-    return Ways(chains, solid, chain.lower, chain.upper)
-
-
-def require_solids(
-    option: str, chains: Chains, collisions: Collisions | None
-) -> Collisions:
-    """The collisions of a robot.
-
-    Raises:
-        OptionError: If its URDF describes no solids, which an option needs.
-    """
     if collisions is None:
         reason = f"{option} needs the solids of the robot, and the URDF has none"
         file, allowed = chains.robot.file, "<collision> in its links"
         raise OptionError(reason, file=file, allowed=allowed)
-    return collisions
+    return Ways(chains, collisions, chain.lower, chain.upper)

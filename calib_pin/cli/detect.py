@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import re
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
 
-import calib_pin.io.logs as logs
 from calib_pin.cli import files, printing
-from calib_pin.cli.asked import Detect, Join
+from calib_pin.cli.asked import Detect
 from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.io import boards, measurements
 from calib_pin.io.boards import Detector, Found, Start, encode_png
-from calib_pin.io.measurements import encode_table
 from calib_pin.io.setup import setup_document, yaml_text
 from calib_pin.io.table import Notice, Table, read_table
 from calib_pin.setup import Setup
@@ -50,9 +47,10 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     if not images or output is None:
         raise OptionError("give the images, and -o, the measurement file to write")
     files.require_distinct(images)
-    inputs = (*images, asked.setup, asked.joints, asked.times)
+    inputs = (*images, asked.setup, asked.joints)
     files.check_outputs((output, extra), inputs, asked.force)
-    images, rows = configurations_of(asked, sorted(images, key=numbers_in))
+    images.sort(key=numbers_in)
+    rows = configurations_of(asked, images)
     with printing.progress_bar(quiet=asked.quiet) as bar:
         size, every = boards.find_board(detector, images, printing.stage(bar, "images"))
     if not boards.require_stated(board, every, images):
@@ -131,48 +129,6 @@ def images_in(folder: Path) -> list[Path]:
     return [path for path in there if path.suffix.lower() in ENDINGS]
 
 
-def images_of(
-    folder: Path, board: str, joints: Path | None, pause: float
-) -> tuple[Path, Callable[[], None]]:
-    """A file of corners beside a folder, and what adds those of new images to it.
-
-    Args:
-        folder: The folder.
-        board: The board, as `detect` takes it.
-        joints: The configurations of the images, with a column 'image'.
-        pause: Time to wait before looking [s].
-
-    Raises:
-        OptionError: If the folder is none, or the configurations are missing.
-    """
-    if not folder.is_dir() or joints is None:
-        raise OptionError("--board needs a folder of images, and --joints", file=folder)
-    detector, file = boards.Detector(boards.board_of(board)), folder.with_suffix(".csv")
-    seen = set[str]()
-    if file.exists():
-        seen |= {*read_table(file).texts(["image"])["image"]}
-
-    def add() -> None:
-        time.sleep(pause)
-        new = [path for path in images_in(folder) if path.name not in seen]
-        for image in sorted(new, key=numbers_in):
-            try:
-                asked = Detect(images=[image], joints=joints)
-                _, cells = configurations_of(asked, [image])
-                _, found = boards.find_board(detector, [image], None)
-            except InputError:
-                continue  # Its configuration, or a part of it, is not there yet.
-            seen.add(image.name)
-            if not found[0].names:
-                continue
-            table = encode_table(corner_columns([image], found, cells), ())
-            with file.open("ab") as stream:
-                stream.write(table.partition(b"\n")[2] if stream.tell() else table)
-
-    add()
-    return file, add
-
-
 def numbers_in(image: Path) -> list[int]:
     """The numbers in a name: img_2 comes before img_10."""
     return [int(word or 0) for word in re.split(r"\D+", str(image))]
@@ -190,44 +146,30 @@ def _remarks(found: dict[str, Found], start: Start, tell: Notice) -> None:
         tell(ASSUMED)
 
 
-def configurations_of(
-    asked: Detect, images: list[Path]
-) -> tuple[list[Path], dict[str, list[Any]]]:
-    """Images of known joints, and for each the cells of the columns of their file.
+def configurations_of(asked: Detect, images: list[Path]) -> dict[str, list[Any]]:
+    """For each image the cells of the columns of the file of joints.
 
     Raises:
         InputError: If it has not one row for each image, or columns of ours.
     """
     if (file := asked.joints) is None:
-        return images, {}
+        return {}
     table = read_table(file)
     if clash := [name for name in OURS if name in table]:
         raise table.error("is a column that detect writes itself", clash[0])
-    if asked.times is not None:
-        # Where the joints stood at the time of each image, by its name.
-        taken = logs.with_images(read_table(asked.times))
-        taken = taken.rows(np.array(_rows(taken, images)))
-        stand = Join.settle, Join.tolerance
-        found, data = logs.join_logs(table, taken, (), *stand, asked.tell, True)
-        if found.clock is None:
-            reason = "there is no column 'time' here, or in the log of the joints"
-            raise taken.error(reason)
-        table = read_table(data)
-        stood, names = _names(table, images)
-        images = [p for p, name in zip(images, names, strict=True) if name in stood]
     count = len(table.lines)
     if "image" not in table and count == len(images):
         ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
         pairs = " to ".join(ends)
         asked.tell(f"images and rows of {file} are paired in order: {pairs}")
     elif "image" not in table:
-        reason = f"has {count} rows for {len(images)} images; a column 'image' or, for "
-        reason += "a log, --times tells which belong together"
+        reason = f"has {count} rows for {len(images)} images; a column 'image' tells "
+        reason += "which belong together"
         raise InputError(reason, file=file)
     order = _rows(table, images) if "image" in table else range(count)
     cells = {n: c.texts() for n, c in table.columns.items() if n != "image"}
     headers = {name: table.columns[name].header for name in cells}
-    return images, {headers[n]: [c[row] for row in order] for n, c in cells.items()}
+    return {headers[n]: [c[row] for row in order] for n, c in cells.items()}
 
 
 def _rows(table: Table, images: list[Path]) -> list[int]:

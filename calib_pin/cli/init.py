@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 import re
 import shlex
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-
-import typer
 
 from calib_pin.cli import printing
 from calib_pin.cli.asked import Init
@@ -85,37 +82,27 @@ def looked_at(asked: Init, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
 
 
 def _choose(question: str, choices: Sequence[str], option: str) -> str:
-    """The choice of the user, on a terminal, or the only one.
+    """The only choice.
 
     Raises:
-        OptionError: If there are several, and nobody to be asked.
+        OptionError: If there are several, or none.
     """
-    if len(choices) == 1:
-        return choices[0]
-    if not choices or not sys.stdin.isatty():
-        told = enumerated(choices) or None
-        raise OptionError(f"{question}? state {option}", allowed=told)
-    lines = [f"{question}?", *(f"  {k}  {one}" for k, one in enumerate(choices, 1))]
-    typer.echo("\n".join(lines), err=True)
-    numbered = {str(number): one for number, one in enumerate(choices, 1)}
-    while True:
-        answer = str(typer.prompt("number or name", default=choices[0], err=True))
-        if (answer := numbered.get(answer, answer)) in choices:
-            return answer
+    if len(choices) != 1:
+        allowed = enumerated(choices) or None
+        raise OptionError(f"{question}? state {option}", allowed=allowed)
+    return choices[0]
 
 
-def _ask(question: str) -> str:
-    """The answer of the user, on a terminal.
+def _ask(_: str) -> str:
+    """Nobody is asked.
 
     Raises:
-        OptionError: If there is nobody to be asked.
+        OptionError: Always; names the option that says it.
     """
-    if not sys.stdin.isatty():
-        raise OptionError(
-            "sockets tell no size: state how far the two of a place are apart",
-            allowed="--distance '50 mm'",
-        )
-    return str(typer.prompt(question, err=True))
+    raise OptionError(
+        "sockets tell no size: state how far the two of a place are apart",
+        allowed="--distance '50 mm'",
+    )
 
 
 def _with_distances(look: Look, stated: str | None, ask: Ask) -> Look:

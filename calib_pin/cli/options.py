@@ -12,10 +12,8 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
-from functools import partial
 from importlib import import_module
 from inspect import Parameter, Signature, cleandoc, signature
-from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type_hints
 
@@ -37,10 +35,6 @@ if TYPE_CHECKING:
 
 PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
 """Options of nearly all commands, by their places before or behind others."""
-
-_names: dict[Any, Callable[[], Iterable[str]]] = {}
-"""The names of robots, and those that parsers know."""
-
 
 # --- how a field is stated ----------------------------------------------------------
 
@@ -131,7 +125,7 @@ def number(
 def known(
     kind: str, where: str, *more: str, between: str | None = None
 ) -> Callable[[str], str]:
-    """A parser of a name that has to be known, which a shell completes.
+    """A parser of a name that has to be known.
 
     Args:
         kind: The kind of name.
@@ -144,53 +138,17 @@ def known(
     def parse(text: str) -> str:
         found = [name.strip() for name in text.split(between)] if between else [text]
         for name in found:
-            require_known(kind, name, _names[parse]())
+            require_known(kind, name, [*more, *_loaded(where)])
         if len(set(found)) != len(found):
             raise OptionError(f"a {kind} is named twice", value=text)
         return text
 
-    _names[parse] = partial(_loaded, where, more)
     return parse
 
 
-def _loaded(where: str, more: Iterable[str] = ()) -> list[str]:
+def _loaded(where: str) -> Iterable[str]:
     module, _, name = where.partition(":")
-    of = attrgetter(name)(import_module(f"calib_pin.{module}")) if where else ()
-    return [*more, *of]
-
-
-def _model(text: str) -> str:
-    """A measurement model; `list` prints all with their help, and ends."""
-    from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
-    from calib_pin.report.blocks import table
-
-    if text != "list":
-        return text
-    rows = [(name, declared(name).help) for name in MEASUREMENT_MODELS]
-    show([table("", ("|word", "|remark"), rows)])
-    raise typer.Exit
-
-
-def _robots() -> Iterable[str]:
-    from calib_pin.io.urdf import known_robots
-
-    return known_robots()
-
-
-# A shell adds files itself.
-_names["robot"] = _robots
-_names[_model] = partial(_loaded, "measurement_models:MEASUREMENT_MODELS")
-
-
-def completed(of: Any) -> Callable[[typer.Context, str], list[str]] | None:
-    """The completion of a robot, or of what a parser knows; None for any value."""
-    if of not in _names:
-        return None
-
-    def names(_: typer.Context, incomplete: str) -> list[str]:
-        return [name for name in _names[of]() if name.startswith(incomplete)]
-
-    return names
+    return getattr(import_module(f"calib_pin.{module}"), name) if where else ()
 
 
 def meanings(cls: type) -> dict[str, str]:
@@ -214,13 +172,12 @@ def _declared(name: str, told: Told, kind: Any, meaning: str) -> Any:
     unit = "".join(f" {unit}" for unit in re.findall(r"\[(m|s|m, rad)\]", meaning)[:1])
     shared: dict[str, Any] = {"metavar": told.word or None, "help": meaning}
     if not told.heading:
-        return typer.Argument(**shared, autocompletion=completed(name))
+        return typer.Argument(**shared)
     return typer.Option(
         *["-o"] * (name == "output"),
         as_option(name),
         **shared,
         parser=told.parser(name, kind, unit),
-        autocompletion=completed(told.parse),
         rich_help_panel=told.heading,
     )
 
@@ -290,14 +247,14 @@ class OfRobot(OfPackages):
             robot, or example:NAME if example-robot-data is installed.
         setup: Setup file (YAML); options override it.
         model: Measurement model, or several joined by +; by default inferred from the
-            columns. 'list' prints all.
+            columns.
         base: First link of the chain; by default the root link.
         tip: Last link of the chain; by default the end link, if there is only one.
     """
 
     robot: Annotated[str, Told("ROBOT", "")]
     setup: Annotated[Path | None, Told("FILE", "Robot")] = None
-    model: Annotated[str | None, Told("NAME", "Robot", _model)] = None
+    model: Annotated[str | None, Told("NAME", "Robot")] = None
     base: Annotated[str | None, Told("LINK", "Robot")] = None
     tip: Annotated[str | None, Told("LINK", "Robot")] = None
 
@@ -354,9 +311,9 @@ class OfParameters(OfRobot):
     """The errors that a robot may have.
 
     Attributes:
-        parameters: placement (default), link-transform, dh, dh-full, joint-offset{};
+        parameters: placement (default), link-transform, dh, dh-full, joint-offset;
             beyond geometry transmission, compliance, hysteresis, motor-ripple,
-            cross-compliance, thermal, warm-up{}; of the instrument instrument-drift;
+            cross-compliance, thermal, warm-up; of the instrument instrument-drift;
             several may be combined.
     """
 

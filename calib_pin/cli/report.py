@@ -28,7 +28,7 @@ def report(asked: Report) -> int:
     robot, there = result.model.chains.robot, document.get("files", {})
     page = asked.output or file.parent / REPORT
     own = asked.output is None and REPORT in there
-    pictures = results.figure_files(asked, "calibration")
+    pictures = results.figure_files(asked)
     inputs: list[str | Path] = [file, file.parent / MEASUREMENTS, robot.file]
     files.check_outputs([page, pdf, *pictures], inputs, asked.force or own)
     files.check_outputs([pdf], inputs, asked.force)

@@ -377,10 +377,6 @@ AROUND = np.array([[-0.6, 0.3, 0.2, 0.1], [0.6, 0.3, 0.2, 0.1], [0.7, -0.2, 0.5,
 
 CELL = "compensate solid/calibration.json targets.csv --setup ball.yaml -o commands.csv"
 AVOID = f"{CELL} --avoid-collisions"
-CELL_PLAN = (
-    "plan solid.urdf --tip tool --model position --count 10 --method greedy "
-    "--candidates 60 --setup ball.yaml -o plan.csv"
-)
 
 
 @pytest.fixture(scope="module")
@@ -469,11 +465,6 @@ def test_a_target_in_an_obstacle_is_left_out(solid, run):
 def test_where_no_way_is_free_nothing_is_written(solid, run, withholds, monkeypatch):
     monkeypatch.setattr(Ways, "around", lambda *about: None)
     assert "lines 4, 5" in " ".join(withholds(AVOID).out.split())
-    result = run(f"{CELL_PLAN} --motion motion.csv")
-    assert result.status == 2
-    lines = ", ".join(map(str, range(4, 13)))
-    assert f"plan.csv, lines {lines}" in result.err
-    assert Path("plan.csv").exists() and not Path("motion.csv").exists()
 
 
 def test_a_motion_is_checked_and_stays(solid, run, withholds):
@@ -492,29 +483,7 @@ def test_a_motion_is_checked_and_stays(solid, run, withholds):
         (f"{AVOID} --clearance 2", "0 to 1 m"),
         (f"{AVOID} --srdf none.srdf", "none.srdf"),
         (AVOID.replace("solid/", "done/"), "URDF"),
-        (f"{CELL_PLAN} --motion motion.csv".replace("solid.urdf", "arm.urdf"), "URDF"),
-        (f"{CELL_PLAN} --motion motion.csv --ignore-collisions", "--ignore-collisions"),
-        (f"{CELL_PLAN} --motion plan.csv", "plan.csv"),
     ],
 )
 def test_wrong_ways_to_ask(solid, fails, words, named):
     fails(words, named)
-
-
-def test_the_motion_of_a_plan(solid, run, monkeypatch):
-    # The order of a plan itself avoids what is in the way.
-    as_found = "calib_pin.planning.travel.shortest_order"
-    monkeypatch.setattr(as_found, lambda q, *about: (np.arange(len(q)), ()))
-    assert run(f"{CELL_PLAN} --motion motion.csv").status == 0
-    header, rows, comments = table("motion.csv")
-    assert header == [*JOINTS, "row"]
-    assert comments[0].startswith("# motion of: calib-pin plan solid.urdf")
-    q = np.array([row[:4] for row in rows], float)
-    assert not touches(solid, q)
-    # Those of the plan, by their lines, among configurations around the ball.
-    lines = Path("plan.csv").read_text().splitlines()
-    named = {int(row[4]): row[:4] for row in rows if row[4]}
-    assert named == {k: line.split(",") for k, line in enumerate(lines, 1) if k > 2}
-    planned = [row[4] != "" for row in rows]
-    assert planned.count(False) >= 1
-    assert touches(solid, q[planned])

@@ -186,9 +186,9 @@ def test_jobs_in_yaml_share_what_stands_above_them(here, run, inside):
 
 
 def test_a_table_of_a_spreadsheet(here, run, inside):
-    """With a mark, semicolons, dates of many countries and an empty line."""
+    """With a mark, semicolons, a decimal comma and an empty line."""
     lines = ["Robot;Measurements;Serial number;Date;Setup;Holdout"]
-    lines += ["arm.urdf;rows.csv;007;5.1.2026;setup.yaml;0,3", ";;;;;", ""]
+    lines += ["arm.urdf;rows.csv;007;2026-01-05;setup.yaml;0,3", ";;;;;", ""]
     Path("jobs.csv").write_text("\r\n".join(lines), encoding="utf-8-sig")
     assert run("fleet jobs.csv -o out --no-pages").status == 0
     row = rows_of("out")["007"]

@@ -1,4 +1,4 @@
-"""Options: declared once, named as they are, completed by a shell, and `--json`."""
+"""Options: declared once, and named as they are."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
-import pytest
 import typer
 
 import calib_pin
@@ -84,46 +81,3 @@ def test_every_option_that_is_named_exists() -> None:
         for command, option in NAMED.findall(file.read_text()):
             known = options.get(command, every) | {"--help"}
             assert option in known | FOREIGN, f"{file}: {command} {option}"
-
-
-# --- what a shell completes -------------------------------------------------------
-
-
-BUILT = typer.main.get_command(application([])).commands  # type: ignore[attr-defined]
-
-
-def names(option: str, command: str, begun: str = "") -> list[str]:
-    """Names that begin so, of an option or an argument of a command."""
-    (of,) = (p for p in BUILT[command].params if option in (*p.opts, p.name))
-    context: Any = SimpleNamespace(info_name=command)
-    return [item.value for item in of.shell_complete(context, begun)]
-
-
-@pytest.mark.parametrize(
-    ("option", "command", "one"),
-    [
-        ("--model", "calibrate", "position"),
-        ("--parameters", "calibrate", "placement"),
-        ("--solver", "calibrate", "hybrid"),
-        ("--loss", "calibrate", "gnc"),
-        ("--learned", "calibrate", "network"),
-        ("--use", "calibrate", "away"),
-        ("--criterion", "plan", "prediction"),
-        ("--criterion", "plan", "O5"),
-        ("--method", "plan", "exchange"),
-        ("--format", "export", "ur-kinematics"),
-        ("--format", "compensate", "urscript"),
-        ("--figure-format", "report", "svg"),
-        ("--mount", "detect", "world"),
-        ("robot", "calibrate", "space6"),
-    ],
-)
-def test_names_are_completed(option: str, command: str, one: str) -> None:
-    assert one in names(option, command)
-    assert names(option, command, one[:-1]).count(one) == 1
-    assert names(option, command, "no such") == []
-
-
-def test_other_values_are_not() -> None:
-    assert names("--count", "plan") == names("--setup", "calibrate") == []
-    assert "ur-kinematics" not in names("--format", "compensate")

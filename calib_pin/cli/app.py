@@ -29,7 +29,7 @@ def app(asked: App) -> int:
         content = jobs[tab].files.get(name) if tab in jobs else None
         return None if content is None else (TYPES.get(name[-5:], BYTES), content)
 
-    def page(client: Any, tab: str) -> Callable[[float], None]:
+    def page(client: Any, tab: str) -> Callable[[], None]:
         if tab not in jobs:
             own, to = Path(folder, str(len(jobs))), f"/{tab}/{{}}?token={window.token}"
             own.mkdir()

@@ -11,7 +11,6 @@ from typer.core import TyperCommand
 from calib_pin.cli.asked import COMMANDS
 from calib_pin.cli.options import command
 from calib_pin.errors import OptionError
-from calib_pin.plugins import extensions
 
 ORDER = dict(Arguments=0, Robot=1, Constraints=3, Workers=4, Output=5, Other=6)
 """Place of the headings of `--help`; those of a single command stand between."""
@@ -65,24 +64,9 @@ class Command(TyperCommand):
         return ["[OPTIONS]", *(argument.metavar or "" for argument in arguments)]
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Let an option whose value stands in brackets do without one.
-
-        Words like `name:=value`, wherever they stand, belong to the robot.
-        """
+        """Words like `name:=value`, wherever they stand, belong to the robot."""
         own = [word for word in args if _is_argument(word)]
-        args = [word for word in args if word not in own]
-        alone = {
-            name
-            for param in self.get_params(ctx)
-            if param.param_type_name == "option" and str(param.metavar)[:1] == "["
-            for name in param.opts
-        }
-        words = []
-        for word, following in zip(args, [*args[1:], "-"], strict=False):
-            words.append(word)
-            if word in alone and following.startswith("-"):
-                words.append("")
-        rest = super().parse_args(ctx, words)
+        rest = super().parse_args(ctx, [word for word in args if word not in own])
         if own and "robot" not in ctx.params:
             reason = f"{own[0]} is an argument of a robot, and this command takes none"
             raise OptionError(reason)
@@ -99,7 +83,7 @@ class Command(TyperCommand):
                 topics.setdefault("Arguments", []).append(row)
             elif record := param.get_help_record(ctx):
                 topic = getattr(param, "rich_help_panel", None) or "Other"
-                topics.setdefault(topic, []).append((record[0], _filled(record[1])))
+                topics.setdefault(topic, []).append(record)
         for topic, rows in sorted(topics.items(), key=lambda t: ORDER.get(t[0], 2)):
             with formatter.section(topic):
                 formatter.write_dl(rows)
@@ -112,12 +96,3 @@ def _is_argument(word: str) -> bool:
     from calib_pin.io.urdf import ARGUMENT
 
     return ARGUMENT.fullmatch(word) is not None
-
-
-def _filled(text: str) -> str:
-    """A help text, in its braces the parameterizations of other packages."""
-    if "{}" not in text:
-        return text
-    outside = extensions("calib_pin.parameterizations").items()
-    kinds = ([n for n, m in outside if m.geometric is kind] for kind in (True, False))
-    return text.format(*("".join(f", {name}" for name in names) for names in kinds))

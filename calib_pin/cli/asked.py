@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 import calib_pin.cli.options as options
-from calib_pin.cli.options import SEED, Request, Told, known, number
+from calib_pin.cli.options import SEED, Request, Told, known
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,9 +22,8 @@ class Init(options.Answer, options.OfStations):
 
     Finds the tip, the joints, what was measured, foreign names of columns and their
     units, by testing candidates on the nominal robot, and says in comments what it
-    found. Prompts on a terminal for what it cannot infer; elsewhere an error names the
-    option that says it. The setup file that `detect` wrote (--setup) has the board and
-    the camera.
+    found. For what it cannot infer an error names the option that says it. The setup
+    file that `detect` wrote (--setup) has the board and the camera.
 
     Attributes:
         measurements: CSV or Parquet files with one row per measurement, as they are.
@@ -43,6 +42,7 @@ class Init(options.Answer, options.OfStations):
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(
     options.QuietAnswer,
+    options.Shown,
     options.Shared,
     options.Pictured,
     options.Detailed,
@@ -65,7 +65,7 @@ class Calibrate(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Watch(options.QuietAnswer, Request):
+class Watch(options.QuietAnswer, options.Shown, Request):
     """Follow measurements while they are taken.
 
     Reads the files again whenever another program has written to them. Each new row is
@@ -179,7 +179,7 @@ class Simulate(options.Answer, options.OfParameters):
 
     Attributes:
         output: Measurement file to write.
-        model: Measurement model, or several joined by +; 'list' prints all.
+        model: Measurement model, or several joined by +.
         count: Number of random configurations, or
         configurations: the configurations of this file.
         errors: True errors by parameter name [m, rad]; by default drawn.
@@ -293,14 +293,9 @@ CRITERION = known("criterion", "planning.plan:CRITERION_NAMES")
 METHOD = known("method", "planning.search:METHODS")
 
 
-def added(text: str) -> int:
-    """The value of `--add`; zero where that leaves the number to `--count`."""
-    return number(int, "--add", 1, 1000)(text) if text else 0
-
-
 SELECTED = (
     *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
-    *("seed", "parameters", "figures", "json"),
+    *("seed", "parameters"),
 )
 """Fields of plans that an acceptance test has no use for."""
 
@@ -312,7 +307,7 @@ SOLID = ("srdf", "clearance")
 class Plan(
     options.Untouched,
     options.InDegrees,
-    options.Pictured,
+    options.Shared,
     options.OfChain,
     options.OfParameters,
 ):
@@ -320,11 +315,11 @@ class Plan(
 
     They keep the joint limits, collide with nothing, lie in the region of the setup
     file, and are ordered for short travel. A table shows the accuracy that more or
-    fewer of them would give. Ctrl-C ends the search with the best plan so far.
+    fewer of them would give.
 
     Attributes:
         count: Number of configurations.
-        add: Number of configurations to add to the measurements of --to.
+        add: Plan what tells most beside the measurements of --to.
         to: Measurements that exist already; may be repeated.
         criterion: prediction (default; the predicted tool-point uncertainty),
             condition, or O1 to O5.
@@ -336,14 +331,12 @@ class Plan(
         tests: Configurations where the robot is to be accurate; by default everywhere.
         accept: Plan an acceptance test instead: five poses of a cube, and its schedule.
         cycles: Visits of each pose of an acceptance test.
-        limits: Narrower joint limits, such as 'joint_*=-2:2' or
-            'elbow=-120:120 [deg]'; may be repeated.
         ignore_collisions: Check no collisions.
         output: File of configurations to write.
     """
 
     count: Annotated[int | None, Told("N", "Plan", (1, 1000))] = None
-    add: Annotated[int | None, Told("[N]", "Plan", added, needs="to")] = None
+    add: Annotated[bool, Told("", "Plan", needs="to")] = False
     to: Annotated[list[Path] | None, Told("CSV", "Plan", needs="add")] = None
     criterion: Annotated[str, Told("NAME", "Plan", CRITERION)] = "prediction"
     method: Annotated[str, Told("NAME", "Plan", METHOD)] = "auto"
@@ -353,7 +346,6 @@ class Plan(
     tests: Annotated[Path | None, Told("CSV", "Plan")] = None
     accept: Annotated[bool, Told("", "Plan", excludes=SELECTED)] = False
     cycles: Annotated[int, Told("N", "Plan", (3, 1000), needs="accept")] = 30
-    limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
     ignore_collisions: Annotated[bool, Told("", "Constraints", excludes=SOLID)] = False
     output: Annotated[Path, Told("CSV", "Output")]
 
@@ -414,7 +406,7 @@ class Compensate(options.Untouched, options.InDegrees, options.OfChain):
     speed: Annotated[float | None, Told("PART", "Output", (1e-3, 1))] = None
 
 
-FORMAT = known("format", "io.exchange:FORMATS", "list")
+FORMAT = known("format", "io.exchange:FORMATS")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -426,7 +418,7 @@ class Export(options.QuietAnswer, options.OfChain):
     Attributes:
         calibration: Folder of the results, or its .json file.
         format: One of ur-kinematics, xarm-kinematics, urdf, xacro, mjcf, ros2-control,
-            lerobot, joint-offsets, camera-info, dh, tf; 'list' explains them.
+            lerobot, joint-offsets, camera-info, dh, tf.
         output: The file to write.
         template: Your own file of this format, which is corrected: needed for
             ur-kinematics, xarm-kinematics and lerobot, possible for ros2-control.
@@ -434,7 +426,7 @@ class Export(options.QuietAnswer, options.OfChain):
 
     calibration: Annotated[Path, Told("DIR|CALIBRATION", "")]
     format: Annotated[str, Told("NAME", "Output", FORMAT)]
-    output: Annotated[Path | None, Told("FILE", "Output")] = None
+    output: Annotated[Path, Told("FILE", "Output")]
     template: Annotated[Path | None, Told("FILE", "Output")] = None
 
 
@@ -470,7 +462,7 @@ class Fleet(options.QuietAnswer, options.Shared):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare(options.Answer, options.Pictured):
+class Compare:
     """Print the difference between two calibrations of a robot.
 
     Tool points are compared in the base link. Where base and tool were estimated, a
@@ -518,11 +510,9 @@ class Windowed:
 
     Attributes:
         port: Port on this machine; 0 for any free port.
-        once: Stop when the last tab is closed.
     """
 
     port: Annotated[int, Told("N", "Window", (0, 65535))] = 8080
-    once: Annotated[bool, Told("", "Window")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -536,7 +526,7 @@ class View(Windowed, options.OfStations, options.OfChain, options.OfCalibration)
 
     Attributes:
         measurements: CSV or Parquet files.
-        plan: Configurations to play in order.
+        plan: Configurations to go through.
     """
 
     measurements: Annotated[list[Path] | None, Told("[MEASUREMENTS...]", "")] = None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 from calib_pin.cli import options, printing, requests, results
 from calib_pin.cli.asked import Calibrate
+from calib_pin.io.files import write_files
+from calib_pin.io.json_text import encode
 from calib_pin.io.results import DOCUMENT, REPORT, calibration_document
 from calib_pin.report import blocks, text
 from calib_pin.report.blocks import Block
@@ -15,7 +16,7 @@ from calib_pin.report.blocks import Block
 def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
     """Do what `Calibrate` asks for."""
     force, quiet, details = asked.force, asked.quiet, asked.details
-    pictures, folder = results.figure_files(asked, "calibration"), asked.output
+    pictures, folder = results.figure_files(asked), asked.output
     with printing.progress_bar(quiet=quiet) as bar:
         given = requests.opened(
             asked, folder, pictures, force=force, quiet=quiet, bar=bar
@@ -36,17 +37,24 @@ def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
             more = f"{folder / REPORT}, or --details" if folder else "--details"
             yield blocks.Line(f"Statistics and all parameters: {more}")
 
-    def document() -> Mapping[str, Any] | bytes:
-        if folder is None:
-            return calibration_document(result, suggestions=found.suggestions)
-        return contents[folder / DOCUMENT]
+    def document() -> bytes:
+        if folder is not None:
+            return contents[folder / DOCUMENT]
+        return encode(calibration_document(result, suggestions=found.suggestions))
 
-    def written() -> Iterator[str]:
-        yield from (f"wrote {path}" for path in files if path in contents)
-        yield from results.told_figures(contents, pictures)
-
-    writing = None
-    if folder is not None:
+    told = not (quiet or asked.json)
+    if folder is None:
+        writing = write_files(contents, force=force)
+    else:
         writing = results.write_results(result, folder, contents, force=force)
-    asked.give(contents, document, said(), written(), writing)
-    return asked.ended(result.verdict, result.reason)
+    # Nothing is written if nothing can be said, as to a full disk.
+    with writing:
+        if asked.json:
+            printing.say(document().decode())
+        elif told:
+            printing.show(said())
+    if told:
+        wrote = [f"wrote {path}" for path in files if path in contents]
+        wrote += results.told_figures(contents, pictures)
+        printing.say_written(wrote)
+    return asked.ended(result.verdict, result.reason, told=told)

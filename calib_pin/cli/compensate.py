@@ -24,7 +24,6 @@ from calib_pin.control.compensation import Compensation
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.exchange.motions import PROGRAMS, moving_times, paced, speed_limits
-from calib_pin.io.json_text import Json, format_keys
 from calib_pin.io.results import document_file, read_result, written_before
 from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
 from calib_pin.kinematics.chain import Chain
@@ -106,14 +105,12 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     if not doubt and (not missed or (apart and done.found.good.any())):
         comments = [f"commands of: {printing.told_command(words)}"]
         contents[output] = encoded(asked, done, comments)
-    accuracy, written = model_errors(result), output if contents else None
     asked.give(
         contents,
-        lambda: compensation_document(asked, done, doubt, written, accuracy),
-        _report(asked, done, doubt, accuracy),
-        [f"wrote {written or 'nothing'}"],
+        _report(asked, done, doubt, model_errors(result)),
+        [f"wrote {output if contents else 'nothing'}"],
     )
-    if asked.quiet and not asked.json:
+    if asked.quiet:
         where = [(f, f"{asked.targets}, {line_list(n)}") for f, n in missed.items()]
         for cause, told in [("untrusted", doubt)] if doubt else where:
             printing.notice(f"{cause}: {told}")
@@ -245,75 +242,6 @@ def encoded(asked: Compensate, done: Commanded, comments: Sequence[str]) -> byte
     return encode_commands(
         targets, q, done.rows, degrees=asked.degrees, times=times, comments=comments
     )
-
-
-def compensation_document(
-    asked: Compensate,
-    done: Commanded,
-    doubt: str,
-    output: Path | None,
-    accuracy: Accuracy,
-) -> Json:
-    """The summary of a compensation.
-
-    Args:
-        asked: What is asked for.
-        done: The commands.
-        doubt: Why the calibration must not be trusted; empty where it may.
-        output: File that the commands were written to; None for none.
-        accuracy: Accuracy of the calibration, by quantity.
-    """
-    found, faults, motion = done.found, done.faults, done.targets.T is None
-    lines, reached = done.targets.table.lines, found.reached
-    errors = {"position": ("m", found.position_before, found.position)}
-    if found.oriented:
-        errors["orientation"] = "rad", found.orientation_before, found.orientation
-    corrections = np.abs(found.corrections).T
-    missed = zip(
-        lines[~reached], *(e[2][~reached] for e in errors.values()), strict=True
-    )
-    return {
-        **format_keys("calib-pin/compensation"),
-        "verdict": {
-            "status": "untrusted" if doubt else "good",
-            "reason": doubt,
-        },
-        "kind": "motion" if motion else "targets",
-        "rows": len(found),
-        "reached": reached.sum(),
-        "too_fast": faults[HASTY],
-        "collisions": {"colliding": faults[COLLIDING], "blocked": faults[BLOCKED]}
-        if asked.avoid_collisions
-        else None,
-        "unreachable": [
-            dict(zip(("line", *errors), row, strict=True)) for row in missed
-        ],
-        "corrections": {
-            name: {"unit": "rad" if turns else "m", **(_spread(column) or {})}
-            for name, turns, column in zip(
-                done.chain.joints, done.chain.revolute, corrections, strict=True
-            )
-        },
-        "errors": {
-            name: {
-                "unit": unit,
-                "nominal": _spread(before[reached]),
-                "compensated": _spread(after[reached]),
-            }
-            for name, (unit, before, after) in errors.items()
-        },
-        "at_limit": lines[reached & found.at_limit],
-        "outside_trained_region": lines[reached & found.outside],
-        "jumps": lines[found.jumps] if motion else [],
-        "written": None if output is None else str(output),
-        "model_errors": accuracy,
-    }
-
-
-def _spread(values: Floats) -> dict[str, float] | None:
-    """Mean and largest of the known values; None where none is known."""
-    known = values[np.isfinite(values)]
-    return {"mean": known.mean(), "max": known.max()} if len(known) else None
 
 
 def solids_of(option: str, chain: Chain, collisions: Collisions | None) -> Collisions:

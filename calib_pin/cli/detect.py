@@ -96,7 +96,7 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
         f"{'start of the camera' if given.camera is None else 'camera as stated'}: "
         f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
     )
-    asked.give(contents, lambda: document, told)
+    asked.give(contents, told)
     return 0
 
 
@@ -106,7 +106,7 @@ def _drawn(asked: Detect, file: Path, detector: Detector) -> int:
     picture = encode_png(detector.drawn(SHEET), SHEET / detector.board.square)
     width, height = 1e3 * detector.extent
     told = f"print it at 100 %: {width:g} x {height:g} mm\n"
-    asked.give({file: picture}, dict, told)
+    asked.give({file: picture}, told)
     return 0
 
 

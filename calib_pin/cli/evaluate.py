@@ -30,7 +30,7 @@ def evaluate(asked: Evaluate) -> int:
         found = run(subject, rows, stated, registration=asked.register, others=others)
     if doubts:
         found = replace(found, verdict="untrusted", reason=doubts[0])
-    asked.give({}, lambda: evaluation_document(found), evaluated(found))
+    asked.show(lambda: evaluation_document(found), evaluated(found))
     return 0 if found.verdict == "good" else 2
 
 

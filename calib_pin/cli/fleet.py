@@ -96,10 +96,6 @@ def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
     columns = fleet_columns(urgent)
     page = [*fleet_text.fleet_report(urgent, populations, fleet_text.MANY)]
 
-    def listed() -> dict[str, object]:
-        cells = zip(*(json_text.plain(list(c)) for c in columns.values()), strict=True)
-        return {"jobs": [dict(zip(columns, row, strict=True)) for row in cells]}
-
     title = "Calibrations of a fleet"
     contents = {
         output / TABLE: measurements.encode_table(columns, []),
@@ -113,7 +109,7 @@ def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
     # What is there was looked for before the work.
     answer = replace(asked, force=True).give
     status = 0 if all(row.trusted for row in urgent) else 2
-    return partial(answer, contents, listed, report, written), status
+    return partial(answer, contents, report, written), status
 
 
 def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
@@ -230,10 +226,9 @@ def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
     figures = [*drawn("outlook", found, limit)]
     data = json_text.encode(document), html.blocks_page(title, blocks, figures, NUMBERS)
     contents = dict(zip(made, data, strict=True))
-    document["written"] = names = [str(file) for file in (trials, *made)]
-    written = [f"wrote {name}" for name in names]
+    written = [f"wrote {file}" for file in (trials, *made)]
     answer = replace(asked, force=True).give
-    return partial(answer, contents, lambda: document, blocks, written), 0
+    return partial(answer, contents, blocks, written), 0
 
 
 def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:

@@ -62,5 +62,5 @@ def identify(asked: Identify) -> int:
             },
         )
 
-    asked.give({}, document, chain(doubts, findings(faults, reason), told))
+    asked.show(document, chain(doubts, findings(faults, reason), told))
     return 2 if doubts else 0

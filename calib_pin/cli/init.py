@@ -5,13 +5,9 @@ from __future__ import annotations
 import math
 import re
 import shlex
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import typer
 
 from calib_pin.cli import printing
 from calib_pin.cli.asked import Init
@@ -19,7 +15,6 @@ from calib_pin.cli.files import check_outputs, require_distinct, require_folders
 from calib_pin.errors import InputError, OptionError, enumerated, stated_in
 from calib_pin.io.columns import LENGTH, Kind
 from calib_pin.io.first_look import Choose, Look, draft, first_look
-from calib_pin.io.setup import setup_document
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import DistanceSetup, Setup
@@ -39,14 +34,12 @@ def init(asked: Init, words: Sequence[str]) -> int:
     check_outputs([asked.output], [asked.robot, *files, asked.setup], asked.force)
     robot, look = looked_at(asked, _choose, _ask)
     text = draft(robot, look, printing.told_command(words))
-    found: dict[str, Any] = {"setup": setup_document(look.setup)}
-    found["nominal"] = look.errors
     written, contents = list[str](), dict[Path, bytes]()
     if asked.output is not None:
         contents = {asked.output: text.encode()}
         words = shlex.join(map(str, [asked.robot, *files, "--setup", asked.output]))
         written = [f"wrote {asked.output}", f"next: calib-pin calibrate {words} -o out"]
-    asked.give(contents, lambda: found, text, written)
+    asked.give(contents, text, written)
     return 0
 
 
@@ -89,37 +82,27 @@ def looked_at(asked: Init, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
 
 
 def _choose(question: str, choices: Sequence[str], option: str) -> str:
-    """The choice of the user, on a terminal, or the only one.
+    """The only choice.
 
     Raises:
-        OptionError: If there are several, and nobody to be asked.
+        OptionError: If there are several, or none.
     """
-    if len(choices) == 1:
-        return choices[0]
-    if not choices or not sys.stdin.isatty():
-        told = enumerated(choices) or None
-        raise OptionError(f"{question}? state {option}", allowed=told)
-    lines = [f"{question}?", *(f"  {k}  {one}" for k, one in enumerate(choices, 1))]
-    typer.echo("\n".join(lines), err=True)
-    numbered = {str(number): one for number, one in enumerate(choices, 1)}
-    while True:
-        answer = str(typer.prompt("number or name", default=choices[0], err=True))
-        if (answer := numbered.get(answer, answer)) in choices:
-            return answer
+    if len(choices) != 1:
+        allowed = enumerated(choices) or None
+        raise OptionError(f"{question}? state {option}", allowed=allowed)
+    return choices[0]
 
 
-def _ask(question: str) -> str:
-    """The answer of the user, on a terminal.
+def _ask(_: str) -> str:
+    """Nobody is asked.
 
     Raises:
-        OptionError: If there is nobody to be asked.
+        OptionError: Always; names the option that says it.
     """
-    if not sys.stdin.isatty():
-        raise OptionError(
-            "sockets tell no size: state how far the two of a place are apart",
-            allowed="--distance '50 mm'",
-        )
-    return str(typer.prompt(question, err=True))
+    raise OptionError(
+        "sockets tell no size: state how far the two of a place are apart",
+        allowed="--distance '50 mm'",
+    )
 
 
 def _with_distances(look: Look, stated: str | None, ask: Ask) -> Look:

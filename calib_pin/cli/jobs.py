@@ -8,7 +8,6 @@ row.
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -58,9 +57,6 @@ FLAGS = dict(true=True, yes=True, on=True, false=False, no=False, off=False)
 PREVIOUS = Path("previous")
 """The `start` that is the calibration before of the same robot."""
 
-DOTTED = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})")
-"""A date of a spreadsheet in many countries; slashes leave open what comes first."""
-
 SEPARATORS = '/\\:*?"<>|'
 """Letters that no folder of a job may have in its name, on any system."""
 
@@ -74,15 +70,7 @@ def _folder(text: str) -> str:
     return name
 
 
-ENTRY = partial(taken, "", hint=Entry)
-
-
-def _day(text: str) -> Any:
-    """A date, also as spreadsheets write it with points: the day comes first."""
-    if dotted := DOTTED.fullmatch(text):
-        day, month, year = dotted.groups()
-        text = f"{year}-{month:0>2}-{day:0>2}"
-    return taken("", text, hint=Date)
+ENTRY, DAY = partial(taken, "", hint=Entry), partial(taken, "", hint=Date)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +95,7 @@ class Job(Request):
 
     name: Annotated[str, Told(parse=_folder)] = ""
     serial_number: Annotated[str, Told(parse=ENTRY)] = ""
-    date: Annotated[str, Told(parse=_day)] = ""
+    date: Annotated[str, Told(parse=DAY)] = ""
     previous: Annotated[Path | None, Told()] = None
     line: int = 0
     before: str = ""

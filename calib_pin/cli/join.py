@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import asdict
 from pathlib import Path
 
 import calib_pin.io.rosbag as rosbag
@@ -45,7 +44,7 @@ def join(asked: Join) -> int:
         wait = asked.settle, asked.tolerance
         found, data = logs.join_logs(*tables, names, *wait, asked.tell, asked.keep)
     text = "".join(f"{line}\n" for line in _lines(found, measurements))
-    asked.give({asked.output: data}, lambda: _document(found), text)
+    asked.give({asked.output: data}, text)
     return 0
 
 
@@ -70,15 +69,3 @@ def _lines(found: Joined, measurements: Path) -> Iterator[str]:
             f"{ahead} taken to be {clock.ahead:+.2f} s ahead: nothing was measured in "
             f"motion, and the standstills tell it to {sigma}"
         )
-
-
-def _document(found: Joined) -> dict[str, object]:
-    """The counts of a join, and the clock of the instrument [s]."""
-    if found.clock is None:
-        return {"standstills": found.stands}
-    counts = ("used", "empty", "moving", "scattered")
-    return {
-        "standstills": found.stands,
-        "readings": {name: getattr(found, name) for name in counts},
-        "clock": asdict(found.clock),
-    }

@@ -10,12 +10,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
-from functools import partial
 from importlib import import_module
 from inspect import Parameter, Signature, cleandoc, signature
-from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type_hints
 
@@ -37,10 +35,6 @@ if TYPE_CHECKING:
 
 PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
 """Options of nearly all commands, by their places before or behind others."""
-
-_names: dict[Any, Callable[[], Iterable[str]]] = {}
-"""The names of robots, and those that parsers know."""
-
 
 # --- how a field is stated ----------------------------------------------------------
 
@@ -131,7 +125,7 @@ def number(
 def known(
     kind: str, where: str, *more: str, between: str | None = None
 ) -> Callable[[str], str]:
-    """A parser of a name that has to be known, which a shell completes.
+    """A parser of a name that has to be known.
 
     Args:
         kind: The kind of name.
@@ -144,53 +138,17 @@ def known(
     def parse(text: str) -> str:
         found = [name.strip() for name in text.split(between)] if between else [text]
         for name in found:
-            require_known(kind, name, _names[parse]())
+            require_known(kind, name, [*more, *_loaded(where)])
         if len(set(found)) != len(found):
             raise OptionError(f"a {kind} is named twice", value=text)
         return text
 
-    _names[parse] = partial(_loaded, where, more)
     return parse
 
 
-def _loaded(where: str, more: Iterable[str] = ()) -> list[str]:
+def _loaded(where: str) -> Iterable[str]:
     module, _, name = where.partition(":")
-    of = attrgetter(name)(import_module(f"calib_pin.{module}")) if where else ()
-    return [*more, *of]
-
-
-def _model(text: str) -> str:
-    """A measurement model; `list` prints all with their help, and ends."""
-    from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
-    from calib_pin.report.blocks import table
-
-    if text != "list":
-        return text
-    rows = [(name, declared(name).help) for name in MEASUREMENT_MODELS]
-    show([table("", ("|word", "|remark"), rows)])
-    raise typer.Exit
-
-
-def _robots() -> Iterable[str]:
-    from calib_pin.io.urdf import known_robots
-
-    return known_robots()
-
-
-# A shell adds files itself.
-_names["robot"] = _robots
-_names[_model] = partial(_loaded, "measurement_models:MEASUREMENT_MODELS")
-
-
-def completed(of: Any) -> Callable[[typer.Context, str], list[str]] | None:
-    """The completion of a robot, or of what a parser knows; None for any value."""
-    if of not in _names:
-        return None
-
-    def names(_: typer.Context, incomplete: str) -> list[str]:
-        return [name for name in _names[of]() if name.startswith(incomplete)]
-
-    return names
+    return getattr(import_module(f"calib_pin.{module}"), name) if where else ()
 
 
 def meanings(cls: type) -> dict[str, str]:
@@ -214,13 +172,12 @@ def _declared(name: str, told: Told, kind: Any, meaning: str) -> Any:
     unit = "".join(f" {unit}" for unit in re.findall(r"\[(m|s|m, rad)\]", meaning)[:1])
     shared: dict[str, Any] = {"metavar": told.word or None, "help": meaning}
     if not told.heading:
-        return typer.Argument(**shared, autocompletion=completed(name))
+        return typer.Argument(**shared)
     return typer.Option(
         *["-o"] * (name == "output"),
         as_option(name),
         **shared,
         parser=told.parser(name, kind, unit),
-        autocompletion=completed(told.parse),
         rich_help_panel=told.heading,
     )
 
@@ -290,14 +247,14 @@ class OfRobot(OfPackages):
             robot, or example:NAME if example-robot-data is installed.
         setup: Setup file (YAML); options override it.
         model: Measurement model, or several joined by +; by default inferred from the
-            columns. 'list' prints all.
+            columns.
         base: First link of the chain; by default the root link.
         tip: Last link of the chain; by default the end link, if there is only one.
     """
 
     robot: Annotated[str, Told("ROBOT", "")]
     setup: Annotated[Path | None, Told("FILE", "Robot")] = None
-    model: Annotated[str | None, Told("NAME", "Robot", _model)] = None
+    model: Annotated[str | None, Told("NAME", "Robot")] = None
     base: Annotated[str | None, Told("LINK", "Robot")] = None
     tip: Annotated[str | None, Told("LINK", "Robot")] = None
 
@@ -354,9 +311,9 @@ class OfParameters(OfRobot):
     """The errors that a robot may have.
 
     Attributes:
-        parameters: placement (default), link-transform, dh, dh-full, joint-offset{};
+        parameters: placement (default), link-transform, dh, dh-full, joint-offset;
             beyond geometry transmission, compliance, hysteresis, motor-ripple,
-            cross-compliance, thermal, warm-up{}; of the instrument instrument-drift;
+            cross-compliance, thermal, warm-up; of the instrument instrument-drift;
             several may be combined.
     """
 
@@ -467,7 +424,7 @@ class Request(OfStations, OfParameters):
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """How a command answers that writes no file.
+    """Whether a program reads what a command prints.
 
     Attributes:
         json: Print JSON.
@@ -475,55 +432,53 @@ class Shown:
 
     json: Annotated[bool, Told("", "Output")] = False
 
-    force = quiet = False
-
-    def give(
-        self,
-        contents: Mapping[Path, bytes],
-        document: Callable[[], Mapping[str, Any] | bytes],
-        blocks: Iterable[Block] | str = (),
-        written: Iterable[str] | None = None,
-        writing: AbstractContextManager[None] | None = None,
+    def show(
+        self, document: Callable[[], Mapping[str, Any]], blocks: Iterable[Block]
     ) -> None:
-        """Write files, and print what is found; neither if one of both fails.
-
-        Args:
-            contents: The files.
-            document: Makes what is printed as JSON, with the names of the files unless
-                it has them; or that as it is in a file.
-            blocks: The report that is printed else, or its text as it is.
-            written: Lines on the files that are in place; default their names.
-            writing: Puts the files in place where it ends well; default `write_files`.
-        """
-        from calib_pin.io.files import write_files
+        """Print what is found, as JSON or as a report."""
         from calib_pin.io.json_text import encode
 
-        told, names = not (self.json or self.quiet), [*map(str, contents)]
-        with writing or write_files(contents, force=self.force):
-            if self.json:
-                made = document()
-                if not isinstance(made, bytes):
-                    own = {"written": names} if names and "written" not in made else {}
-                    made = encode({**made, **own})
-                say(made.decode())
-            elif told and isinstance(blocks, str):
-                say(blocks)
-            elif told and (shown := [*blocks]):
-                show(shown)
-        lines = [f"wrote {name}" for name in names] if written is None else [*written]
-        if told:
-            say_written(lines)
+        if self.json:
+            say(encode(document()).decode())
+        else:
+            show(blocks)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer(Shown):
-    """How a command answers.
+class Answer:
+    """How a command answers that writes files.
 
     Attributes:
         force: Replace existing output.
     """
 
     force: Annotated[bool, Told("", "Output")] = False
+
+    quiet = False
+
+    def give(
+        self,
+        contents: Mapping[Path, bytes],
+        blocks: Iterable[Block] | str = (),
+        written: Iterable[str] | None = None,
+    ) -> None:
+        """Write files, and print what is found; neither if one of both fails.
+
+        Args:
+            contents: The files.
+            blocks: The report that is printed, or its text as it is.
+            written: Lines on the files that are in place; default their names.
+        """
+        from calib_pin.io.files import write_files
+
+        with write_files(contents, force=self.force):
+            if not self.quiet and isinstance(blocks, str):
+                say(blocks)
+            elif not self.quiet and (shown := [*blocks]):
+                show(shown)
+        if not self.quiet:
+            lines = (f"wrote {name}" for name in contents)
+            say_written(lines if written is None else written)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -541,13 +496,13 @@ class QuietAnswer(Answer):
         if not self.quiet:
             notice(remark)
 
-    def ended(self, verdict: str, reason: str) -> int:
-        """The exit status by a verdict, which is told where no report has told it."""
+    def ended(self, verdict: str, reason: str, *, told: bool) -> int:
+        """The exit status by a verdict, told here if no report has told it."""
         from calib_pin.estimation.evidence import TRUSTED
 
         if verdict in TRUSTED:
             return 0
-        if self.quiet or self.json:
+        if not told:
             notice(f"{verdict}: {reason}")
         return 2
 

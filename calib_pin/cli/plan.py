@@ -3,60 +3,41 @@
 from __future__ import annotations
 
 import shlex
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 
-from calib_pin.cli import files, options, printing, results
+from calib_pin.cli import files, options, printing
 from calib_pin.cli.asked import Plan
 from calib_pin.cli.compensate import solids_of
 from calib_pin.control.acceptance_poses import acceptance_poses
 from calib_pin.errors import CalibPinError, OptionError, counted, enumerated
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import measurements
-from calib_pin.io.columns import ANGLE, LENGTH, split_header
 from calib_pin.io.exchange.motions import speed_limits
-from calib_pin.io.json_text import Json, format_keys, merged, plain
 from calib_pin.io.measured_columns import shown_columns
 from calib_pin.io.measurements import encode_configurations, encode_table
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.observations import BlockKey, Observations, fitted_and_held_out
-from calib_pin.parameters import matching
 from calib_pin.planning import plan as planning
 from calib_pin.planning.workspace import joint_limits
 from calib_pin.report.acceptance_text import acceptance_schedule
 from calib_pin.report.plan_text import plan_report
 from calib_pin.setup import Setup
-from calib_pin.solvers import Status
-from calib_pin.units import as_number
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.robot_state import expected_setup
-
-
-def check(asked: Plan) -> None:
-    """Refuse a plan of no number of configurations, or of two."""
-    add, count = asked.add, asked.count
-    if add and count not in (None, add):
-        raise OptionError(f"--add {add} contradicts --count {count}")
-    if not (asked.accept or add or count):
-        raise OptionError("say how many configurations to plan with --count N")
 
 
 def plan(asked: Plan, words: Sequence[str]) -> int:
     """Do what `Plan` asks for."""
     older, stated = files.open_older(asked.start, asked.stated(), planned=True)
-    check(asked)
-    pictures = results.figure_files(asked, "plan")
+    if not (asked.accept or asked.count):
+        raise OptionError("say how many configurations to plan with --count N")
     inputs = [asked.robot, asked.setup, asked.srdf, asked.tests, asked.start]
-    outputs = [asked.output, *pictures]
-    files.check_outputs(outputs, [*inputs, *(asked.to or [])], asked.force)
+    files.check_outputs([asked.output], [*inputs, *(asked.to or [])], asked.force)
     if asked.accept:
         stated = replace(stated, model="position")
     chains, keys, rows, stated = _opened(asked, stated, older)
@@ -68,37 +49,29 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     if asked.tests is not None:
         about = stated.joints, stated.columns
         poses = measurements.read_configurations(asked.tests, chains, *about)
-    with (
-        printing.progress_bar(quiet=asked.quiet) as bar,
-        _interruptible(bar) as progress,
-    ):
+    with printing.progress_bar(quiet=asked.quiet) as bar:
         given = options.same(asked, planning.plan) | {
             "chain": chains,
             "model": keys,
-            "count": asked.add or asked.count,
+            "count": asked.count,
             "setup": stated,
             "measured": rows,
             "collisions": collisions,
             "tests": poses,
         }
-        found = planning.plan(**given, progress=progress)
-        drawn = results.draw("plan", found, bar) if pictures else []
-        figures = results.figure_contents(drawn, pictures)
-    encode = partial(
-        measurements.encode_configurations,
+        found = planning.plan(**given, progress=bar)
+    table = encode_configurations(
         chains,
+        found.q,
+        found.target,
+        places=found.places,
+        sides=planning.sides_of(found),
         joints=stated.joints,
         degrees=asked.degrees,
+        comments=[f"planned by: {command}"],
     )
-    more: dict[str, Any] = {"places": found.places, "sides": planning.sides_of(found)}
-    comments = [f"planned by: {command}"]
-    table = encode(found.q, found.target, **more, comments=comments)
-    contents = {asked.output: table, **figures}
     written = [f"wrote {counted(len(found.q), 'configuration')} to {asked.output}"]
-    written += results.told_figures(figures, pictures)
-    asked.give(contents, lambda: plan_document(found), plan_report(found), written)
-    if found.status is Status.STOPPED:
-        printing.notice("interrupted: this is the best plan found so far")
+    asked.give({asked.output: table}, plan_report(found), written)
     return 0
 
 
@@ -121,77 +94,11 @@ def _opened(
         stated = expected_setup(chains, stated, older)
     if not asked.quiet:
         files.tell_limits(chains)
-    narrower = parse_limits(asked.limits or [], chains)
     # Nothing of the file may turn out to be impossible after a long search.
     names = (*stated.planes, *stated.targets, *stated.anchors)
     still = np.zeros((len(names), len(chains.joints)))
     encode_configurations(chains, still, names, joints=stated.joints)
-    return chains, keys, rows, replace(stated, limits={**stated.limits, **narrower})
-
-
-@contextmanager
-def _interruptible(
-    bar: Callable[[str, float], None] | None,
-) -> Iterator[Callable[[str, float], bool]]:
-    """Progress that asks to stop after Ctrl-C; a second one ends the program."""
-    asked = False
-
-    def interrupt(signum: int, frame: object) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-
-    def progress(stage: str, part: float) -> bool:
-        if bar is not None:
-            bar(stage, part)
-        return asked
-
-    before = signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield progress
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def parse_limits(
-    words: Sequence[str], chains: Chains
-) -> dict[str, tuple[float, float]]:
-    """Limits by joint name or glob [rad, m].
-
-    Args:
-        words: `JOINT=LOWER:UPPER`, with a unit in brackets if it is not rad or m.
-        chains: The chains; whether a name is one of their joints is checked later.
-
-    Raises:
-        OptionError: If a word is not of this form, the limits cross, or the unit is
-            none of a joint that is meant.
-    """
-    units = {**ANGLE.units, **LENGTH.units}
-    limits = {}
-    for word in words:
-        # The name of a joint may hold a sign of equality, an interval cannot.
-        joint, _, rest = word.rpartition("=")
-        joint, (interval, unit) = joint.strip(), split_header(rest)
-        ends = [as_number(end.strip()) for end in interval.split(":")]
-        wrong = f"--limits cannot be {word!r}"
-        factor = 1.0 if unit is None else units.get(unit, 0.0)
-        if not joint or len(ends) != 2 or None in ends or not factor:
-            allowed = "JOINT=LOWER:UPPER, such as 'elbow=-90:90 [deg]'; units "
-            raise OptionError(wrong, allowed=allowed + ", ".join(units))
-        lower, upper = (factor * float(end or 0.0) for end in ends)
-        # Degrees would leave a joint as free as it was, without a word.
-        if not -ANGLE.largest <= lower <= upper <= ANGLE.largest:
-            most = f"at most {ANGLE.largest:.4g} rad or m"
-            allowed = f"LOWER up to UPPER, {most}; other units in brackets: [deg]"
-            raise OptionError(wrong, allowed=allowed)
-        for k in matching(joint, chains.joints):
-            kind = ANGLE if chains.revolute[k] else LENGTH
-            if unit not in (None, *kind.units):
-                wrong += f": joint '{chains.joints[k]}' is of another kind"
-                raise OptionError(wrong, allowed=", ".join(kind.units))
-        limits[joint] = (lower, upper)
-    return limits
+    return chains, keys, rows, stated
 
 
 def _acceptance(
@@ -259,28 +166,7 @@ def _acceptance(
     text = encode_table(columns, [f"planned by: {command}", "", *schedule.splitlines()])
     asked.give(
         {asked.output: text},
-        dict,
         schedule,
         [f"wrote {len(found.q) * cycles} visits to {asked.output}"],
     )
     return 0
-
-
-def plan_document(plan: planning.Plan) -> Json:
-    """A plan: its configurations, what they reach, and the expected result."""
-    expected, blocked = plan.predicted, plan.blocked
-    return merged(
-        format_keys("calib-pin/plan"),
-        {"joints": plan.problem.chains.joints, "target": plan.target},
-        plain(plan),
-        {
-            "collisions": {
-                "checked": blocked is not None,
-                "blocked_moves": blocked or (),
-            },
-            "predicted": {
-                "rank": expected.directions.count,
-                "structural_rank": expected.rank,
-            },
-        },
-    )

@@ -8,7 +8,6 @@ from pathlib import Path
 from calib_pin.cli import files, printing, results
 from calib_pin.cli.asked import Report
 from calib_pin.cli.results import draw_calibration
-from calib_pin.io.json_text import encode
 from calib_pin.io.measurement_errors import MEASUREMENTS
 from calib_pin.io.results import REPORT, document_file, read_written
 from calib_pin.io.robot_shapes import robot_shapes
@@ -29,7 +28,7 @@ def report(asked: Report) -> int:
     robot, there = result.model.chains.robot, document.get("files", {})
     page = asked.output or file.parent / REPORT
     own = asked.output is None and REPORT in there
-    pictures = results.figure_files(asked, "calibration")
+    pictures = results.figure_files(asked)
     inputs: list[str | Path] = [file, file.parent / MEASUREMENTS, robot.file]
     files.check_outputs([page, pdf, *pictures], inputs, asked.force or own)
     files.check_outputs([pdf], inputs, asked.force)
@@ -50,8 +49,7 @@ def report(asked: Report) -> int:
         contents |= results.figure_contents(drawn, pictures)
     replace(asked, force=asked.force or own).give(
         contents,
-        lambda: encode(document),
         blocks(result, suggestions),
         [*made, *results.told_figures(contents, pictures)],
     )
-    return asked.ended(result.verdict, result.reason)
+    return asked.ended(result.verdict, result.reason, told=not asked.quiet)

@@ -87,11 +87,6 @@ def opened(
     older, stated = files_of.open_older(
         request.start, request.stated(), used=[*rows_in, *further]
     )
-    if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):
-        name = stated.solver.name
-        printing.notice(
-            f"{name} ignores the options of differential evolution in 'solver'"
-        )
     chains = request.chains(stated)
     # None of them may be written.
     started = [] if request.start is None else [document_file(request.start)]

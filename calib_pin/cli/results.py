@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import date
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -140,38 +139,28 @@ def _tell_others(files: Sequence[Path], written: Collection[Path], kind: str) ->
 # --- figures ------------------------------------------------------------------------
 
 
-def figure_files(asked: Pictured, of: str) -> list[Path]:
-    """The files of the figures of some subject, as far as they are asked for."""
+def figure_files(asked: Pictured) -> list[Path]:
+    """The files of the figures of a calibration, as far as they are asked for."""
     if (folder := asked.figures) is None:
         return []
     # It takes half a second to load what draws.
     from calib_pin.report.figures import NAMES
 
-    return [folder / f"{name}.{asked.figure_format}" for name in NAMES[of]]
+    return [folder / f"{name}.{asked.figure_format}" for name in NAMES["calibration"]]
 
 
-def draw(
-    of: str, subject: object, bar: Bar | None, shapes: Sequence[Shape] = ()
+def draw_calibration(
+    subject: CalibrationResult, bar: Bar | None, shapes: Sequence[Shape]
 ) -> list[Drawn]:
-    """The figures of a calibration, a plan or a comparison.
-
-    Args:
-        of: Which of these.
-        subject: It.
-        bar: Told the progress.
-        shapes: Shapes of the links of a calibrated robot.
-    """
+    """The figures of a calibration, with the shapes of its links."""
     from calib_pin.report.figures import NAMES, drawn
 
     result: list[Drawn] = []
-    for figure in drawn(of, subject, shapes=shapes):
+    for figure in drawn("calibration", subject, shapes=shapes):
         result.append(figure)
         if bar is not None:
-            bar("figures", len(result) / len(NAMES[of]))
+            bar("figures", len(result) / len(NAMES["calibration"]))
     return result
-
-
-draw_calibration = partial(draw, "calibration")
 
 
 def figure_contents(drawn: Sequence[Drawn], files: Sequence[Path]) -> dict[Path, bytes]:

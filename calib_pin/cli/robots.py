@@ -19,17 +19,15 @@ def robots(asked: Robots) -> int:
         require_known("bundled robot", name, known)
         files = sorted(path for path in known[name].parent.iterdir() if path.is_file())
         copies = {output / path.name: read_bytes(path) for path in files}
-        asked.give(copies, lambda: {"robot": name})
+        asked.give(copies)
         return 0
-    rows, found = [], []
+    rows = []
     for robot, path in known.items():
         chain = Chain(load_robot(robot))
         others = sorted(p.name for p in path.parent.iterdir() if p.suffix != ".urdf")
-        joints = list(chain.joints)
-        ends = {"base": chain.base, "tip": chain.tip}
-        found.append({"name": robot, **ends, "joints": joints, "files": others})
-        rows.append((robot, " -> ".join(ends.values()), len(joints), ", ".join(others)))
+        ends = f"{chain.base} -> {chain.tip}"
+        rows.append((robot, ends, len(chain.joints), ", ".join(others)))
     shown = table("", ("name", "chain|word", "joints", "files|remark"), rows)
     more = "calib-pin robots NAME -o DIR copies one with its example files"
-    asked.give({}, lambda: {"robots": found}, [shown], [more])
+    asked.give({}, [shown], [more])
     return 0

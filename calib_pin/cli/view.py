@@ -55,14 +55,14 @@ def require_viser() -> None:
 
 
 def serve(asked: Windowed, window: Window) -> None:
-    """Tell where a window is; keep it until Ctrl-C or the last tab is closed."""
+    """Tell where a window is, and keep it until Ctrl-C."""
     try:
         if asked.port not in (0, window.port):
             free = f"port {asked.port} cannot be used; {window.port} is free"
             printing.notice(free)
         printing.tell_notices()
         typer.echo(f"viewing at {window.url} (Ctrl-C ends it)")
-        window.run(asked.once)
+        window.run()
     except KeyboardInterrupt:
         typer.echo()
     finally:

@@ -99,14 +99,12 @@ class Shape:
         placement: Its pose in the link, shape (4, 4).
         surface: Its surface.
         color: Red, green and blue from 0 to 1; None where the URDF states none.
-        opacity: 1 for what cannot be seen through.
     """
 
     link: str
     placement: Floats
     surface: Surface
     color: Color | None = None
-    opacity: float = 1.0
 
 
 @dataclass(frozen=True)

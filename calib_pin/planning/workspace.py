@@ -492,7 +492,7 @@ def joint_limits(problem: Problem) -> tuple[Floats, Floats]:
         meant = matching(pattern, chain.joints)
         if not meant:
             raise OptionError(
-                f"limits (--limits) match no joint of the chain: '{pattern}'"
+                f"limits match no joint of the chain: '{pattern}'"
                 f"{nearest(pattern, chain.joints)}",
                 allowed=", ".join(chain.joints),
             )
@@ -500,7 +500,7 @@ def joint_limits(problem: Problem) -> tuple[Floats, Floats]:
             lower[k], upper[k] = max(lower[k], low), min(upper[k], high)
             if lower[k] > upper[k]:
                 raise OptionError(
-                    f"limits (--limits) of '{chain.joints[k]}' leave nothing",
+                    f"limits of '{chain.joints[k]}' leave nothing",
                     value=[low, high],
                     allowed=f"a part of {chain.lower[k]:.4g} to {chain.upper[k]:.4g}",
                 )

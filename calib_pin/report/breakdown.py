@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain as joined
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from calib_pin.errors import counted
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.io.setup import yaml_text
 from calib_pin.measurement_models.pinhole import INTRINSICS
-from calib_pin.report.blocks import Block, Cell, Code, Names, Table, note, table
+from calib_pin.report.blocks import Block, Cell, Names, Table, note, table
 from calib_pin.report.tables import UNIT, decimals, measures, significant
 from calib_pin.setup import CameraSetup
 from calib_pin.units import DISPLAY
@@ -30,21 +27,6 @@ from calib_pin.validation.result import (
 )
 
 QUANTITY = "quantity|word"
-
-
-def block_names(keys: Sequence[Sequence[str]]) -> list[str]:
-    """Names of blocks: as few parts of their keys as tell them apart.
-
-    Examples:
-        >>> block_names([("pose", "", "day1", "ball"), ("pose", "", "day2", "ball")])
-        ['day1', 'day2']
-    """
-    width = len(keys[0])
-    for told in joined(*(combinations(range(width), k) for k in range(width + 1))):
-        names = [tuple(key[k] for k in told) for key in keys]
-        if len(set(names)) == len(keys):
-            break
-    return [", ".join(part or "-" for part in name) for name in names]
 
 
 def parts(found: Breakdown) -> Iterator[Block]:
@@ -83,15 +65,13 @@ def told(found: Breakdown, *, details: bool = True) -> Iterator[Block]:
 
     Args:
         found: The breakdown.
-        details: Also the ranks of several blocks, and the combinations of the frames.
+        details: Also the combinations of the frames.
     """
     for chain in found.chains:
         if chain.still:
             joints = f"joint{'s' * (len(chain.still) > 1)} {', '.join(chain.still)}"
             joints += f" of chain {chain.name}" * bool(chain.name)
             yield note(f"No measurement moves {joints}: held at nominal.")
-    if details and len(found.blocks) > 1:
-        yield from _blocks(found)
     coupled = [coupled.sentence for coupled in found.coupled_frames]
     if details and coupled:
         yield Names("Frames that cannot be told apart", coupled)
@@ -100,40 +80,11 @@ def told(found: Breakdown, *, details: bool = True) -> Iterator[Block]:
         yield note(f"Frames that cannot be told apart: {said}, see --details.")
 
 
-def _blocks(found: Breakdown) -> Iterator[Block]:
-    """Errors of each block, and the rank that it adds."""
-    keys = [(b.model, b.chain, b.station, b.tool) for b in found.blocks]
-    names = block_names(keys)
-    rows = [
-        (name, block.measurements, block.rank, block.added, error.name, *numbers)
-        for name, block in zip(names, found.blocks, strict=True)
-        for error in block.errors
-        for numbers in [measures(error.unit, error.after.rms)]
-    ]
-    titles = ("", "measurements", "rank", "added", QUANTITY, "rms", UNIT)
-    yield table("Blocks of measurements", titles, rows, grouped=4)
-    yield note(
-        "Rank: errors of the robot that the measurements of a block identify by "
-        "themselves. Added: those that the others do not identify without them."
-    )
-
-
 # --- where frames and cameras are ---------------------------------------------------
 
-INTRINSIC = ("focal", "center", "distortion")
-"""Keys of the numbers of a camera in a setup."""
 
-DIGITS = 9
-"""Decimals of lines to be copied [m, rad]: beyond any measurement."""
-
-
-def frame_blocks(result: CalibrationResult, *, lines: bool = True) -> Iterator[Block]:
-    """Frames and cameras of which something was estimated.
-
-    Args:
-        result: The calibration.
-        lines: Also the same as lines of a setup file, to be copied.
-    """
+def frame_blocks(result: CalibrationResult) -> Iterator[Block]:
+    """Frames and cameras of which something was estimated."""
     stations = [frame for frame in result.stations if frame.estimated]
     tools = [frame for frame in result.tools if frame.estimated]
     seen = {name: of for name, of in result.model.cameras.items() if of.estimate}
@@ -155,10 +106,6 @@ def frame_blocks(result: CalibrationResult, *, lines: bool = True) -> Iterator[B
     sigmas |= dict.fromkeys(result.unknown, math.nan)
     for name, camera in seen.items():
         yield _camera(name, camera, sigmas)
-    known = {name: of for name, of in seen.items() if name not in open_ones}
-    if lines and (found := _lines(stations, tools, known)):
-        written = yaml_text(found)
-        yield Code("The same as lines of a setup file (m, rad, px)", written)
 
 
 def _camera(name: str, camera: CameraSetup, sigmas: Mapping[str, float]) -> Table:
@@ -169,39 +116,6 @@ def _camera(name: str, camera: CameraSetup, sigmas: Mapping[str, float]) -> Tabl
         sigma = sigmas[f"{name}.intrinsics.{key}"]
         rows.append((key, _within(value, sigma, 1.0), unit))
     return table(f"Intrinsics of {name}", ("", "value", UNIT), rows)
-
-
-def _lines(
-    stations: Sequence[FrameSummary],
-    tools: Sequence[FrameSummary],
-    cameras: Mapping[str, CameraSetup],
-) -> dict[str, Any]:
-    """Frames and a single camera as a setup file states them."""
-    lines: dict[str, Any] = {}
-    sections = [("stations", f) for f in stations] + [("tools", f) for f in tools]
-    for section, frame in sections:
-        # What is unknown is not there.
-        if {*"xyz"} & {*frame.unknown}:
-            continue
-        pose = {"xyz": _rounded(frame.xyz)}
-        if not frame.unknown:
-            pose["rpy"] = _rounded(frame.rpy)
-        if frame.name in ("base", "tool"):
-            section = "frames"
-        name = frame.name.removesuffix(".station").removesuffix(".tool")
-        lines.setdefault(section, {})[name] = pose
-    if len(cameras) == 1:
-        (camera,) = cameras.values()
-        lines["camera"] = {
-            "mount": camera.mount,
-            **{name: _rounded(getattr(camera, name)) for name in INTRINSIC},
-            **({} if camera.size is None else {"size": [*camera.size]}),
-        }
-    return lines
-
-
-def _rounded(numbers: tuple[float, ...]) -> list[float]:
-    return [round(number, DIGITS) + 0.0 for number in numbers]
 
 
 def _link(frames: Sequence[FrameSummary]) -> str:

@@ -32,7 +32,6 @@ def comparison_report(found: compared.Comparison) -> Iterator[Block]:
     yield Facts(chain_words(found.first.model), origins)
     yield from tip_differences(found)
     yield from parameter_changes(found)
-    yield from accuracies(found)
 
 
 def _verdict(found: compared.Comparison) -> Line:
@@ -258,22 +257,3 @@ def _numbers(differences: Sequence[compared.Difference]) -> str:
     sums = sum(bool(d.terms) for d in differences)
     alone = counted(len(differences) - sums, "parameter")
     return f"{alone} and {counted(sums, 'combination')}"
-
-
-def accuracies(found: compared.Comparison) -> Iterator[Block]:
-    """Accuracy of both beside each other, and how it was validated."""
-    pair = (("A", found.first), ("B", found.second))
-    rows = [
-        (error.name, which, label, *tables.sizes(after, error.unit))
-        for label, record in pair
-        for error in record.errors
-        for which, (_, after) in error.stages.items()
-    ]
-    names = [name for name, *_ in rows]
-    rows.sort(key=lambda row: (names.index(row[0]), row[1]))
-    titles = ("", "measurements|word", "of|word", *tables.SIZES)
-    yield table("Accuracy", titles, rows, grouped=2)
-    said = ", ".join(f"{label} {record.validation.method}" for label, record in pair)
-    if not found.same_rows:
-        said += ". The measurements differ: the numbers are not strictly comparable"
-    yield note(f"Validation: {said}.")

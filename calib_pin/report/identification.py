@@ -113,7 +113,7 @@ def _remedied(
     known, weak = found.identifiability.robot_rank, found.identifiability.weak
     rows = [("no change", known - weak)]
     if weak:
-        rows.append(("more or other configurations: calib-pin plan --add N", known))
+        rows.append(("more or other configurations: calib-pin plan --add", known))
     rows += [(remedy.change, remedy.count) for remedy in suggestions]
     if len(rows) > 1:
         titles = ("|remark", "identifiable robot parameters")

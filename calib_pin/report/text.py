@@ -37,7 +37,7 @@ LINES = 16
 PLACES = "Tool, base, stations and cameras"
 
 LISTED = 5, 200
-"""Outliers and correlated pairs that a terminal and a page list."""
+"""Outliers that a terminal and a page list."""
 
 
 @serial_blas
@@ -114,7 +114,7 @@ def report(
         yield from accurate.moves(result)
     yield from accurate.beyond(result)
     yield from corrections(result)
-    yield from frame_blocks(result, lines=False)
+    yield from frame_blocks(result)
     yield from told(result, details=False)
     yield summary(result, () if alone else suggestions)
     if not alone:
@@ -159,7 +159,7 @@ def sections(
         for remedy in suggestions
     )
     known = identified(result, fitted=True, suggestions=suggestions)
-    identifiable = (known, told(result), *remedies, trust.correlated(result, most))
+    identifiable = (known, told(result), *remedies)
     bounded = listed("at a bound", result.solver.at_bounds)
     noise = trust.noise(result), trust.statistics(result)
     outliers = _outliers(result, most)

@@ -17,7 +17,6 @@ from calib_pin.report.blocks import (
     Code,
     Facts,
     Line,
-    Names,
     Tone,
     note,
     table,
@@ -37,9 +36,9 @@ PLACES = {"measured": "where measured", "workspace": "over the workspace"}
 """Where an accuracy is expected, in words, by its name in `ToolAccuracy`."""
 
 NEXT = {
-    "unchecked": "measure more configurations: calib-pin plan --add N proposes them",
+    "unchecked": "measure more configurations: calib-pin plan --add proposes them",
     "untrusted": "check units, joint signs, and base and tip; then measure more or "
-    "other configurations (calib-pin plan --add N)",
+    "other configurations (calib-pin plan --add)",
 }
 """Next steps where no finding has one, by the verdict."""
 
@@ -226,17 +225,3 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
         entries.append(("prior", f"by {setup.prior.robots} robots of this type"))
     title = "Statistics of the parameters, before what is learned"
     yield Facts(title if setup.learned is not None else "Statistics", entries)
-
-
-def correlated(result: CalibrationResult, most: int) -> Iterator[Names]:
-    """Strongly correlated estimates; beyond `most` pairs the rest is only counted."""
-    pairs = result.identifiability.correlated
-    if pairs:
-        names = {g.expression: f"combination {g.number}" for g in result.groups}
-        entries = [
-            f"{value:+.3f}  {names.get(first, first)}  |  {names.get(second, second)}"
-            for first, second, value in pairs[:most]
-        ]
-        if len(pairs) > most:
-            entries.append(f"and {len(pairs) - most} more pairs in calibration.json")
-        yield Names("Correlations, abs(rho) > 0.95", entries)

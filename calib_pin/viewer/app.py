@@ -7,15 +7,12 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from calib_pin.viewer.panel import Controls, Player, add_panel, text
+from calib_pin.viewer.panel import Controls, add_panel, text
 from calib_pin.viewer.scene import Scene
 from calib_pin.viewer.stage import Stage
 
 if TYPE_CHECKING:
     import viser
-
-PAUSE = 0.2
-"""Time between two looks at what a page says [s]."""
 
 DROP = """
 <div ondragover="event.preventDefault()" ondrop="event.preventDefault();
@@ -108,18 +105,10 @@ class Page:
         """Nothing is drawn before the first tick."""
         self._viewer, self._camera, self._sections = viewer, camera, sections
         self._drawn = dict[str, tuple[Section, Any]]()
-        self._scene: Scene | None = None
-        self._player: Player | None = None
-        self._waited = PAUSE
+        self._seen: tuple[str, bool] | None = None
 
-    def tick(self, seconds: float) -> None:
-        """Go on by some seconds."""
-        if self._player is not None:
-            self._player.tick(seconds)
-        self._waited += seconds
-        if self._waited < PAUSE:
-            return
-        self._waited = 0.0
+    def tick(self) -> None:
+        """Draw what has changed."""
         with self._viewer.atomic():
             for order, section in enumerate(self._sections()):
                 self._show(section, order)
@@ -147,12 +136,12 @@ class Page:
         """Draw another scene, with its controls."""
         self._viewer.scene.reset()
         stage = Stage(self._viewer, scene)
-        self._player = add_panel(Controls(self._viewer.gui), scene, stage)
+        add_panel(Controls(self._viewer.gui), scene, stage)
         # While rows come in, and after the calibration, nobody's view is moved.
-        kinds = [(s.title, s.rows is None) for s in (self._scene, scene) if s]
-        if kinds[1:] != kinds[:1]:
+        kind = scene.title, scene.rows is None
+        if kind != self._seen:
             stage.see(self._camera)
-        self._scene = scene
+        self._seen = kind
 
 
 def draw(gui: viser.GuiApi, widget: Widget) -> None:

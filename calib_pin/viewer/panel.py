@@ -15,9 +15,8 @@ from matplotlib.colors import Normalize, to_hex
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.report.breakdown import block_names
 from calib_pin.units import DISPLAY
-from calib_pin.viewer.scene import Plan, Rows, Scene, StageErrors
+from calib_pin.viewer.scene import Rows, Scene, StageErrors
 from calib_pin.viewer.stage import BODIES, RGB, Stage
 
 if TYPE_CHECKING:
@@ -29,8 +28,7 @@ STAGES: dict[str, RGB] = {"before": (213, 94, 0), "after": (0, 114, 178)}
 MARK: RGB = (204, 121, 167)
 """Of the measurement that is looked at."""
 
-MEASURED: RGB = (40, 40, 40)
-PATH: RGB = (0, 158, 115)
+UNKNOWN: RGB = (40, 40, 40)
 
 MAP = colormaps["viridis"]
 """Colormap of sizes: perceptually uniform, and of growing lightness."""
@@ -73,15 +71,11 @@ class Controls:
 
         control.on_update(updated)
 
-    def switch(
-        self, label: str, of: Any, on: bool = True, *, instead: Any = None
-    ) -> None:
-        """A checkbox that shows or hides a drawing, and another one instead of it."""
+    def switch(self, label: str, of: Any, on: bool = True) -> None:
+        """A checkbox that shows or hides a drawing."""
 
         def show(visible: bool) -> None:
             of.visible = visible
-            if instead is not None:
-                instead.visible = not visible
 
         self.on(self.gui.add_checkbox(label, on), show)
         show(on)
@@ -99,11 +93,7 @@ def swatch(color: RGB, label: str) -> str:
 
 
 class Joints:
-    """A slider for every joint, in degrees or millimeters.
-
-    Attributes:
-        mover: Control that moved the robots last; None for a person at these sliders.
-    """
+    """A slider for every joint, in degrees or millimeters."""
 
     def __init__(self, controls: Controls, scene: Scene, stage: Stage) -> None:
         """Add the sliders and take the first posture."""
@@ -111,7 +101,6 @@ class Joints:
         self._stage, (self._columns, self._places) = stage, scene.moved
         self._q, self._payload = scene.start, ""
         self._factors = np.where(skeleton.revolute, 180.0 / math.pi, 1e3)
-        self.mover: object | None = None
         lower, upper = (self._factors * end for end in _range(scene))
         units = ["" if turns else " [mm]" for turns in skeleton.revolute]
         alone = scene.rows is None and scene.plan is None
@@ -132,10 +121,10 @@ class Joints:
             controls.on(slider, lambda _: self._read())
         stage.pose(self._q, self._payload)
 
-    def move(self, q: Floats, payload: str, mover: object) -> None:
+    def move(self, q: Floats, payload: str) -> None:
         """Move the chains to q (n,) [rad, m]; other joints stay where they are."""
         self._q[self._places] = q[self._columns]
-        self._payload, self.mover = payload, mover
+        self._payload = payload
         self._stage.pose(self._q, payload)
         for place in self._places:
             self._sliders[place].value = self._displayed(place)
@@ -145,7 +134,7 @@ class Joints:
 
     def _read(self) -> None:
         values = np.array([slider.value for slider in self._sliders])
-        self._q, self.mover = values / self._factors, None
+        self._q = values / self._factors
         self._stage.pose(self._q, self._payload)
 
 
@@ -154,88 +143,32 @@ def _range(scene: Scene) -> tuple[Floats, Floats]:
     skeleton, (columns, places) = scene.bodies[0].skeleton, scene.moved
     ends = np.array([skeleton.lower, skeleton.upper])
     shown = [] if scene.rows is None else [scene.rows.data.q]
-    shown += [] if scene.plan is None else [scene.plan.q]
+    shown += [] if scene.plan is None else [scene.plan]
     every = np.concatenate([ends[:, places], *(q[:, columns] for q in shown)])
     ends[:, places] = every.min(axis=0), every.max(axis=0)
     return ends[0], ends[1]
 
 
-class Player:
-    """The controls of a plan, which play its configurations in their order."""
-
-    def __init__(
-        self, controls: Controls, stage: Stage, plan: Plan, joints: Joints
-    ) -> None:
-        """Draw its paths and add the controls; nothing is played yet."""
-        self._lock, self._plan, self._joints = controls.lock, plan, joints
-        self._number, self._playing, count = 0.0, False, len(plan.q)
-        ways = [np.stack([way[:-1], way[1:]], axis=1) for way in plan.paths]
-        path = stage.api.add_line_segments(
-            "/path", np.concatenate(ways), np.array(PATH), thickness=0.002 * stage.size
-        )
-        with controls.gui.add_folder("Plan"):
-            self._slider: Any = controls.gui.add_slider(
-                "number", 1, max(count, 2), 1, 1
-            )
-            self._button = controls.gui.add_button("play", disabled=count < 2)
-            self._speed = controls.gui.add_slider("per second", 0.1, 5.0, 0.1, 1.0)
-            several = len(plan.paths) > 1
-            controls.switch("paths of the tips" if several else "path of the tip", path)
-        controls.on(self._slider, lambda value: self._show(min(value, count) - 1.0))
-        self._button.on_click(lambda _: self.play(not self._playing))
-
-    def play(self, playing: bool) -> None:
-        """Go on from where it stands, or pause."""
-        with self._lock:
-            self._playing = playing
-            self._button.label = "pause" if playing else "play"
-            if playing:
-                self._show(self._number)
-
-    def tick(self, seconds: float) -> None:
-        """Go on by some seconds while the plan is played; it begins again."""
-        if not self._playing:
-            return
-        with self._lock:
-            if self._joints.mover is not self:  # Somebody looks at something else.
-                self.play(False)
-                return
-            number = self._number + seconds * self._speed.value
-            self._show(number if number <= len(self._plan.q) - 1 else 0.0)
-            self._slider.value = int(self._number) + 1
-
-    def _show(self, number: float) -> None:
-        self._number = number
-        self._joints.move(self._plan.at(number), "", self)
-
-
-def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
-    """Draw errors and plan, and add all controls.
-
-    Returns:
-        What plays the plan, if there is one.
-    """
+def add_panel(controls: Controls, scene: Scene, stage: Stage) -> None:
+    """Draw errors, and add all controls."""
     with controls.gui.add_folder("Robot"):
         for name, robot in stage.robots.items():
             controls.switch(name, robot.root)
         if len(stage.robots) > 1:
             swatches = (swatch(BODIES[name], name) for name in stage.robots)
             controls.gui.add_html(text("".join(swatches)))
-        if scene.things:
-            controls.switch("instruments and targets", stage.things.root)
-            controls.switch("their names", stage.names.root, False)
     joints, rows = Joints(controls, scene, stage), scene.rows
-    behind = stage.api.add_frame("/behind", show_axes=False)
     if rows is not None:
         _add_rows(controls, stage, rows, joints)
     _add_magnifier(controls, scene, stage)
     if rows is not None:
-        _add_map(controls, stage, rows, behind)
-    return Player(controls, stage, scene.plan, joints) if scene.plan else None
+        _add_map(controls, stage, rows)
+    if scene.plan is not None:
+        _add_plan(controls, scene.plan, joints)
 
 
 def _add_rows(controls: Controls, stage: Stage, rows: Rows, joints: Joints) -> None:
-    """The measured points, and a slider that goes to a measurement and marks it."""
+    """A slider that goes to a measurement and marks it."""
     count, last = len(rows.data), list(rows.stages.values())[-1]
     mark = stage.api.add_icosphere(
         "/row", radius=0.012 * stage.size, color=MARK, cast_shadow=False
@@ -243,16 +176,12 @@ def _add_rows(controls: Controls, stage: Stage, rows: Rows, joints: Joints) -> N
     with controls.gui.add_folder("Measurements"):
         slider = controls.gui.add_slider("measurement", 1, max(count, 2), 1, 1)
         about = controls.gui.add_html("")
-        if rows.positions:
-            points = last.measured[np.isfinite(last.measured).all(axis=1)]
-            cloud = _cloud(stage, "/behind/measured", points, MEASURED, 0.005)
-            controls.switch("measured points", cloud)
 
     def show(value: int) -> None:
         row = min(value, count) - 1
         about.content = text(_about(rows, row))
         mark.position = last.points[row]
-        joints.move(rows.data.q[row], rows.data.payload[row], rows)
+        joints.move(rows.data.q[row], rows.data.payload[row])
 
     controls.on(slider, show)
     show(1)
@@ -313,58 +242,56 @@ def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
     return ends[np.isfinite(ends).all(axis=(1, 2))].astype(np.float32)
 
 
-def _add_map(controls: Controls, stage: Stage, rows: Rows, behind: Any) -> None:
-    """Tool points in colors of their errors, in place of the measured points."""
+def _add_plan(controls: Controls, q: Floats, joints: Joints) -> None:
+    """A slider that goes to each of the planned configurations q (M, n)."""
+    with controls.gui.add_folder("Plan"):
+        slider = controls.gui.add_slider("configuration", 1, max(len(q), 2), 1, 1)
+    controls.on(slider, lambda value: joints.move(q[min(value, len(q)) - 1], ""))
+
+
+def _add_map(controls: Controls, stage: Stage, rows: Rows) -> None:
+    """Tool points in colors of their errors."""
     stages = tuple(rows.stages)
     quantities = tuple(rows.stages[stages[-1]].sizes)
     with controls.gui.add_folder("Residual map"):
-        # Without vectors it is the only view of the errors. Measured points would look
-        # like holes in those of the map.
-        points, on = stage.api.add_frame("/map", show_axes=False), not rows.positions
-        controls.switch("tool points by size", points, on, instead=behind)
+        points = stage.api.add_frame("/map", show_axes=False)
+        controls.switch("tool points by size", points)
         quantity = controls.gui.add_dropdown("error of", quantities)
         robot = controls.gui.add_dropdown("robot", stages, initial_value=stages[-1])
-        block = controls.gui.add_dropdown(
-            "measurements", tuple(rows.blocks), visible=len(rows.blocks) > 1
-        )
         legend = controls.gui.add_html("")
 
     def color() -> None:
         errors = rows.stages[robot.value]
         every = errors.sizes[quantity.value]
-        shown = np.isfinite(every) & rows.blocks[block.value]
-        sizes, colors, told = every[shown], MEASURED, "no measurement has it"
+        shown = np.isfinite(every)
+        sizes, colors, told = every[shown], UNKNOWN, "no measurement has it"
         unit, factor = DISPLAY[errors.units[quantity.value]]
         if len(sizes):
             colors = MAP(Normalize()(sizes), bytes=True)[:, :3]
             least, most = factor * sizes.min(), factor * sizes.max()
             told = f'<div style="{BAR}"></div>{least:.3g} to {most:.3g} {unit}'
         # Points and colors in one: a browser may draw between two messages.
-        _cloud(stage, "/map/points", errors.points[shown], colors, 0.014)
+        stage.api.add_point_cloud(
+            "/map/points",
+            errors.points[shown].astype(np.float32),
+            colors,
+            point_size=0.014 * stage.size,
+            point_shape="circle",
+            precision="float32",
+        )
         legend.content = text(told)
 
-    for choice in (quantity, robot, block):
+    for choice in (quantity, robot):
         controls.on(choice, lambda _: color())
     color()
-
-
-def _cloud(stage: Stage, name: str, points: Floats, colors: Any, size: float) -> Any:
-    """Points (N, 3) [m] in one color or (N, 3), of a size by that of the robot."""
-    return stage.api.add_point_cloud(
-        name,
-        points.astype(np.float32),
-        colors,
-        point_size=size * stage.size,
-        point_shape="circle",
-        precision="float32",
-    )
 
 
 def _about(rows: Rows, row: int) -> str:
     """The source of a measurement, its target, and its errors."""
     lines = [Path(rows.data.source(row)).name]
     if len(rows.data.blocks) > 1:
-        lines.append(block_names(rows.data.keys)[int(rows.data.block_of[row])])
+        key = rows.data.keys[int(rows.data.block_of[row])]
+        lines.append(", ".join(filter(None, key)))
     if rows.data.target[row]:
         lines.append(f"target {rows.data.target[row]}")
     for name, quantity in next(iter(rows.stages.values())).units.items():

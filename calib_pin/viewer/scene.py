@@ -30,26 +30,16 @@ from calib_pin.kinematics.shapes import Shape
 from calib_pin.kinematics.skeleton import (
     Skeleton,
     base_poses,
-    chain_links,
-    corners,
     drawn_link,
 )
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import BlockKey, Labels, Observations
+from calib_pin.observations import Observations
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.report.breakdown import block_names
-from calib_pin.report.surroundings import Thing, surroundings
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.model_errors import Registered
-
-STEPS = 20
-"""Points of the tip's path from one configuration to the next."""
-
-LONGEST = 5000
-"""Points from which on a path has fewer between configurations."""
 
 
 @dataclass(frozen=True)
@@ -148,35 +138,6 @@ class Rows:
         every = self.stages.items()
         return {name: e for name, e in every if np.isfinite(e.vectors).any()}
 
-    @property
-    def blocks(self) -> dict[str, NDArray[np.bool_]]:
-        """Masks (N,) of the measurements of each block, by its name, after all."""
-        blocks, names = self.data.block_of, block_names(self.data.keys)
-        found = {name: blocks == k for k, name in enumerate(names)}
-        every = {"all": np.ones(len(self.data), bool)}
-        return every | (found if len(names) > 1 else {})
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Configurations in their order.
-
-    Attributes:
-        q: Positions of the joints of all chains, shape (M, n) [rad, m].
-        paths: The way of each tip in the base link, shape (P, 3) each [m].
-    """
-
-    q: Floats
-    paths: Sequence[Floats] = ()
-
-    def at(self, number: float) -> Floats:
-        """Joint positions (n,) between configurations, numbered from 0 to M - 1."""
-        first = min(int(number), len(self.q) - 1)
-        last = min(first + 1, len(self.q) - 1)
-        return np.asarray(
-            self.q[first] + (number - first) * (self.q[last] - self.q[first])
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -188,8 +149,8 @@ class Scene:
         bodies: The robot, or the nominal and the corrected one.
         chains: The chains that measurements and plan move; may be none.
         rows: Measurements, if there are any.
-        plan: Planned configurations, if there are any.
-        things: Instruments and targets that stand around or that the tool carries.
+        plan: Planned configurations of the chains, shape (M, n) [rad, m]; None for
+            none.
     """
 
     title: str
@@ -197,13 +158,7 @@ class Scene:
     bodies: tuple[Body, ...]
     chains: Chains
     rows: Rows | None = None
-    plan: Plan | None = None
-    things: tuple[Thing, ...] = ()
-
-    @property
-    def highlighted(self) -> frozenset[str]:
-        """The links of the chains that measurements and plan move, or all links."""
-        return chain_links(self.chains) or frozenset(self.bodies[0].skeleton.links)
+    plan: Floats | None = None
 
     @property
     def largest_move(self) -> float:
@@ -230,7 +185,7 @@ class Scene:
         if self.rows is not None:
             q[places] = self.rows.data.q[0, columns]
         elif self.plan is not None:
-            q[places] = self.plan.q[0, columns]
+            q[places] = self.plan[0, columns]
         return q
 
 
@@ -251,31 +206,6 @@ def corrected(model: CalibratedModel, base: str, factor: float = 1.0) -> Body:
     written = edit_origins(robot.source, origins, robot.file)
     skeleton = Skeleton(parse_robot(written, robot.file), base)
     return Body("corrected", skeleton, model, factor)
-
-
-def tip_paths(
-    chains: Chains, q: Floats, link: str, model: CalibratedModel | None = None
-) -> list[Floats]:
-    """The ways (P, 3) [m] of all tips in a link while all joints move evenly.
-
-    The points of the configurations q (M, n) [rad, m] are among them.
-    """
-    between = max(1, min(STEPS, LONGEST // len(q)))
-    numbers = np.arange((len(q) - 1) * between + 1) / between
-    plan = Plan(q)
-    dense = np.array([plan.at(number) for number in numbers])
-    paths = []
-    for name in chains.names:
-        chain, own = chains[name], dense[:, chains.columns(name)]
-        if not chain.joints:
-            continue
-        if model is None:
-            T = chain.poses(own)
-        else:
-            calibrated = model.of(name)
-            T = _carrying(calibrated, "").tip_poses(own, calibrated.theta)
-        paths.append((base_poses(chains, name, link, dense) @ T)[:, :3, 3])
-    return paths
 
 
 def _carrying(model: CalibratedChain, payload: str) -> ErrorModel:
@@ -354,8 +284,7 @@ def make_scene(
         chains = chains.named(named)
     link = drawn_link(chains)
     if plan is not None:
-        q = read_configurations(plan, chains, setup.joints)
-        planned = Plan(q, tip_paths(chains, q, link, model))
+        planned = read_configurations(plan, chains, setup.joints)
     stage("shapes")
     shapes = robot_shapes(chains.robot, package_dirs)
     if shapes.missing:
@@ -367,13 +296,4 @@ def make_scene(
             "--package-dir"
         )
     bodies = tuple(bodies_of(chains.robot, link, model))
-    skeleton = bodies[0].skeleton
-    reach = float(np.ptp(corners(skeleton, shapes.parts, skeleton.neutral), 0).max())
-    terms = {} if model is None else model.terms
-    touched = dict[BlockKey, tuple[Labels, Floats]]()
-    if ready:
-        terms = ready[-1].problem.rebased(ready[-1].theta)[0].terms
-        touched = {b.term.key: (b.data.target, at) for b, at in _in_base(ready[-1])}
-    things = surroundings(terms, touched, reach)
-    title = chains.robot.name
-    return Scene(title, shapes.parts, bodies, chains, rows, planned, tuple(things))
+    return Scene(chains.robot.name, shapes.parts, bodies, chains, rows, planned)

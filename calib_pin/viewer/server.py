@@ -30,11 +30,8 @@ from calib_pin.viewer.stage import Stage
 
 HOST = "127.0.0.1"
 
-PERIOD = 0.04
-"""Time between two frames of a motion [s]."""
-
-GRACE = 2.0
-"""Time in which a window may come back: pages are loaded again [s]."""
+PAUSE = 0.2
+"""Time between two looks at what pages say [s]."""
 
 TAB: ContextVar[str] = ContextVar("TAB", default="")
 """Name of the tab whose connection is served: loaded again, it is the same."""
@@ -45,8 +42,8 @@ HARMLESS = {
 }
 """Headers with which a file in a page of its own can do nothing to ours."""
 
-Tick = Callable[[float], None]
-"""Goes on by some seconds."""
+Tick = Callable[[], None]
+"""Shows what has changed."""
 
 Serve = Callable[[str], tuple[str, bytes] | None]
 """The type and the content of a file, by the path of its address; None for none."""
@@ -90,9 +87,7 @@ class Window:
         """Show one scene in all tabs."""
         stage = Stage(self._server, scene)
         stage.see(self._server.initial_camera)
-        player = add_panel(Controls(self._server.gui), scene, stage)
-        if player is not None:
-            self._ticks[-1] = player.tick
+        add_panel(Controls(self._server.gui), scene, stage)
 
     def welcome(self, page: Callable[[viser.ClientHandle, str], Tick]) -> None:
         """Give every tab, which has a name, a page of its own."""
@@ -107,17 +102,12 @@ class Window:
         self._server.on_client_connect(come)
         self._server.on_client_disconnect(go)
 
-    def run(self, once: bool) -> None:
-        """Serve until interrupted or, with `once`, until the last browser has gone."""
-        seen, left = False, time.monotonic()
-        last = left
-        while not (once and seen and last - left > GRACE):
-            time.sleep(PERIOD)
-            before, last = last, time.monotonic()
+    def run(self) -> None:
+        """Serve until interrupted."""
+        while True:
+            time.sleep(PAUSE)
             for tick in [*self._ticks.values()]:
-                tick(last - before)
-            if self._server.get_clients():
-                seen, left = True, last
+                tick()
 
     def close(self) -> None:
         """Stop the server."""

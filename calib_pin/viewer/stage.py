@@ -1,4 +1,4 @@
-"""The three-dimensional part of the window: camera, lights, floor, robots, things."""
+"""The three-dimensional part of the window: camera, lights, floor, robots."""
 
 from __future__ import annotations
 
@@ -23,17 +23,11 @@ ROBOT: RGB = (225, 222, 214)
 BODIES: dict[str, RGB] = {"nominal": (213, 94, 0), "corrected": (70, 150, 205)}
 """Of robots beside each other, those of their errors; the second one in more light."""
 
-OPACITY, FAINT = 0.35, 0.1
-"""Of the nominal robot beside the corrected one, and of what was not measured of it."""
+OPACITY = 0.35
+"""Of the nominal robot beside the corrected one."""
 
 SEEN, LEVER = 0.004, 0.15
 """Distance of links that is seen, and a lever for turns, by the size of the robot."""
-
-NAMED = ("station", "camera", "board")
-"""Things whose kind tells more than their name."""
-
-CLOSE = 3.0
-"""Distance of things that are seen at first, by the size of the robot."""
 
 CORNER = np.array([0.80, -0.52, 0.30])
 """Direction from the robot to the camera: from its front, its right and above."""
@@ -87,8 +81,6 @@ class Stage:
         api: Where it is drawn.
         size: Size of the robot [m].
         robots: The robots by name.
-        things: Instruments and targets.
-        names: Their names.
     """
 
     def __init__(
@@ -104,12 +96,8 @@ class Stage:
         seen = [robot, np.array([[*robot.mean(axis=0)[:2], floor]])]
         if scene.rows is not None:
             seen += [errors.points for errors in scene.rows.stages.values()]
-        # A tracker may stand far away.
-        spots = [thing.origin[None] for thing in scene.things]
-        seen += [at for at in spots if np.linalg.norm(at) < CLOSE * self.size]
         self._seen = np.concatenate(seen)
         self.robots = {b.name: _draw_robot(self.api, b, scene) for b in self._bodies}
-        self.things, self.names = _draw_things(self.api, scene)
 
     def see(self, camera: viser.InitialCameraConfig | viser.CameraHandle) -> None:
         """Have a camera see everything, but what is far away."""
@@ -137,8 +125,7 @@ class Stage:
                 away = np.linalg.norm((last - T) * weight, axis=(1, 2))
                 for k, frame in ghost.frames.items():
                     frame.visible = bool(away[k] > SEEN * self.size)
-            for group in (robot, self.things, self.names):
-                group.put(last)
+            robot.put(last)
 
     def magnify(self, factor: float) -> None:
         """Magnify all corrections of the robot by a factor."""
@@ -160,39 +147,19 @@ def sight(points: Floats) -> tuple[Floats, Floats]:
 
 def _draw_robot(api: viser.SceneApi, body: Body, scene: Scene) -> Group:
     """The links of a robot; beside the corrected one the nominal one is a ghost."""
-    links, highlighted = body.skeleton.links, scene.highlighted
-    ghost = body.name == "nominal"
+    links, ghost = body.skeleton.links, body.name == "nominal"
     group = Group(api, f"/{body.name}", (links.index(s.link) for s in scene.shapes))
     for k, shape in enumerate(scene.shapes):
-        color, opacity = BODIES.get(body.name, _color(shape)), OPACITY
-        if shape.link not in highlighted:
-            red, green, blue = ((part + 2 * 255) // 3 for part in _color(shape))
-            color, opacity = (red, green, blue), FAINT
         group.add(
             str(k),
             links.index(shape.link),
             shape,
-            color,
-            opacity=opacity if ghost else None,
+            BODIES.get(body.name, _color(shape)),
+            opacity=OPACITY if ghost else None,
             cast_shadow=not ghost,
             receive_shadow=not ghost,
         )
     return group
-
-
-def _draw_things(api: viser.SceneApi, scene: Scene) -> tuple[Group, Group]:
-    """Instruments and targets, and their names, where the last robot carries them."""
-    links = scene.bodies[-1].skeleton.links
-    places = [links.index(thing.link) for thing in scene.things]
-    things, names = (Group(api, name, places) for name in ("/things", "/names"))
-    for n, (k, thing) in enumerate(zip(places, scene.things, strict=True)):
-        own = "" if thing.kind in NAMED else thing.name.rpartition("/")[2]
-        api.add_label(f"/names/{k}/{n}", own or thing.kind, position=thing.origin)
-        for j, shape in enumerate(thing.shapes):
-            opacity = None if shape.opacity == 1.0 else shape.opacity
-            color = _color(shape)
-            things.add(f"{n}-{j}", k, shape, color, opacity=opacity, side="double")
-    return things, names
 
 
 def _color(shape: Shape) -> RGB:

@@ -25,7 +25,8 @@ robot, or `example:<name>` ([robots](robots.md)). MEASUREMENTS are CSV or Parque
 
 Results go to standard output, remarks and progress to standard error. `NO_COLOR` is
 respected, and what is piped is plain text of 80 columns. `--json` prints the same
-numbers in SI units. This page is made by `scripts/document` from the commands.
+numbers in SI units; other commands have them in the files that they write. This page is
+made by `scripts/document` from the commands.
 """
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import chdir, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import chdir
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from calib_pin.cli import main
 from calib_pin.cli.options import asked_workers
 from calib_pin.errors import InputError, OutputError
 from calib_pin.viewer.scene import Scene
+from tests.cli.files import DRAW
 from tests.cli.files import undrawn as undrawn_pages
 from tests.shared import refused
 
@@ -97,17 +98,15 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def undrawn(
-    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[None]:
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages without figures, unless a test asks for `drawn`: they take the longest.
 
     Stages are not told, however slow the machine is.
     """
     monkeypatch.setattr("calib_pin.cli.printing.PATIENCE", float("inf"))
-    drawn = "drawn" in request.fixturenames
-    with nullcontext() if drawn else undrawn_pages():
-        yield
+    # By the same patch as a test itself, which undoes the last change first.
+    for place in () if "drawn" in request.fixturenames else DRAW:
+        monkeypatch.setattr(place, lambda *about: [])
 
 
 @pytest.fixture
@@ -229,9 +228,8 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
         def show(self, scene: Scene) -> None:
             scenes.append(scene)
 
-        def run(self, once: bool) -> None:
-            if not once:
-                raise KeyboardInterrupt
+        def run(self) -> None:
+            raise KeyboardInterrupt
 
         def close(self) -> None:
             pass

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -92,3 +93,9 @@ def figures(result: Any, *_: object) -> list[Figure]:
     """Instead of those of a calibration; they tell results apart."""
     names = NAMES["calibration"]
     return [Figure(name, repr(result.statistics.chi2)) for name in names]
+
+
+def planned_uncertainty(report: str) -> float:
+    """The tool-point uncertainty that the report of a plan predicts [mm]."""
+    (found,) = re.findall(r"predicted tool-point uncertainty +([\d.e-]+) mm", report)
+    return float(found)

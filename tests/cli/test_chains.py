@@ -235,12 +235,7 @@ def test_all_chains_are_shown(
         assert scene.chains is not None and scene.rows is not None
         assert scene.chains.names == ("left", "right")
         assert scene.bodies[0].skeleton.links[0] == "base_link"
-        assert {k: m.sum() for k, m in scene.rows.blocks.items()} == {
-            "all": 60,
-            "left": 30,
-            "right": 30,
-        }
-    assert opened[0].plan is not None and len(opened[0].plan.paths) == 2
+    assert opened[0].plan is not None
     before, after = opened[0].rows.stages.values()
     sizes = [e.sizes["position"].mean() for e in (before, after)]
     assert sizes[0] > 2.0 * sizes[1]

@@ -167,35 +167,13 @@ def test_where_nothing_can_be_reached_nothing_is_written(positions, withholds):
     withholds(RUN)
 
 
-def test_json(model, positions, run):
-    positions[2] += 3.0
-    write("targets.csv", "x,y,z", positions)
-    result = run(f"{RUN} --json")
-    assert (result.status, result.err) == (2, "")
-    found = json.loads(result.out)
-    assert found["verdict"] == {"status": "good", "reason": ""}
-    assert (found["kind"], found["rows"], found["reached"]) == ("targets", 4, 3)
-    (missed,) = found["unreachable"]
-    assert missed["line"] == 5
-    assert missed["position"] > 1.0
-    assert list(found["corrections"]) == JOINTS
-    joint3 = found["corrections"]["joint3"]
-    assert joint3["unit"] == "rad"
-    assert 0.0 < joint3["mean"] <= joint3["max"] < 0.02
-    position = found["errors"]["position"]
-    assert position["compensated"]["max"] < 1e-9
-    assert position["nominal"]["mean"] > 1e-4
-    assert found["at_limit"] == found["outside_trained_region"] == found["jumps"] == []
-    assert found["written"] == "commands.csv"
-
-
 def test_a_joint_at_its_limit_is_told(model, run):
     q = Q.copy()
     q[1, 3] = 2.5
     rows = np.hstack([q, model.poses(q)[:, :3, 3]])
     write("targets.csv", ",".join([*JOINTS, "x", "y", "z"]), rows)
-    result = run(f"{RUN} --json")
-    assert result.status == 0 and json.loads(result.out)["at_limit"] == [4]
+    result = run(RUN)
+    assert result.status == 0 and "at its limit in line 4." in result.out
     assert numbers("commands.csv")[1, 3] == 2.5
 
 
@@ -240,11 +218,8 @@ def test_a_motion_with_a_gap_is_not_written(here, run, withholds):
     cells[2] = "0"
     lines[7] = ",".join(cells)
     Path("targets.csv").write_text("\n".join(lines) + "\n")
-    assert "targets.csv:8: " in withholds(RUN).out
-    found = json.loads(run(f"{RUN} --json").out)
-    assert found["kind"] == "motion"
-    assert found["written"] is None
-    assert [entry["line"] for entry in found["unreachable"]] == [8]
+    told = withholds(RUN).out
+    assert "targets.csv:8: " in told and told.count("targets.csv:") == 1
 
 
 def test_a_motion_that_jumps_is_not_written(here, run, withholds, monkeypatch):
@@ -316,8 +291,6 @@ def test_an_untrusted_calibration(positions, run, withholds):
     result = run(f"{RUN} --quiet")
     assert (result.status, result.out) == (2, "")
     assert result.err.startswith("calib-pin: note: untrusted: done/calibration.json")
-    result = run(f"{RUN} --json")
-    assert json.loads(result.out)["verdict"]["status"] == "untrusted"
 
 
 def test_columns_without_a_meaning(positions, run):
@@ -383,8 +356,8 @@ def test_a_motion_keeps_its_times(here, run):
 def test_a_motion_that_is_too_fast_is_not_written(here, run, withholds):
     timed_motion(1.2)
     withholds(f"{RUN} --format joint-trajectory")
-    found = json.loads(run(f"{RUN} --json").out)
-    assert found["too_fast"][:2] == [4, 5] and found["written"] is None
+    told = " ".join(run(RUN).out.split())
+    assert "lines 4, 5, " in told and "wrote nothing" in told
 
 
 def test_times_that_cannot_be(here, fails):

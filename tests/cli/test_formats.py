@@ -71,7 +71,7 @@ def test_the_result_is_that_of_its_urdf(described, run):
         "identify arm.urdf.xacro reach:=0.5 --model position --json",
         "simulate arm.urdf.xacro reach:=0.5 --model pose --count 20 --seed 4 -o p.csv",
         "plan arm.urdf.xacro reach:=0.5 --model position --count 8 --candidates 30 "
-        "--ignore-collisions --method greedy --json -o p.csv",
+        "--ignore-collisions --method greedy -o p.csv",
     ],
 )
 def test_every_command_takes_it(described, run, words):
@@ -166,12 +166,9 @@ def test_a_bad_file_costs_a_line(here, refuses):
 # --- what is exported -------------------------------------------------------------
 
 
-def test_formats_are_explained(here, run):
-    lines = run("export done --format list").out.splitlines()
-    named = meanings(Export)["format"].removeprefix("One of ").partition(";")[0]
-    assert max(map(len, lines)) <= 80
-    said = [line.split()[0] for line in lines if line[0] != " "]
-    assert said == [*FORMATS] == named.split(", ")
+def test_formats_are_named(here):
+    named = meanings(Export)["format"].removeprefix("One of ").rstrip(".")
+    assert [*FORMATS] == named.split(", ")
 
 
 def test_a_table_is_written(here, run):

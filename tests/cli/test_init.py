@@ -12,7 +12,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib_pin
-from calib_pin.cli import init as module
 from calib_pin.cli import main
 from calib_pin.io.setup import read_setup
 from calib_pin.kinematics.spatial import Floats
@@ -229,16 +228,14 @@ def twins(mirror: float) -> None:
     foreign([*names, *"xyz"], np.hstack([q, q, points_of(chain, q)]))
 
 
-def test_the_arm_that_fits_is_the_one_that_was_measured(run, fails, monkeypatch):
-    """Of two that are the same and move alike a terminal is asked."""
+def test_the_arm_that_fits_is_the_one_that_was_measured(run, fails):
+    """Of two that are the same and move alike an option says which."""
     twins(mirror=-1.0)
     assert run("init twins.urdf foreign.csv -o setup.yaml").status == 0
     assert read_setup("setup.yaml").tip == "left_3"
     twins(mirror=1.0)
     fails("init twins.urdf foreign.csv", "--tip")
-    monkeypatch.setattr(module.sys.stdin, "isatty", lambda: True, raising=False)
-    monkeypatch.setattr(module.typer, "prompt", lambda *_, **__: "right_3")
-    result = run("init twins.urdf foreign.csv")
+    result = run("init twins.urdf foreign.csv --tip right_3")
     assert result.status == 0 and "\ntip: right_3\n" in result.out
 
 

@@ -1,23 +1,16 @@
-"""Options: declared once, named as they are, completed by a shell, and `--json`."""
+"""Options: declared once, and named as they are."""
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
-import pytest
 import typer
 
 import calib_pin
 from calib_pin.cli.application import application
-from calib_pin.cli.asked import COMMANDS
-from tests.cli.files import table, write
 
 ADDED = '''
 import sys
@@ -88,114 +81,3 @@ def test_every_option_that_is_named_exists() -> None:
         for command, option in NAMED.findall(file.read_text()):
             known = options.get(command, every) | {"--help"}
             assert option in known | FOREIGN, f"{file}: {command} {option}"
-
-
-# --- what a shell completes -------------------------------------------------------
-
-
-BUILT = typer.main.get_command(application([])).commands  # type: ignore[attr-defined]
-
-
-def names(option: str, command: str, begun: str = "") -> list[str]:
-    """Names that begin so, of an option or an argument of a command."""
-    (of,) = (p for p in BUILT[command].params if option in (*p.opts, p.name))
-    context: Any = SimpleNamespace(info_name=command)
-    return [item.value for item in of.shell_complete(context, begun)]
-
-
-@pytest.mark.parametrize(
-    ("option", "command", "one"),
-    [
-        ("--model", "calibrate", "position"),
-        ("--parameters", "calibrate", "placement"),
-        ("--solver", "calibrate", "hybrid"),
-        ("--loss", "calibrate", "gnc"),
-        ("--learned", "calibrate", "network"),
-        ("--use", "calibrate", "away"),
-        ("--criterion", "plan", "prediction"),
-        ("--criterion", "plan", "O5"),
-        ("--method", "plan", "exchange"),
-        ("--format", "export", "ur-kinematics"),
-        ("--format", "compensate", "urscript"),
-        ("--figure-format", "report", "svg"),
-        ("--mount", "detect", "world"),
-        ("robot", "calibrate", "space6"),
-    ],
-)
-def test_names_are_completed(option: str, command: str, one: str) -> None:
-    assert one in names(option, command)
-    assert names(option, command, one[:-1]).count(one) == 1
-    assert names(option, command, "no such") == []
-
-
-def test_other_values_are_not() -> None:
-    assert names("--count", "plan") == names("--setup", "calibrate") == []
-    assert "ur-kinematics" not in names("--format", "compensate")
-
-
-# --- one object of JSON -----------------------------------------------------------
-
-
-INTERACTIVE = {"app", "view", "watch"}
-"""Commands that go on until they are ended."""
-
-PLAN = "--method greedy --candidates 60 --ignore-collisions --count 8 -o new.csv"
-RESULTS = {
-    # By command: its words behind files that the fixture made, and keys of its object.
-    "init": ("arm.urdf rows.csv", {"setup", "nominal"}),
-    "calibrate": ("arm.urdf rows.csv --setup setup.yaml -o out", {"verdict", "errors"}),
-    "identify": ("arm.urdf --setup setup.yaml --model position", {"identifiability"}),
-    "evaluate": ("arm.urdf rows.csv", {"errors", "registered", "rows"}),
-    "accept": ("arm.urdf visits.csv --tip tool", {"format"}),
-    "simulate": (
-        "arm.urdf --model pose --count 3 -o new.csv",
-        {"measurements", "models", "written"},
-    ),
-    "join": ("joints.csv readings.csv -o new.csv", {"standstills", "clock", "written"}),
-    "plan": (f"arm.urdf --setup setup.yaml --model position {PLAN}", {"format"}),
-    "compensate": ("done/calibration.json targets.csv -o new.csv", {"format"}),
-    "export": ("done --format joint-offsets -o new.csv", {"remarks", "written"}),
-    "fleet": ("jobs.csv -o fleet --no-pages", {"jobs", "written"}),
-    "compare": ("done/calibration.json later/calibration.json", {"format"}),
-    "report": ("done", {"verdict", "format"}),
-    "robots": ("", {"robots"}),
-}
-
-
-@pytest.fixture(scope="module")
-def inputs(workshop: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with input of every command."""
-    folder = tmp_path_factory.mktemp("json") / "work"
-    shutil.copytree(workshop, folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        header, rows, _ = table("new.csv")
-        write("visits.csv", ",".join(header), rows[:5] * 4)
-        times = [0.1 * k for k in range(40)]
-        steps = [1.0 if t > 2 else 0.5 for t in times]
-        write("joints.csv", "time,joint_1", zip(times, steps, strict=True))
-        rows = [[t + 0.05, step, 0, 0] for t, step in zip(times, steps, strict=True)]
-        write("readings.csv", "time,x,y,z", rows)
-        Path("jobs.csv").write_text("robot,measurements\narm.urdf,rows.csv\n")
-        write("targets.csv", "x,y,z", [[0.6, 0.2, 0.7]])
-    return folder
-
-
-def test_every_command_has_it():
-    named = {*COMMANDS}
-    assert named == {*RESULTS, *INTERACTIVE, "detect"}  # See test_detect.
-
-
-@pytest.mark.parametrize("command", RESULTS)
-def test_one_object(command, inputs, monkeypatch, run, inside):
-    monkeypatch.chdir(inputs)
-    words, keys = RESULTS[command]
-    Path("new.csv").unlink(missing_ok=True)
-    result = run(f"{command} {words} --json")
-    assert result.status in (0, 2)
-    document = json.loads(result.out)
-    assert keys <= document.keys()
-    if "written" in keys:
-        assert all(Path(file).exists() for file in document["written"])
-    if command == "calibrate":
-        assert result.out == Path("out/calibration.json").read_text()

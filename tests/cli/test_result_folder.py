@@ -99,7 +99,7 @@ def test_a_folder_on_its_own(here, run, tmp_path, monkeypatch, opened):
         EVALUATE.format("done"),
         "compensate done/calibration.json targets.csv -o commands.csv",
         "compare done/calibration.json later/calibration.json",
-        "view done/calibration.json new.csv --once --port 5",
+        "view done/calibration.json new.csv --port 5",
     ):
         Path("targets.csv").write_text("x,y,z\n0.6,0.2,0.7\n")
         result = run(words)
@@ -171,7 +171,7 @@ def test_a_mixed_set_is_refused(command, name, here, fails, opened):
         "evaluate": EVALUATE.format("done"),
         "compare": "compare done/calibration.json later/calibration.json",
         "compensate": "compensate done/calibration.json targets.csv -o out.csv",
-        "view": "view done/calibration.json --once",
+        "view": "view done/calibration.json",
     }
     found = "done/" if name == "calibration.json" else f"done/{name}: "
     fails(words[command], found, "the files of one run")
@@ -288,7 +288,7 @@ def test_a_signal_before_the_decision(number, status, here, run, listing, monkey
         assert list(Path("done").glob(".calib-pin-*"))
         signal.raise_signal(number)
 
-    monkeypatch.setattr("calib_pin.cli.options.show", stop)
+    monkeypatch.setattr("calib_pin.cli.printing.show", stop)
     result = run(f"{POSITION} -o done --force --figures pictures")
     assert (result.status, result.err.count("\n")) == (status, 1)
     assert listing(here) == before

@@ -324,8 +324,8 @@ JOBS = (
         "solid.urdf block.stl block.obj block.ply block.dae",
     ),
     Job(
-        "plan arm.urdf --tip tool --parameters joint-offset --to poses.csv --add 2 "
-        "--candidates 30 --method greedy -o out",
+        "plan arm.urdf --tip tool --parameters joint-offset --to poses.csv --add "
+        "--count 2 --candidates 30 --method greedy -o out",
         "arm.urdf poses.csv",
     ),
     Job("compensate done/calibration.json targets.csv -o out", "targets.csv", 4),

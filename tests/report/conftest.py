@@ -51,10 +51,9 @@ class Once(Drawn):
 
 
 @pytest.fixture(scope="session")
-def drawn(calibrated: CalibrationResult, planned: Plan) -> list[Drawn]:
-    """All figures of both."""
-    found = (*draw_all("calibration", calibrated), *draw_all("plan", planned))
-    return [Once(**vars(figure)) for figure in found]
+def drawn(calibrated: CalibrationResult) -> list[Drawn]:
+    """All figures of the calibration."""
+    return [Once(**vars(figure)) for figure in draw_all("calibration", calibrated)]
 
 
 @pytest.fixture(scope="session")

@@ -7,11 +7,10 @@ from typing import Any
 
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.report.blocks import Block, Line, Names, Table
-from calib_pin.report.breakdown import block_names, parts, told
+from calib_pin.report.breakdown import parts, told
 from calib_pin.report.terminal import plain_text
 from calib_pin.validation.result import (
     Accuracy,
-    BlockSummary,
     Breakdown,
     ChainSummary,
     CoupledFrames,
@@ -56,23 +55,6 @@ TOOLS = (
 )
 
 
-def block(station: str, tool: str, **changes: Any) -> BlockSummary:
-    given: dict[str, Any] = {
-        "errors": (
-            errors("position", "m", 2e-3, 1e-4),
-            errors("orientation", "rad", 2e-3, 1e-3),
-        ),
-        "rank": 12,
-        "added": 3,
-    }
-    return BlockSummary(
-        "pose", "", station, tool, 30, ("",), noise=(), **{**given, **changes}
-    )
-
-
-BLOCKS = (block("day1", "ball"), block("day2", "probe"))
-
-
 def table(blocks: list[Block], title: str) -> list[list[str]]:
     """The cells of the table whose title begins so."""
     (found,) = (b for b in blocks if isinstance(b, Table) and b.title.startswith(title))
@@ -84,7 +66,6 @@ def test_one_of_each_is_not_told():
         stations=STATIONS[:1],
         tools=TOOLS[:1],
         chains=(ChainSummary("", "base_link", "flange", ("a",), 30, ()),),
-        blocks=BLOCKS[:1],
     )
     assert list(parts(found)) == list(told(found)) == []
 
@@ -105,25 +86,7 @@ def test_stations_and_tools():
     assert isinstance(line, Line) and "c, d" in line.text
 
 
-def test_blocks():
+def test_frames_that_cannot_be_told_apart():
     coupled = CoupledFrames(("day1", "probe"), "", "day1 and probe turn together")
-    blocks = list(told(Breakdown(blocks=BLOCKS, coupled_frames=(coupled,))))
-    orientation = ["", "", "", "", "orientation", "0.0573", "deg"]
-    assert table(blocks, "Blocks")[1:] == [
-        orientation,
-        ["day2", "30", "12", "3", "position", "0.1000", "mm"],
-        orientation,
-    ]
-    assert Names("Frames that cannot be told apart", [coupled.sentence]) in blocks
-    assert max(map(len, plain_text(blocks).splitlines())) <= 80
-
-
-def test_names_of_blocks_tell_them_apart():
-    keys = [("pose", "", "day1", "ball"), ("position", "", "day1", "ball")]
-    assert block_names(keys) == ["pose", "position"]
-    keys = [("pose", "left", "day1", ""), ("pose", "", "day2", "")]
-    assert block_names(keys) == ["left", "-"]
-    keys = [("pose", "left", "day1", "a"), ("pose", "right", "day2", "b")]
-    more = block_names([*keys, ("pose", "left", "day2", "b")])
-    assert more == ["left, day1", "right, day2", "left, day2"]
-    assert block_names(keys[:1]) == [""]
+    blocks = list(told(Breakdown(coupled_frames=(coupled,))))
+    assert blocks == [Names("Frames that cannot be told apart", [coupled.sentence])]

@@ -152,13 +152,9 @@ def test_counts(still):
     assert "identifiable in B only:" not in words
 
 
-def test_accuracies_and_what_positions_lack(still):
+def test_what_positions_lack(still):
     position, _ = still.second.errors
     assert "deg rms" not in words_of(second(still, errors=(position,)))
-    text = text_of(still)
-    table = text[text.index("Accuracy") :].splitlines()
-    row = next(line.split() for line in table if line.split()[:1] == ["B"])
-    assert row[1] == f"{1e3 * position.after.mean:.4f}"
 
 
 def test_80_columns_and_no_number_cut(moved):

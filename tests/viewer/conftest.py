@@ -21,7 +21,7 @@ from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.evaluation import prepared
-from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, stage_errors, tip_paths
+from calib_pin.viewer.scene import Rows, Scene, bodies_of, stage_errors
 
 
 @pytest.fixture(scope="session")
@@ -91,7 +91,6 @@ def scene(
     model = calibrated(panda, Position())
     rows = measured_rows(model, 6)
     errors = stage_errors(prepared(model, rows), panda.base)
-    q = rows.q[:3]
     small = Surface(np.eye(3), np.array([[0, 1, 2]]))
     return Scene(
         title="arm",
@@ -99,7 +98,7 @@ def scene(
         bodies=tuple(bodies_of(panda.robot, panda.base, model)),
         chains=model.chains,
         rows=Rows(rows, {"before": errors, "after": errors}),
-        plan=Plan(q, tip_paths(model.chains, q, panda.base, model)),
+        plan=rows.q[:3],
     )
 
 

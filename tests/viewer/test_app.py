@@ -343,13 +343,13 @@ def test_only_sections_that_changed_are_drawn_again(scene, viser_server, monkeyp
         monkeypatch.setattr(viser_server.gui, name, partial(recorded, known, add))
     folders, html = made.values()
     for _ in range(2):
-        page.tick(1.0)
+        page.tick()
         assert folders == ["Two"]  # One without widgets is not shown.
     told.shown = every[:2]
-    page.tick(1.0)
+    page.tick()
     assert folders == ["Two", "One"]
     told.view = [Widget("scene", value=scene)]
-    page.tick(1.0)
+    page.tick()
     assert folders[2] == "View" and "Residual map" in folders
     assert any("&lt;b&gt;1 &lt; 2" in content for content in html)
     robot, report = next(c for c in html if "a.urdf" in c).split("</a>")[:2]

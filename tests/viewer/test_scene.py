@@ -26,7 +26,7 @@ from calib_pin.setup import ChainSetup, Payload, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.model_errors import Registered
-from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, stage_errors, tip_paths
+from calib_pin.viewer.scene import bodies_of, stage_errors
 from calib_pin.viewer.stage import sight
 from tests.shared import urdf_of
 
@@ -135,17 +135,6 @@ def test_corrections_are_magnified_and_links_hang_together(panda, calibrated):
     assert gap == pytest.approx(same, abs=1e-9)
 
 
-def test_the_measured_chain_is_highlighted():
-    robot = load_robot("example:talos_reduced")
-    bodies = tuple(bodies_of(robot, robot.root, None))
-    alone = Scene("", (), bodies, Chains(robot, names=()))
-    assert alone.highlighted == {*robot.links} and alone.largest_move == 0.0
-    chains = Chains(robot, base="torso_2_link", names=("arm_left_7_link",))
-    own = replace(alone, chains=chains).highlighted
-    assert {"torso_2_link", "arm_left_4_link", "gripper_left_base_link"} <= own
-    assert own.isdisjoint({"arm_right_1_link", "leg_left_3_link", "head_2_link"})
-
-
 def test_fingers_follow_those_that_they_mimic():
     text = urdf_of(
         {"name": "a", "parent": "base", "child": "left"},
@@ -228,36 +217,13 @@ def test_several_chains_are_drawn_in_the_root():
     assert link == robot.root
     errors = stage_errors(ready, link)
     np.testing.assert_allclose(errors.vectors, 0.0, atol=1e-12)
-    paths = tip_paths(chains, data.q, link)
     for k, q in enumerate(data.q):
         T = link_poses(robot, dict(zip(chains.joints, q, strict=True)), link)
         tips = [T[hands["left"]][:3, 3], T[hands["right"]][:3, 3]]
         np.testing.assert_allclose(errors.points[k], tips[k // 3], atol=1e-12)
-        for path, tip in zip(paths, tips, strict=True):
-            np.testing.assert_allclose(path[20 * k], tip, atol=1e-12)
-    rows = Rows(data, {"before": errors})
-    counts = {name: mask.sum() for name, mask in rows.blocks.items()}
-    assert counts == {"all": 6, "left": 3, "touch": 3}
 
 
-# --- plan, camera, floor -----------------------------------------------------------
-
-
-def test_the_path_goes_through_the_plan(panda, calibrated):
-    q = panda.random_configurations(4, np.random.default_rng(5))
-    chains = Chains.of(panda)
-    (path,) = tip_paths(chains, q, panda.base)
-    assert len(path) == 61
-    np.testing.assert_allclose(path[::20], panda.poses(q)[:, :3, 3], atol=1e-12)
-    model = calibrated(panda, Position())
-    arm = model.of()
-    expected = arm.error.tip_poses(q, arm.theta)[:, :3, 3]
-    (found,) = tip_paths(chains, q, panda.base, model)
-    np.testing.assert_allclose(found[::20], expected, atol=1e-12)
-    plan = Plan(q, [path])
-    assert plan.at(3.0).tolist() == q[3].tolist()
-    np.testing.assert_allclose(plan.at(1.25), 0.75 * q[1] + 0.25 * q[2])
-    assert len(tip_paths(chains, q[:1], panda.base)[0]) == 1
+# --- camera, floor ------ -----------------------------------------------------------
 
 
 def test_all_is_in_view():

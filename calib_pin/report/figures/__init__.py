@@ -1,4 +1,4 @@
-"""Figures of a calibration and of a plan, one function each; they touch no files.
+"""Figures of a calibration, a test and a study, one function each; no files.
 
 Each answers a question: where a robot errs, how much, which measurements are at fault,
 which joint, whether more would help, and where the tool can be trusted.
@@ -32,11 +32,6 @@ DRAWN: Mapping[str, Mapping[str, Callable[..., Drawn | None]]] = {
         "tip-error-by-count": workspace.tip_by_count,
         "tip-accuracy-in-workspace": workspace.tip_in_workspace,
     },
-    "plan": {
-        "criterion-by-count": workspace.criterion_by_count,
-        "planned-positions": workspace.planned_positions,
-    },
-    "comparison": {"tip-drift": workspace.drift_in_workspace},
     "acceptance": {"poses-tested": robots.poses_tested},
     "outlook": {"accuracy-by-configurations": robots.accuracy_by_configurations},
 }
@@ -50,8 +45,8 @@ def drawn(of: str, *subject: Any, shapes: Sequence[Shape] = ()) -> Iterator[Draw
 
     Args:
         of: Its kind, one of `DRAWN`.
-        subject: A calibration, a plan, a `TipDrift`; tests, their limit, and whether
-            they are of a path; the outlooks of a study and the limit.
+        subject: A calibration; tests and their limit; the outlooks of a study and the
+            limit.
         shapes: Shapes of the links of a calibrated robot, see `io.robot_shapes`; simple
             solids where there are none.
     """

@@ -24,7 +24,6 @@ from calib_pin.kinematics.skeleton import corners as corners_of
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.stand_ins import stand_ins
 from calib_pin.observations import Observations
-from calib_pin.report.surroundings import surroundings, touched_by
 from calib_pin.report.tables import significant, unit_of
 from calib_pin.validation.result import CalibrationResult, MeasurementErrors
 
@@ -52,9 +51,6 @@ LIKELY = 12
 
 ROBOT: Color = (0.93, 0.92, 0.89)
 """Of links whose color nobody states."""
-
-NEAR = 1.4
-"""Distance of things that are drawn, by the radius of robot and points."""
 
 FEW, DETAIL, COARSEST = 400, 150.0, 25.0
 """Triangles up to which a surface stays as it is, cubes along the whole scene to which
@@ -213,7 +209,7 @@ def _in_link(result: CalibrationResult, part: MeasurementErrors, link: str) -> F
 def _scene(
     result: CalibrationResult, shapes: Sequence[Shape], points: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """The robot where it was measured, and what stands around it, on its ground.
+    """The robot where it was measured, on its ground.
 
     Args:
         result: The result.
@@ -228,24 +224,13 @@ def _scene(
     skeleton = Skeleton(chains.robot, drawn_link(chains))
     q, measured = _typical(rows, skeleton), chain_links(chains)
     T = dict(zip(skeleton.links, skeleton.placements(q), strict=True))
-    frame = corners_of(skeleton, shapes, q)
-    seen = np.concatenate([frame, points])
+    seen = np.concatenate([corners_of(skeleton, shapes, q), points])
     middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
     radius = float(np.linalg.norm(seen - middle, axis=1).max())
-    drawn = [(s, _muted(s.color or ROBOT, s.link in measured)) for s in shapes]
-    touched = touched_by(rows, result.fitted.points)
-    reach = float(np.ptp(frame, axis=0).max())
-    for thing in surroundings(result.model.terms, touched, reach):
-        place = T[thing.link][:3, :3] @ thing.origin + T[thing.link][:3, 3]
-        # A measurement frame is a place where nothing needs to be.
-        if thing.kind == "station" or np.linalg.norm(place - middle) > NEAR * radius:
-            continue
-        drawn += [(s, s.color or ROBOT) for s in thing.shapes]
-        seen = np.concatenate([seen, corners_of(skeleton, thing.shapes, q)])
-    parts = [_triangles(s, T[s.link], 2.0 * radius) for s, _ in drawn]
+    parts = [_triangles(s, T[s.link], 2.0 * radius) for s in shapes]
     colors = [
-        np.tile([*color, s.opacity], (len(part), 1))
-        for (s, color), part in zip(drawn, parts, strict=True)
+        np.tile([*_muted(s.color or ROBOT, s.link in measured), 1.0], (len(part), 1))
+        for s, part in zip(shapes, parts, strict=True)
     ]
     low, high = seen.min(axis=0), seen.max(axis=0)
     low[2] = min(low[2], floor_height(skeleton, shapes))

@@ -1,18 +1,16 @@
-"""Predictions over the workspace, and plans: by count, and from three sides."""
+"""Predicted accuracy: by number of measurements, and over the workspace."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calib_pin.estimation.statistics.distributions import chi2_interval
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import (
     AFTER,
-    BEFORE,
     INK,
     MUTED,
     SCALE,
@@ -26,10 +24,6 @@ from calib_pin.report.figures.canvas import (
 )
 from calib_pin.report.tables import number, unit_of
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.tip_drift import TipDrift
-
-if TYPE_CHECKING:  # It brings all searches of a plan, and most figures are of none.
-    from calib_pin.planning.plan import Plan
 
 SIDES = ((0, 1), (0, 2), (1, 2))
 """Axes of the base link to the right and upwards, of every view."""
@@ -125,19 +119,6 @@ def tip_in_workspace(result: CalibrationResult) -> Drawn | None:
     )
 
 
-def drift_in_workspace(drift: TipDrift) -> Drawn:
-    """The distance of the tool points of two calibrations, from three sides."""
-    unit, factor = unit_of("m")
-    figure, _ = views(drift.points, factor * drift.drift, f"distance [{unit}]")
-    return Drawn(
-        "Distance of the tool points over the workspace",
-        f"Distance of the tool points of both calibrations "
-        f"{_spread(drift.points, drift.drift)}. Displacements of estimated frames are "
-        "removed by a fit.",
-        figure,
-    )
-
-
 def _spread(points: Floats, sizes: Floats) -> str:
     """Lengths (N,) [m] at tool points (N, 3) [m] in words."""
     unit, factor = unit_of("m")
@@ -149,87 +130,3 @@ def _spread(points: Floats, sizes: Floats) -> str:
         f"{number(values.min())} to {number(values.max())} {unit}, the largest at "
         f"({place}) m"
     )
-
-
-SMALL = ("condition", "prediction")
-"""Criteria that are to be small."""
-
-
-def criterion_by_count(plan: Plan) -> Drawn | None:
-    """The criterion and the tool-point uncertainty by number of configurations."""
-    unit, factor = unit_of("m")
-    tip, name, of_unit, scale = "tool-point uncertainty", plan.criterion, "", 1.0
-    values, position = np.array([(s.value, factor * s.position) for s in plan.steps]).T
-    curves = [(f"{tip} [{unit}]", position, np.nan)]
-    if name == "prediction":
-        name, of_unit, scale = tip, f" {unit}", factor
-        curves = [(f"{tip} [{unit}]", position, factor * plan.random)]
-    else:
-        curves.insert(0, (name, values, plan.random))
-    curves = [curve for curve in curves if (curve[1] > 0.0).any()]
-    if len(plan.steps) < 2 or not curves:
-        return None
-    figure, (row,) = panels(1, len(curves), 2.1, top=0.15, gap=0.85)
-    counts = np.array([step.count for step in plan.steps], float)
-    for axes, curve in zip(row, curves, strict=True):
-        _curve(axes, counts, *curve, len(plan.q))
-    size = "smaller" if plan.criterion in SMALL else "larger"
-    own, random = (number(scale * value) for value in (plan.value, plan.random))
-    return Drawn(
-        "Accuracy against number of configurations",
-        f"Below {len(plan.q)} configurations the best part of the plan, above it the "
-        f"plan with more candidates. Planned: {name} {own}{of_unit}; random baseline: "
-        f"{random}{of_unit}; {size} is better. Where a curve is flat, further "
-        "measurements gain little.",
-        figure,
-    )
-
-
-def _curve(
-    axes: Axes, counts: Floats, label: str, values: Floats, random: float, planned: int
-) -> None:
-    """A measure of accuracy, that of the plan, and that of random configurations."""
-    own = counts == planned
-    axes.plot(counts, values, color=AFTER, marker="o", markersize=3.0)
-    ring = marks(INK, "o", 9.0, hollow=True)
-    axes.plot(counts[own], values[own], **ring, label=f"planned, {planned}")
-    if np.isfinite(random):
-        cross, name = marks(BEFORE, "X", 8.0), f"random baseline, {planned}"
-        axes.plot(planned, random, **cross, label=name)
-    log_axis(axes, "y", values, np.array([random]))
-    axes.locator_params(axis="x", nbins=6)
-    axes.set_xlabel("configurations")
-    axes.set_ylabel(label)
-    axes.legend(loc="lower right" if values[-1] > values[0] else "upper right")
-
-
-def planned_positions(plan: Plan) -> Drawn | None:
-    """Positions of the tool from three sides in their order, with the way between."""
-    points = tool_positions(plan)
-    if len(points) == 0:
-        return None
-    figure, axes = views(points, np.arange(1.0, len(points) + 1.0), "configuration")
-    for view, side in zip(axes, SIDES, strict=True):
-        view.plot(*points[:, side].T, color=MUTED, linewidth=0.7, alpha=0.5, zorder=0.9)
-        view.plot(*points[:1, side].T, **marks(BEFORE, "s", 6.5), zorder=4.0)
-    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    return Drawn(
-        "Planned positions of the tool",
-        f"The {len(points)} configurations from three sides; the color is their place "
-        f"in the plan, the square is the first. Straight lines, {length:.2f} m in all, "
-        "join one with the next; the robot itself moves on curves.",
-        figure,
-    )
-
-
-def tool_positions(plan: Plan) -> Floats:
-    """Tool points of the nominal robot in the base link, shape (K, 3) [m]."""
-    points = np.zeros((len(plan.q), 3))
-    keys = [aim.key for aim in plan.aims]
-    for block in dict.fromkeys(keys):
-        own = np.array([other == block for other in keys], bool)
-        term = plan.problem.terms[block]
-        error = term.error
-        T = error.poses(plan.q[own][:, term.columns], np.zeros(len(error.screws)))
-        points[own] = (error.base.inverse().homogeneous @ T)[:, :3, 3]
-    return points

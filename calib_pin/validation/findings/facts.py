@@ -35,7 +35,8 @@ from calib_pin.validation.findings.readings import offset_by
 from calib_pin.validation.findings.sentences import listed, named, shown, told, without
 
 MORE = (
-    "measure configurations that differ more: calib-pin plan ROBOT --add 10 --to FILE"
+    "measure configurations that differ more: calib-pin plan ROBOT --count 10 --add "
+    "--to FILE"
 )
 _alike = partial(told, remedy=MORE, residuals="by-joint")
 """Makes a finding of configurations that are too much alike."""

@@ -40,7 +40,7 @@ def words_of(svg: str | bytes) -> str:
 
 
 def test_all_figures_are_there_in_order(drawn):
-    assert [figure.name for figure in drawn] == [*NAMES["calibration"], *NAMES["plan"]]
+    assert [figure.name for figure in drawn] == [*NAMES["calibration"]]
     assert sum(map(len, NAMES.values())) <= 12, "each answers a question of a user"
     for figure in drawn:
         assert figure.title and "\n" not in figure.reading
@@ -90,9 +90,9 @@ def test_the_style_sheet_gives_figures_another_color_in_the_dark(inline):
     assert {*shades} <= {*COLORS.values(), *GROUPS, "#000000"}
 
 
-def test_the_style_of_others_is_left_alone(planned):
+def test_the_style_of_others_is_left_alone(calibrated):
     before = dict(mpl.rcParams)
-    figure = next(draw_all("plan", planned))
+    figure = next(draw_all("calibration", calibrated))
     assert dict(mpl.rcParams) == before
     figure.svg()
     assert dict(mpl.rcParams) == before

@@ -17,10 +17,9 @@ from matplotlib.transforms import Bbox
 from calib_pin.report.figures import NAMES, Drawn
 from calib_pin.report.figures import drawn as draw_all
 from calib_pin.report.figures.canvas import drawing
-from calib_pin.report.figures.workspace import criterion_by_count, views
+from calib_pin.report.figures.workspace import views
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.tip_drift import TipDrift
 from tests.report.figures.test_figures import hostile
 from tests.report.figures.test_robots import outlook, visits_of
 from tests.report.results import KINDS, in_pixels, with_rows, with_stations
@@ -92,10 +91,9 @@ def test_the_checker_finds(fault):
     assert found == [] if fault is None else fault in found
 
 
-def test_of_a_calibration_and_a_plan(planned, drawn, draw):
-    rest = draw(criterion_by_count, replace(planned, criterion="O1"))
-    assert told([*drawn, rest]) == []
-    assert {f.name for f in drawn} == {*NAMES["calibration"], *NAMES["plan"]}
+def test_of_a_calibration(drawn):
+    assert told(drawn) == []
+    assert {f.name for f in drawn} == {*NAMES["calibration"]}
 
 
 def test_of_colors_with_long_numbers():
@@ -147,33 +145,25 @@ def test_of_all_kinds_of_calibrations(name, calibrated_robot):
     assert told([*draw_all("calibration", KINDS[name](calibrated_robot))]) == []
 
 
-def others(
-    sizes: Sequence[float], counts: Sequence[int], trials: Sequence[Sequence[float]]
-) -> Iterator[Drawn]:
-    """All figures that are not of a calibration or of a plan."""
-    rng = np.random.default_rng(0)
-    for size in sizes:
-        points, drift = rng.normal(size=(200, 3)), size * rng.uniform(0, 1, 200)
-        drift[0] *= 30.0  # More at the end.
-        found = TipDrift(np.zeros((200, 6)), points, drift, drift, ("base",))
-        yield from draw_all("comparison", found)
+def others(counts: Sequence[int], trials: Sequence[Sequence[float]]) -> Iterator[Drawn]:
+    """All figures that are not of a calibration."""
     for count in counts:
         far, near = (visits_of(offset, count) for offset in (5e-3, 2e-5))
         tests = {"nominal": far, "calibrated": near}
         yield from draw_all("acceptance", tests, LIMIT)
-        yield from draw_all("acceptance", {"robot": far}, LIMIT, True)
+        yield from draw_all("acceptance", {"robot": far}, LIMIT)
     for chances in trials:
         met = [outlook(n, c) for n, c in zip((12, 30), chances, strict=True)]
         yield from draw_all("outlook", met, LIMIT)
 
 
 def test_of_everything_else():
-    found = [*others((1e-3,), (4,), ([0.5, 1.0],))]
+    found = [*others((4,), ([0.5, 1.0],))]
     assert told(found) == []
-    kinds = {*NAMES} - {"calibration", "plan"}
+    kinds = {*NAMES} - {"calibration"}
     assert {f.name for f in found} == {name for kind in kinds for name in NAMES[kind]}
 
 
 @pytest.mark.slow
 def test_of_everything_else_in_other_sizes():
-    assert told([*others((1e-6, 3.0), (1, 12, 20, 21), ([0.0, 0.0],))]) == []
+    assert told([*others((1, 12, 20, 21), ([0.0, 0.0],))]) == []

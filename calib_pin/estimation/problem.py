@@ -153,7 +153,8 @@ def side_by_side(
     for model, quantities in models.items():
         first[model] = at = shown[-1].columns.stop if shown else 0
         for q in quantities:
-            name = f"{q.name} ({model})" if names[q.name] > 1 else q.name
+            of_model = names[q.name] > 1 and model != q.name
+            name = f"{q.name} ({model})" if of_model else q.name
             columns = slice(at + q.columns.start, at + q.columns.stop)
             shown.append(replace(q, name=name, columns=columns))
     return tuple(shown), first
@@ -189,7 +190,7 @@ def _components(
     models = Counter(name for name, _ in stations)
     result = []
     for (name, model, station), quantity in found.items():
-        told = [model] if models[name] > 1 else []
+        told = [model] if models[name] > 1 and model != name else []
         if station and stations[name, model] > 1:
             told.append(station)
         full = f"{name} ({', '.join(told)})" if told else name

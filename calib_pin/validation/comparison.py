@@ -36,7 +36,7 @@ from calib_pin.validation.result import (
     ToolAccuracy,
     frames_of,
 )
-from calib_pin.validation.tip_drift import TipDrift, absorbed, tip_drift
+from calib_pin.validation.tip_drift import NEGLIGIBLE, TipDrift, absorbed, tip_drift
 
 BOUND = 3.0
 """Standard deviations within which estimates agree; one in 370 lies beyond by chance.
@@ -54,9 +54,6 @@ The square of a drift is a weighted sum of squares of normal variables. Were it 
 one, one comparison in 20 would lie beyond by chance; with ten alike it is one in
 100 000. Simulated pairs of one robot and new noise have a ratio of 1, and up to 1.8.
 """
-
-NEGLIGIBLE = 1e-6
-"""Drift that is none, whatever explains it [m, rad]."""
 
 DESCRIBED = 1.2
 """Errors left of a fit, in stated standard deviations, up to which they are noise."""
@@ -222,7 +219,7 @@ class Comparison(Printed):
         drift = self.drift
         if drift.explained is None:
             return None
-        return max(drift.sizes) > NEGLIGIBLE and drift.ratio > EXPLAINED
+        return drift.ratio > EXPLAINED
 
 
 @serial_blas

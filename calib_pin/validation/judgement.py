@@ -381,13 +381,15 @@ def _noise(grounds: Judgement, quantity: QuantityErrors) -> float | None:
 
     That among repetitions, else what is stated.
     """
-    fitted, name = grounds.fitted, quantity.name
-    own = [n for n in fitted.noise if n.quantity.partition(" (")[0] == name]
-    known = [q.columns for q in fitted.problem.layout.quantities if q.name == name]
-    if not own or not known or not all(n.stated or n.pure is not None for n in own):
+    layout = grounds.fitted.problem.layout
+    every = (q.columns for q in layout.quantities if q.name == quantity.name)
+    columns = np.r_[next(every, slice(0, 0))]
+    pairs = zip(grounds.fitted.noise, layout.of_components, strict=False)
+    own = [n for n, at in pairs if np.isin(layout.column[at[:1]], columns).any()]
+    if not own or not all(n.stated or n.pure is not None for n in own):
         return None
     sizes = [n.given if n.pure is None else n.pure for n in own]
-    size = np.sqrt((known[0].stop - known[0].start) * np.mean(np.square(sizes)))
+    size = np.sqrt(len(columns) * np.mean(np.square(sizes)))
     return float(size) or None  # Copies show none.
 
 

@@ -16,6 +16,10 @@ from calib_pin.validation.result import Accuracy
 SAMPLES = 1000
 """Configurations of the workspace."""
 
+NEGLIGIBLE = 1e-6
+"""Drift that is none, whatever explains it [m, rad]: of joints that only slide, all of
+an orientation is rounding."""
+
 
 @dataclass(frozen=True)
 class TipDrift:
@@ -46,11 +50,15 @@ class TipDrift:
 
     @property
     def ratio(self) -> float:
-        """Size by what noise explains; in meters if that is unknown."""
+        """Size by what noise explains; in meters if that is unknown.
+
+        Zero where nothing has drifted.
+        """
         noise = self.explained or (1.0, np.inf)
         # Exact measurements explain nothing.
         pairs = zip(self.sizes, noise, strict=True)
-        return max(size / max(least, 1e-300) for size, least in pairs)
+        beyond = ((size, least) for size, least in pairs if size > NEGLIGIBLE)
+        return max((size / max(least, 1e-300) for size, least in beyond), default=0.0)
 
     @property
     def position(self) -> Accuracy:

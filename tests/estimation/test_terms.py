@@ -121,7 +121,7 @@ def test_what_one_block_estimates_is_estimated() -> None:
             [POINT._replace(station=name) for name in "ab"],
             ["position (a)", "position (b)"],
         ),
-        ([POINT, POSE], ["position (position)", "position (pose)", "orientation"]),
+        ([POINT, POSE], ["position", "position (pose)", "orientation"]),
     ],
 )
 def test_each_instrument_at_each_station_has_noise_of_its_own(

@@ -9,8 +9,11 @@ import pytest
 
 import calib_pin
 from calib_pin.cli.evaluate import evaluation_document
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.observations import BlockKey, Observations
 from calib_pin.report.accuracy import evaluated
 from calib_pin.report.terminal import plain_text
+from calib_pin.setup import Setup
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +29,18 @@ def test_as_calibrated(job) -> None:
     for robot in (model, chain):
         found = calib_pin.evaluate(robot, rows)
         assert (found.verdict, found.findings) == ("good", ())
+
+
+def test_a_finer_instrument_has_no_outliers_beside_a_coarse_one() -> None:
+    """Poses to 50 mm fit any robot; a few positions show its errors."""
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(2)
+    problem = nominal_problem(chain, [BlockKey("position"), BlockKey("pose")], Setup())
+    truth = 4.0 * calib_pin.draw_errors(problem.parameters, rng)
+    fine, coarse = calib_pin.simulate(problem, truth, rng, count=150, noise=1e-4).blocks
+    coarse = replace(coarse, sigma=np.full_like(coarse.values[:, :6], 0.05))
+    mixed = Observations((fine.rows(slice(0, 8)), coarse))
+    found = calib_pin.evaluate(chain, mixed).findings
+    assert "outliers" not in {one.code for one in found}
 
 
 def test_repetitions_are_no_fault_where_nothing_is_fitted(job) -> None:

@@ -10,7 +10,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import invert, se3_exp, so3_log
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.validation.tip_drift import absorbed, tip_drift
+from calib_pin.validation.tip_drift import TipDrift, absorbed, tip_drift
 from tests.shared import chain_of, urdf_of
 
 LEFT = se3_exp(np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.2]))
@@ -90,3 +90,10 @@ def test_a_drift_beyond_frames():
     assert drift.drift[k] == drift.position.max
     again = tip_drift(first, second, base=False, tool=False, seed=4)
     assert not np.array_equal(again.q, q)
+
+
+def test_rounding_is_beyond_no_noise():
+    # Joints that slide do not turn the tool: noise explains nothing of its rounding.
+    none, explained = np.zeros((3, 3)), (1e-5, 1e-20)
+    drift = TipDrift(none, none, np.full(3, 2e-6), np.full(3, 3e-17), (), explained)
+    assert drift.ratio == pytest.approx(0.2)

@@ -78,6 +78,21 @@ def test_a_promise_is_made_on_condition_where_errors_may_be_noise(unsought) -> N
     assert "are noise" not in known.reason and "times the noise" in known.reason
 
 
+def test_noise_is_known_where_instruments_are_mixed(unsought) -> None:
+    """Each has its own, and the poses measure positions, too."""
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(4)
+    keys = BlockKey("position"), BlockKey("pose")
+    problem = nominal_problem(chain, keys, Setup(parameters=("placement",)))
+    truth = 8.0 * calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=26, noise=1e-4)
+    result = calib_pin.calibrate(chain, rows, Setup(parameters=("joint-offset",)))
+    assert [errors.name for errors in result.errors][:2] == [
+        "position",
+        "position (pose)",
+    ]
+    assert "are noise" not in result.reason and "times the noise" in result.reason
+
+
 def test_copies_are_no_repetitions_that_tell_the_noise(unsought) -> None:
     """Rows of another robot, each twice to the last digit, leave 13 mm."""
     chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(4)

@@ -685,11 +685,18 @@ class Case:
 
 
 def _without_outliers(problem: Problem) -> Observations:
-    """Measurements, without weight where the nominal robot fits them far worse."""
-    size = np.sqrt(trimmed(problem, thorough=True)[1])
-    out = size > FAR * max(float(np.median(size)), 1.0)
+    """Measurements, without weight where the nominal robot fits them far worse.
+
+    Than others of the same instrument: pixels may fit where positions are far off.
+    """
+    data, size = problem.data, np.sqrt(trimmed(problem, thorough=True)[1])
+    usual = np.ones(len(data))
+    for model in {block.model for block in data.blocks}:
+        own = np.array([b.model == model for b in data.blocks])[data.block_of]
+        usual[own] = max(float(np.median(size[own])), 1.0)
+    out = size > FAR * usual
     few = out.mean() <= SOME
-    return problem.data.weighted(np.where(out & few, 0.0, 1.0))
+    return data.weighted(np.where(out & few, 0.0, 1.0))
 
 
 def some_of(data: Observations) -> tuple[Observations, Indices]:

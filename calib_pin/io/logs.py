@@ -17,7 +17,7 @@ import calib_pin.io.measured_columns as measured_columns
 import calib_pin.observations.joining as joining
 from calib_pin.errors import InputError, counted, enumerated, stated_in
 from calib_pin.io.columns import ANGLE, LENGTH, Floats, kind_of_unit
-from calib_pin.io.dialects.base import computed, header
+from calib_pin.io.dialects.base import header
 from calib_pin.io.measured_columns import NAMES
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import Notice, Table, require_columns, with_readings
@@ -85,7 +85,7 @@ def join_logs(
         InputError: If nothing joins them, one has no time or no values, or its time
             goes back.
     """
-    ours, theirs = _stamped(ours, theirs, notice)
+    ours, theirs = _stamped(ours, theirs)
     joints = _joints(ours, columns)
     ours, q = _read(ours, joints, "", (), notice)
     theirs, measured, way = _readings(theirs, notice)
@@ -170,13 +170,11 @@ def _encoded(
     return encode_table(cells, [comment])
 
 
-def _stamped(ours: Table, theirs: Table, notice: Notice) -> tuple[Table, Table]:
+def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
     """Two files whose times are called `time`, or the names that both have `POSE`.
 
-    Rows of as many without either belong together in their order.
-
     Raises:
-        InputError: If there are neither, and not as many rows.
+        InputError: If there are neither.
     """
     if POSE in ours and POSE in theirs:
         return ours, theirs
@@ -196,11 +194,6 @@ def _stamped(ours: Table, theirs: Table, notice: Notice) -> tuple[Table, Table]:
     )
     if both := joining.shared_names(*names):
         return ours.renamed({POSE: both[0]}), theirs.renamed({POSE: both[1]})
-    if not any(times) and (count := len(ours.lines)) == len(theirs.lines):
-        notice(f"no times and no names: the {count} rows are paired in their order")
-        numbers = computed(POSE, np.arange(1.0, count + 1.0))
-        own, other = ({**table.columns, POSE: numbers} for table in (ours, theirs))
-        return replace(ours, columns=own), replace(theirs, columns=other)
     reason = "there is no column 'time', and no column of names that both logs share"
     allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
     raise (theirs if times[0] else ours).error(reason, allowed=allowed)

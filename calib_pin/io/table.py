@@ -44,7 +44,6 @@ from calib_pin.io.columns import (
 from calib_pin.io.dialects import Heading, heading, reading, side_by_side
 from calib_pin.io.dialects.base import cells_of
 from calib_pin.io.files import read_bytes
-from calib_pin.io.json_rows import YAML, rows_of_json
 from calib_pin.io.not_measured import first_statistic, out_of_sight
 from calib_pin.observations import Booleans, Indices, Labels
 from calib_pin.progress import Progress
@@ -88,6 +87,12 @@ BINARY: Sequence[tuple[bytes, bytes, str]] = (
     (b"\x89MCAP", b"", "a bag of ROS 2 (mcap): see 'join'"),
 )
 """First bytes of files that hold no lines, others in them, and what they are."""
+
+DOCUMENTS, DOCUMENT = (".yaml", ".yml", ".samples"), rb"\s*(\{|\[\s*[\[{\"\d-])"
+"""Endings of files of YAML, and a pattern for the start of one of JSON."""
+
+LIST = re.compile(r"\w*\W*[\[({].*\d[\s,;].*\d.*[\])}]", re.DOTALL)
+"""Cells that hold several numbers."""
 
 TEXTS = 1 << 8
 """Different cells of a column up to which the texts of its numbers are kept: names such
@@ -384,7 +389,16 @@ def _measured(table: Table) -> Table:
             others = {n: c for n, c in table.columns.items() if n != name}
             table = replace(table, columns=others).rows(np.flatnonzero(~lost))
             break
+    if lists := [name for name, column in table.columns.items() if _listed(column)]:
+        remedy = "write a column for each number"
+        remarks.append(f"lists in {enumerated(lists)} are not read: {remedy}")
     return replace(table, remarks=tuple(remarks))
+
+
+def _listed(column: Column) -> bool:
+    """Whether the cells of a column are lists, such as `[0.1, 0.2]`."""
+    words = [word.strip() for word in column.words if word.strip()]
+    return bool(words) and all(map(LIST.fullmatch, words))
 
 
 def with_readings(
@@ -594,10 +608,8 @@ def read_cells(
     kinds = (k for a, b, k in BINARY if start.startswith(a) and b in start)
     if kind := next(kinds, ""):
         raise InputError(f"is {kind}", file=file)
-    yaml = file.lower().endswith(YAML)
-    if yaml or re.match(rb"\s*(\{|\[\s*[\[{\"\d-])", start):
-        text = source if isinstance(source, bytes) else read_bytes(source)
-        return _read_json(text, file)
+    if file.lower().endswith(DOCUMENTS) or re.match(DOCUMENT, start):
+        raise InputError("is JSON or YAML: write its rows as CSV", file=file)
     wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if wide else ("utf-8-sig", "latin-1"):
         remarks = ("not UTF-8, read as Latin-1",) * (encoding == "latin-1")
@@ -616,24 +628,6 @@ def read_cells(
                     progress(raw.tell() / size)
             return found
     raise InputError("not UTF-16 text, as its byte order mark says", file=file)
-
-
-def _read_json(text: bytes, file: str) -> Cells:
-    """The cells of JSON; its rows are counted from 1.
-
-    Raises:
-        InputError: If it holds no rows.
-    """
-    try:
-        rows = rows_of_json(text, file)
-    except ValueError:
-        reason = "has no rows with the same names, as JSON or YAML: write it as CSV"
-        raise InputError(reason, file=file) from None
-    lines = array("q", range(1, len(rows) + 1))
-    found = Cells(file, Heading(",", [*rows[0]], 0, ""), lines=lines)
-    for k, name in enumerate(rows[0]):
-        found.add(k, [row.get(name, "") for row in rows])
-    return found
 
 
 def _opened(source: str | Path | bytes) -> BinaryIO:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -212,22 +211,6 @@ def test_points_with_names_need_no_time(run):
     wrong = run("join joints.csv points.txt -o n.csv")
     assert wrong.status == 1 and "no column of names" in wrong.err
     assert not Path("n.csv").exists()
-
-
-def test_rows_without_times_and_names_are_paired_in_order(run):
-    """MoveIt saves joint states and samples of a camera in two files."""
-    q = np.round(CHAIN.random_configurations(4, np.random.default_rng(3)), 3)
-    joints = {"joint_names": [*CHAIN.joints], "joint_values": q.tolist()}
-    Path("joints.yaml").write_text(json.dumps(joints))
-    T = np.tile(np.eye(4), (4, 1, 1))
-    T[:, 0, 3] = range(4)
-    named = (np.linalg.inv(T), "effector_wrt_world"), (T, "object_wrt_sensor")
-    samples = [{name: own[k].ravel().tolist() for own, name in named} for k in range(4)]
-    Path("samples.yaml").write_text(json.dumps(samples))
-    result = run("join joints.yaml samples.yaml -o m.csv")
-    assert result.status == 0 and "4 rows are paired in their order" in result.err
-    data = read_measurements("m.csv", CHAIN).only
-    assert np.array_equal(data.q, q) and data.values[:, 0].tolist() == [0, 1, 2, 3]
 
 
 def test_columns_of_one_point_stay_together(logs, run):

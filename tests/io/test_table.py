@@ -112,39 +112,6 @@ def test_columns_that_are_there_twice(table):
             table(text)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        '[{"q": [1, 2], "p": {"x": 5, "n": "a,b"}}, {"q": [3, 4], "p": {"x": 6}}]',
-        '{"q": [1, 2], "p": {"x": 5, "n": "a,b"}}\n{"q": [3, 4], "p": {"x": 6}}\n',
-        '{"rig": 3, "rows": [{"q": [1, 2], "p_x": 5, "p_n": "a,b"}, '
-        '{"q": [3, 4], "p_x": 6, "p_n": ""}]}',
-        '{"q": {"0": [1, 2], "1": [3, 4]}, "p_x": [5, 6], "p_n": ["a,b", ""]}',
-    ],
-)
-def test_json(table, text):
-    found = table(text)
-    rows = {n: c.numbers.tolist() for n, c in found.columns.items() if n != "p_n"}
-    assert rows == {"q_0": [1, 3], "q_1": [2, 4], "p_x": [5, 6]}
-    assert found.columns["p_n"].texts() == ("a,b", "")
-    assert found.lines.tolist() == [1, 2]
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "facts: 1\nsamples:\n- a: [1, 2]\n  b:\n    x: 5.5\n- {a: [3, 4], b: {x: 6}}",
-        "joint_names: [a_0, a_1, b_x]\njoint_values:\n- [1, 2, 5.5]\n- [3, 4, 6]\n",
-    ],
-)
-def test_yaml(tmp_path, text):
-    """Samples of easy_handeye2 and MoveIt, and MoveIt's joint states."""
-    (tmp_path / "a.yaml").write_text(text)
-    found = read_table(tmp_path / "a.yaml").columns
-    rows = {name: column.numbers.tolist() for name, column in found.items()}
-    assert rows == {"a_0": [1, 3], "a_1": [2, 4], "b_x": [5.5, 6]}
-
-
 LOG = "Zeit;Ort;X (mm);Y [mm]\n0,5;Wand, links;1,25;-,5e3\n1;v1.5;3;-7\n"
 
 
@@ -317,13 +284,14 @@ def test_a_header_to_paste_where_there_is_none(count, names):
         (b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(200), "MATLAB"),
         (b'{"joints": [1, 2], "x": 1}', "JSON"),
         (b"[[0.1, 0.2]]", "JSON"),
+        (b'[{"q": 1}, {"q": 2}]', "JSON"),
         (b"SQLite format 3\x00" + bytes(80), "join"),
         (b"a,b\n1,\x00\n", "NUL"),
         (b"\xff\xfex\x00,", "UTF-16"),
         (b"# only\n\n", "empty"),
         (b"", "empty"),
     ],
-    ids=range(14),
+    ids=range(15),
 )
 def test_files_that_are_no_text_are_told_by_what_they_are(data, word):
     with pytest.raises(InputError) as caught:

@@ -10,7 +10,6 @@ from calib_pin.io.dialects.base import Dialect, Heading, Lines, Reading, side_by
 from calib_pin.io.dialects.franka import Franka
 from calib_pin.io.dialects.joined import Joined
 from calib_pin.io.dialects.lerobot import LeRobot
-from calib_pin.io.dialects.lists import Lists
 from calib_pin.io.dialects.matrices import Matrices
 from calib_pin.io.dialects.motive import Motive
 from calib_pin.io.dialects.ndi import Ndi
@@ -29,7 +28,6 @@ __all__ = ["DIALECTS", "Dialect", "Heading", "Reading", "side_by_side"]
 MEMBERS = (
     *(Motive, Vicon, Ndi, Points, Tum),  # Their headers are no line of names.
     *(
-        Lists,
         Rostopic,
         PlotJuggler,
         Rtde,

@@ -417,7 +417,7 @@ class Export(options.QuietAnswer, options.OfChain):
 
     Attributes:
         calibration: Folder of the results, or its .json file.
-        format: One of ur-kinematics, xarm-kinematics, urdf, xacro, mjcf, ros2-control,
+        format: One of ur-kinematics, xarm-kinematics, xacro, mjcf, ros2-control,
             lerobot, joint-offsets, camera-info, dh, tf.
         output: The file to write.
         template: Your own file of this format, which is corrected: needed for

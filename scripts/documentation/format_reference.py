@@ -14,8 +14,8 @@ reports the parts that it does not hold, and how far the tool point is from the
 calibrated robot because of it. No format holds compliance, waves of gears, backlash,
 thermal growth or a learned correction: `calib-pin compensate` uses everything.
 
-`urdf`, `xacro`, `mjcf`, `dh` and the vendors' files move by the joint positions of the
-URDF, not by the columns of a controller. A format without prismatic joints refuses a
+`xacro`, `mjcf`, `dh` and the vendors' files move by the joint positions of the URDF,
+not by the columns of a controller. A format without prismatic joints refuses a
 robot that has some; one without several chains writes that of `--chain`. A mimic joint
 has no drive, and so no offset of its own; a coupled column has that which its joint
 needs. This page is made by `scripts/document` from the formats.

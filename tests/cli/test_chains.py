@@ -185,7 +185,7 @@ def test_the_whole_robot_is_said_to_be_whole(
     two_arms: None, run: Callable[..., Any]
 ) -> None:
     for option in ("", " --chain left"):
-        result = run(f"export both --format urdf -o both.urdf --force{option}")
+        result = run(f"export both --format mjcf -o both.xml --force{option}")
         said = "the whole robot, with right, whatever --chain names" in result.err
         assert result.status == 0 and said == bool(option)
 

@@ -34,7 +34,7 @@ ENOUGH = 1e-6
 """Distance of the tool point below which a file holds the whole calibration [m]."""
 
 GEOMETRY, OFFSETS, GAINS = "geometry", "joint offsets", "gains"
-FRAMES, CAMERA, CAMERA_LINK = "frames", "camera", "camera link"
+FRAMES, CAMERA = "frames", "camera"
 """Parts of a calibration that a format may hold."""
 
 SIGNS = "directions of columns"
@@ -43,7 +43,7 @@ SIGNS = "directions of columns"
 MIMIC, PRISMATIC, SEVERAL = "mimic joints", "prismatic joints", "several chains"
 """Properties of a robot that it may hold."""
 
-PARTS = (GEOMETRY, OFFSETS, GAINS, FRAMES, CAMERA, CAMERA_LINK)
+PARTS = (GEOMETRY, OFFSETS, GAINS, FRAMES, CAMERA)
 ROBOTS = (MIMIC, PRISMATIC, SEVERAL)
 """All of both."""
 
@@ -281,9 +281,7 @@ class Format:
         placed = [s.parameter for one in fitted for s in one.error.screws]
         found = any(one.tool_carries_tip for one in fitted)
         if found or any(p.nuisance and p.free for p in placed):
-            seen = CAMERA_LINK in self.holds and exported.result.model.cameras
-            frames = "frames but the camera's" if seen else "base and tool frames"
-            yield f"{self.name} holds no {frames}: see 'tf'"
+            yield f"{self.name} holds no base and tool frames: see 'tf'"
         mimics = exported.nominal.mimics.items()
         followers = [f"{n} is {m.factor:g} {m.leader} {m.offset:+g}" for n, m in mimics]
         reversed_ = [f"{joint} is reversed" for joint in exported.reverses]

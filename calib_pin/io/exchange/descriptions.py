@@ -1,7 +1,7 @@
 """The corrected robot and its frames in other languages.
 
-URDF, xacro's properties and MuJoCo's description hold the corrected robot; static
-transforms and camera files say where base, tools, stations and cameras are.
+Xacro's properties and MuJoCo's description hold the corrected robot; static transforms
+and camera files say where base, tools, stations and cameras are.
 """
 
 from __future__ import annotations
@@ -39,12 +39,6 @@ LEAST = {"mass": repr(MASS), "pos": "0 0 0", "fullinertia": "1e-06 1e-06 1e-06 0
 
 NAMES = {"base": ("measurement", "measured_frame"), "tool": ("tool", "measured_point")}
 """Names of the frames that have none of their own, by how they are called here."""
-
-OPTICAL = (0.0, 0.0, 0.0, -np.pi / 2, 0.0, -np.pi / 2)
-"""Origin of the optical frame of a camera in its link, see `ORIGIN`."""
-
-ENDS = ("link", "joint", "optical_frame", "optical_joint")
-"""Ends of the names of a camera's links and joints."""
 
 TURNS = ("rx", "ry", "rz")
 """Components of an orientation."""
@@ -132,25 +126,6 @@ def _free_name(names: Sequence[str], taken: set[str]) -> str:
     return name
 
 
-def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
-    """Links of the cameras whose place is known, as elements of a URDF, and remarks.
-
-    As ROS has it (REP 103): in `NAME_link` x is forward and z up, in
-    `NAME_optical_frame` z is forward and x to the right of the image.
-    """
-    (found, remarks), text = places(exported, cameras=True), ""
-    document = _corrected(exported)
-    taken = {*document.named("link"), *document.named("joint")}
-    for place in found:
-        stem = place.child.removesuffix("_optical_frame")
-        names = (_free_name([f"{stem}_{end}"], taken) for end in ENDS)
-        link, joint, frame, optical = names
-        forward = origin_of(place.pose * urdf_tree.placed(OPTICAL).inverse())
-        text += urdf_tree.branch((joint, "fixed", place.parent, link), forward)
-        text += urdf_tree.branch((optical, "fixed", link, frame), OPTICAL)
-    return text, remarks
-
-
 def _corrected(exported: Exported) -> Document:
     return urdf_tree.parse_document(exported.robot.source, exported.robot.file)
 
@@ -230,24 +205,16 @@ def _inertia(document: Document, link: Element) -> dict[str, str]:
     return place | {"fullinertia": words(numbers)}
 
 
-@partial(Format, "urdf", ".urdf", (*base.RIGID, *base.ROBOTS, base.CAMERA_LINK), "")
-def urdf(exported: Exported, _: Path | None) -> Encoded:
-    """The corrected URDF, with its camera."""
-    document, (links, remarks) = _corrected(exported), camera_links(exported)
-    before, end, after = document.data.rpartition(b"</")
-    return Encoded(document.encoded(before + links.encode() + end + after), remarks)
-
-
-@partial(Format, "xacro", ".xacro", (*base.RIGID, *base.ROBOTS, base.CAMERA_LINK), "")
+@partial(Format, "xacro", ".xacro", (*base.RIGID, *base.ROBOTS), "")
 def xacro(exported: Exported, _: Path | None) -> Encoded:
-    """Joint origins as properties, and the camera's links, to be included.
+    """Joint origins as properties, to be included.
 
     Those of the chain, and those that the calibration moved. Properties have names that
     may stand in an expression, and no other joint's.
     """
     from xml.sax.saxutils import escape, quoteattr  # Loads what reads from the network.
 
-    document, (links, remarks) = _corrected(exported), camera_links(exported)
+    document = _corrected(exported)
     changed = {} if exported.geometry is None else exported.geometry.urdf_corrections()
     taken, renamed = set[str](), list[str]()
     about = escape(exported.robot.name).replace("--", "- -")
@@ -270,11 +237,11 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
             for key, three in (("xyz", numbers[:3]), ("rpy", numbers[3:])):
                 about = f'name={quoteattr(f"{own}_{key}")} value="{words(three)}"'
                 lines.append(f"  <xacro:property {about}/>")
-    data = "\n".join([*lines, f"{links}</robot>", ""]).encode()
-    return Encoded(data, (*renamed, *remarks))
+    data = "\n".join([*lines, "</robot>", ""]).encode()
+    return Encoded(data, tuple(renamed))
 
 
-@partial(Format, "tf", ".yaml", (base.FRAMES, base.CAMERA_LINK, *base.ROBOTS), "")
+@partial(Format, "tf", ".yaml", (base.FRAMES, *base.ROBOTS), "")
 def tf(exported: Exported, _: Path | None) -> Encoded:
     """Static transforms of base, tools, stations, camera.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,7 +13,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-import yourdfpy
 
 import calib_pin
 from calib_pin.errors import OptionError
@@ -149,41 +147,6 @@ def looking(mount: str, **camera: Any) -> CalibratedModel:
     chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
     problem = nominal_problem(chain, "camera", setup)
     return CalibratedModel.create(problem, np.zeros(len(problem.parameters)))
-
-
-@pytest.mark.parametrize("form", ["urdf", "xacro"])
-@pytest.mark.parametrize("mount", ["hand", "world"])
-def test_a_camera_stands_in_the_description(mount, form, tmp_path):
-    """Where the calibration found it, as yourdfpy reads the file."""
-    model = looking(mount)
-
-    def encoded(**unknown: Any) -> Encoded:
-        parts = {"verdict": "no-gain", "geometry": None}
-        return FORMATS[form].encode(of_model(model, **parts, **unknown), None)
-
-    if form == "urdf":
-        data = encoded().data
-    else:
-        xacro = pytest.importorskip("xacro")
-        (tmp_path / "camera.xacro").write_bytes(encoded().data)
-        include = f'<xacro:include filename="{tmp_path}/camera.xacro"/></robot>'
-        body = model.chains.robot.source.decode().replace("</robot>", include)
-        (tmp_path / "robot.xacro").write_text(body)
-        data = xacro.process_file(tmp_path / "robot.xacro").toxml().encode()
-    robot = yourdfpy.URDF.load(io.BytesIO(data), load_meshes=False)
-    link, pose = "base_link", model.of().error.base.inverse()
-    if mount == "hand":
-        link, pose = "tool0", model.of().tool
-    q = model.chains.random_configurations(1, np.random.default_rng(0))[0]
-    robot.update_cfg(dict(zip(model.chains.joints, q, strict=True)))
-    found = robot.get_transform("camera_optical_frame", link)
-    assert np.abs(found - pose.homogeneous).max() < 1e-12
-    # x of the link looks along z of the optical frame, its z is up.
-    turned = robot.get_transform("camera_optical_frame", "camera_link")[:3, :3]
-    assert np.abs(turned - [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]).max() < 1e-12
-    vague = encoded(unknown_of=lambda *_: ("z",))
-    assert b"camera_link" not in vague.data
-    assert f"z of {link} -> camera unknown" in vague.remarks
 
 
 @pytest.mark.parametrize("mount", ["hand", "world"])

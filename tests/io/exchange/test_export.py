@@ -113,7 +113,7 @@ def test_reversed_joints_are_told_by_every_export(offsets, tmp_path):
     # Last, where people look for what is to be typed in.
     assert told.index("Joint offsets") > told.index("Identifiability")
     (tmp_path / "own.json").write_text(motors())
-    for name in ("lerobot", "ros2-control", "urdf", "xacro", "mjcf", "dh"):
+    for name in ("lerobot", "ros2-control", "xacro", "mjcf", "dh"):
         template = tmp_path / "own.json" if name == "lerobot" else None
         remarks = FORMATS[name].encode(offsets, template).remarks
         assert any("elbow_flex is reversed" in remark for remark in remarks), name

@@ -533,7 +533,6 @@ class Frames(Reader):
 
 
 READERS: Mapping[str, type[Reader]] = {
-    "urdf": Reader,
     "xacro": Xacro,
     "mjcf": Mjcf,
     "dh": Dh,

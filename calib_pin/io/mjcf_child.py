@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 import mujoco
@@ -20,13 +19,7 @@ from calib_pin.errors import RobotError, words_of
 from calib_pin.io.urdf_tree import branch, origin_of, words
 from calib_pin.kinematics.spatial import Floats
 
-FILES = ("meshes", "hfields", "skins", "materials", "textures")
-"""Parts of a description that come from files of their own."""
-
 REMARK = "read from MJCF: bodies and sites are links, shapes are not taken over"
-
-FEW_DEGREES = 12.6
-"""Ranges of all hinges that are no larger are those of joints in rad: two turns."""
 
 LIGHTEST = 1e-12
 """Mass, and inertia, of a body that has none of its own [kg, kg m2]."""
@@ -159,43 +152,14 @@ def _place(position: Floats, quaternion: Floats) -> pin.SE3:
     return pin.SE3(pin.Quaternion(*map(float, quaternion)).matrix(), position)
 
 
-def _compiled(file: Path) -> tuple[mujoco.MjModel, str]:
-    """The model, and what is to be said of it.
-
-    Raises:
-        RobotError: If the file means radians, and does not say so.
-    """
+def _compiled(file: Path) -> mujoco.MjModel:
+    """The model, in which every body keeps its place."""
     mujoco.set_mju_user_warning(lambda _: None)  # It would write them into a file.
     spec = mujoco.MjSpec.from_file(str(file))
-    hinges = [j for j in spec.joints if int(j.type) == HINGE and any(j.range)]
-    widest = max((float(np.abs(j.range).max()) for j in hinges), default=np.inf)
-    if spec.compiler.degree and widest <= FEW_DEGREES and not _states_angle(file):
-        allowed = '<compiler angle="radian"/> or <compiler angle="degree"/>'
-        reason = f"no joint turns farther than {widest:g} degrees; are they radians, "
-        raise RobotError(f'{reason}add angle="radian"', allowed=allowed)
     spec.compiler.fusestatic = False  # Every body is a link.
     for bound in ("boundmass", "boundinertia"):
         setattr(spec.compiler, bound, max(getattr(spec.compiler, bound), LIGHTEST))
-    try:
-        return spec.compile(), REMARK
-    except ValueError:
-        shapes = [g for g in spec.geoms if g.meshname or g.hfieldname]
-        if not shapes:
-            raise
-    # The kinematics do not need their files, which may not be there.
-    for part in (*spec.geoms, *spec.sites):
-        part.material = ""
-    for part in (*shapes, *(part for kind in FILES for part in getattr(spec, kind))):
-        spec.delete(part)
-    return spec.compile(), f"{REMARK}, nor are the masses of meshes"
-
-
-def _states_angle(file: Path) -> bool:
-    """Whether a file, or one that it includes, states the unit of angles."""
-    root = ElementTree.parse(file).getroot()
-    stated = any("angle" in element.attrib for element in root.iter("compiler"))
-    names = (element.get("file", "") for element in root.iter("include"))
-    return stated or any(_states_angle(file.parent / name) for name in names)
+    return spec.compile()
 
 
 def read(file: str) -> tuple[str, str]:
@@ -208,11 +172,11 @@ def read(file: str) -> tuple[str, str]:
         RobotError: If MuJoCo cannot read it, or no URDF can hold it.
     """
     try:
-        model, remark = _compiled(Path(file))
-        writer = Writer(model)
+        writer = Writer(_compiled(Path(file)))
         urdf = writer.write()
     except Exception as failure:
         raise RobotError(f"this MJCF cannot be used: {words_of(failure)}") from None
+    remark = REMARK
     if writer.free:
         told = f"{', '.join(writer.free)} moves freely"
         remark += f"; a URDF holds couplings by one factor only: {told}"

@@ -112,36 +112,11 @@ def test_what_has_no_name_or_is_in_a_frame(tmp_path: Path) -> None:
 
 
 def test_meshes_that_are_not_there(tmp_path: Path) -> None:
-    """And names that a body and a site have in common."""
-    assets = '<asset><mesh name="m" file="no.stl"/><texture name="t" type="2d" '
-    assets += 'file="no.png"/><material name="gray" texture="t"/></asset>'
-    bodies = '<body name="a"><geom size="1"/><body name="b" pos="0 0 1"><joint/>'
-    bodies += '<geom type="mesh" mesh="m" material="gray"/><site name="a"/></body>'
-    robot = load_robot(written(tmp_path, f"{bodies}</body>", f"{HEAD}{assets}"))
-    assert robot.links == ("world", "a", "b", "a_")
-    assert "nor are the masses of meshes" in robot.remarks[0]
-    assert robot.model.inertias[1].mass == 0.0
-
-
-UNSTATED = HEAD.replace('angle="degree" ', "")
-
-
-@pytest.mark.parametrize("stated", ["", 'angle="degree"', 'angle="radian"'])
-def test_radians_that_nothing_states(tmp_path, stated):
-    head = UNSTATED.replace("100", "3").replace("<compiler", f"<compiler {stated}")
-    file = written(tmp_path, BASE, head.replace("10", "1"))
-    if stated:
-        half = 3.0 if "radian" in stated else np.deg2rad(3.0)
-        assert load_chain(file, tip="tool").upper[0] == pytest.approx(half)
-        return
-    with refused(RobotError, reason=('angle="radian"', "3 degrees"), file=str(file)):
-        load_chain(file, tip="tool")
-    # Where the joints go farther, they are degrees; so they are where a part says so.
-    assert load_chain(written(tmp_path, BASE, UNSTATED), tip="tool").joints
-    part = '<mujoco><compiler angle="degree"/></mujoco>'
-    (tmp_path / "part.xml").write_text(part)
-    file = written(tmp_path, BASE, f'{head}<include file="part.xml"/>')
-    assert load_chain(file, tip="tool").joints
+    bodies = '<body name="a"><joint/><geom type="mesh" mesh="m"/></body>'
+    assets = '<asset><mesh name="m" file="no.stl"/></asset>'
+    file = written(tmp_path, bodies, f"{HEAD}{assets}")
+    with refused(RobotError, "no.stl", file=str(file)):
+        load_robot(file)
 
 
 def test_couplings_are_those_of_mujoco(tmp_path: Path) -> None:

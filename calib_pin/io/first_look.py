@@ -71,13 +71,6 @@ which a reading is none: a robot is off by a tenth at most, a wrong reading by a
 FEWEST = 3
 """Joints that are found without their names."""
 
-FEW = 10
-"""Measured points for each joint and frame up to which they are few for six errors."""
-
-ROUGH, SMALL = 0.01, 0.2
-"""Part of its motion by which few nominal arms of a factory are off, and the scatter of
-the points of a small arm, rms [m]."""
-
 DATE = 1e11
 """Numbers from here on are dates with their digits in a row, and no seconds."""
 
@@ -172,13 +165,6 @@ class Look:
         degrees = [self.joints[j].column.numbers for j in units if units[j] == "deg"]
         if degrees and not np.nansum(np.array(degrees) % 1.0):
             return "the joints were read in whole degrees"
-        # A pose says as much as two points.
-        blocks = self.data.blocks if self.data else ()
-        points = sum(len(k) * (1 + (k.model == "pose")) for k in blocks)
-        few = points < FEW * (len(units) + 2)
-        size = next(iter(self.errors.values()), inf)
-        if few and self.share > ROUGH and size < SMALL * self.share:
-            return "few measurements of a small arm, which is off by 1 % of its motion"
         return ""
 
 

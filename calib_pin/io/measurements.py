@@ -366,7 +366,7 @@ def _missing(
         for joint in drives_of(chains[key.chain]):
             drives |= measured_columns.kinds_of(columns, joint).keys()
         read |= drives
-        for name in read & table.columns.keys():
+        for name in (name for name in table.columns if name in read):
             missing = table.columns[name].missing()[rows]
             if missing.any() and not (missing.all() and name in optional):
                 lost = result.setdefault(name, np.zeros(len(table.lines), bool))

@@ -174,14 +174,6 @@ class ExpectedAccuracy:
 
 
 @dataclass(frozen=True)
-class FoundCurve:
-    """Numbers of measurements, ascending, and errors of the tip [m], (K,) both."""
-
-    measurements: Floats
-    position: Floats
-
-
-@dataclass(frozen=True)
 class TipAccuracy:
     """The error of the tip that the noise of the measurements leaves.
 
@@ -198,7 +190,6 @@ class TipAccuracy:
         rms: Root-mean-square of both over the workspace.
         of_robot: The same with what a displacement of base and tool can absorb taken
             away.
-        by_count: Root-mean-square of `position` with fewer measurements.
 
     Raises:
         ValueError: If the arrays are not of one length.
@@ -210,7 +201,6 @@ class TipAccuracy:
     orientation: Floats = field(metadata={"key": "samples.orientation"})
     rms: PoseErrors = field(metadata={"key": ""})
     of_robot: PoseErrors = field(metadata={"key": "robot"})
-    by_count: FoundCurve
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not belong together."""

@@ -1,4 +1,4 @@
-"""Predicted tool-point uncertainty, over the workspace and by measurements."""
+"""Predicted tool-point uncertainty over the workspace."""
 
 from __future__ import annotations
 
@@ -8,28 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.evidence import FoundCurve, PoseErrors, TipAccuracy, rms
-from calib_pin.estimation.identifiability import visible_nuisances
+from calib_pin.estimation.evidence import PoseErrors, TipAccuracy, rms
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Observations
 
 if TYPE_CHECKING:
     from calib_pin.estimation.fitted import Fit
 
 SAMPLES = 300
 """Configurations that stand for the workspace."""
-
-ROWS = 400
-"""Measurements among which the error is followed from few to many."""
-
-COUNTS = 16
-"""Numbers of measurements at which it is looked at."""
-
-ROUNDING = 1e-7
-"""Least singular value, of columns of unit length, with which they determine all: by
-rounding it is up to 2e-8 where they do not."""
 
 FRAMES = np.r_[0:6, -6:0]
 """Columns of base and tool in an error model."""
@@ -43,53 +30,6 @@ only positions were measured, orientations are known poorly or not at all.
 
 
 @serial_blas
-def _by_count(
-    fitted: Fit, data: Observations, term: Term, J_tip: Floats, rng: np.random.Generator
-) -> FoundCurve:
-    """The error of the tip by the number of measurements.
-
-    Args:
-        fitted: The fit.
-        data: The measurements that were fitted.
-        term: The term of the tip.
-        J_tip: Derivative of the tip's position by the parameters of its error model at
-            the configurations of the workspace, shape (N, 3, p).
-        rng: Source of the order in which measurements are counted.
-
-    Returns:
-        The curve, from as few as determine all to all there are.
-    """
-    few = replace(fitted.problem, data=data.sample(ROWS))
-    _, J = few.linearize_rows(fitted.theta)
-    parameters, row = few.parameters, few.layout.row
-    nuisances = visible_nuisances(J, parameters)
-    directions = np.column_stack([nuisances, fitted.directions.robot])
-    basis = parameters.scales[:, None] * directions
-    along = J_tip @ basis[term.of_error]
-    tests = np.einsum("ndi,ndj->ij", along, along, optimize=True) / len(along)
-    rows, found = len(few.data), []
-    own, further = np.split(J @ basis, [len(row)])
-    known = further.T @ further
-    # The measurements in the order in which they are counted.
-    place = np.argsort(rng.permutation(rows))[row]
-    least = max(2, basis.shape[1] * rows // len(row))
-    counts = np.geomspace(least, rows, COUNTS).round().astype(int)
-    for count in np.unique([*counts, len(data)]):
-        some = own[place < count]
-        # Those beyond the rows at hand tell what these do on average.
-        M = known + some.T @ some * max(1.0, count / rows)
-        lengths = np.sqrt(np.diag(M))
-        if not lengths.all():
-            continue
-        # Of columns of unit length, so that rounding shows as what it is.
-        squares, V = np.linalg.eigh(M / np.outer(lengths, lengths))
-        if squares[0] > ROUNDING**2:
-            W = V / np.sqrt(squares) / lengths[:, None]
-            found.append((count, fitted.unit * np.sqrt(np.sum(W * (tests @ W)))))
-    return FoundCurve(*np.reshape(found, (-1, 2)).T)
-
-
-@serial_blas
 def tip_accuracy(
     fitted: Fit, problem: Problem, seed: int, chain: str | None = None
 ) -> TipAccuracy | None:
@@ -98,7 +38,7 @@ def tip_accuracy(
     Args:
         fitted: The fit.
         problem: The problem about its solution, with the rows that were fitted.
-        seed: Seed of the configurations, and of the order in which rows are counted.
+        seed: Seed of the configurations.
         chain: Name of the chain; default the first that moves.
     """
     known = np.isfinite(fitted.covariance).all() and fitted.dof > 0
@@ -124,7 +64,6 @@ def tip_accuracy(
         orientation=orientation,
         rms=PoseErrors(rms(position), rms(orientation)),
         of_robot=PoseErrors(*alone),
-        by_count=_by_count(fitted, problem.data, term, J[:, :3], rng),
     )
 
 

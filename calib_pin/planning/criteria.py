@@ -47,9 +47,12 @@ from typing import TypeAlias
 import numpy as np
 
 from calib_pin.estimation.identifiability import observability
-from calib_pin.estimation.tip_accuracy import ROUNDING
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
+
+ROUNDING = 1e-7
+"""Least singular value, of columns of unit length, with which they determine all: by
+rounding it is up to 2e-8 where they do not."""
 
 
 @dataclass(frozen=True)

@@ -169,7 +169,7 @@ def sections(
         ("measured", "Measurements", [[accurate.taken(result)]], []),
         ("findings", "Outliers and findings", [outliers], ["residuals-over-order"]),
         ("accuracy", "Accuracy", accuracy, errors),
-        ("identifiability", "Identifiability", identifiable, ["tip-error-by-count"]),
+        ("identifiability", "Identifiability", identifiable, []),
         ("parameters", "Parameters", [bounded], []),
         ("residuals", "Noise and statistics", noise, ["residuals-by-joint"]),
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
@@ -55,50 +54,6 @@ def test_it_is_the_error_that_fits_have() -> None:
         predicted.append([tip.rms[0], tip.of_robot[0], tip.rms[1]])
     expected = np.sqrt(np.mean(np.square(predicted), axis=0))
     np.testing.assert_allclose(np.sqrt(np.mean(squares, axis=0)), expected, rtol=0.25)
-
-
-def test_it_falls_with_the_number_of_rows() -> None:
-    """What is said of some of the rows is what a fit of as many says."""
-    *_, rows = measured(1, 80)
-    rows = replace(rows, sigma=None)
-    tip = fit(rows).accuracy.tip
-    assert tip is not None
-    counts, errors = tip.by_count.measurements, tip.by_count.position
-    assert counts[-1] == 80 and (np.diff(counts) > 0).all()
-    assert (np.diff(errors) < 0).all()
-    # The expected size of errors, which the curve leaves out, is worth a little.
-    assert errors[-1] == pytest.approx(tip.rms[0], rel=1e-3)
-    k = int(np.searchsorted(counts, 35))
-    few = rows.rows(np.random.default_rng(0).permutation(80)[: int(counts[k])])
-    refit = fit(few).accuracy.tip
-    assert refit is not None
-    assert refit.rms[0] == pytest.approx(errors[k], rel=0.4)
-
-
-def test_it_falls_where_gears_are_not_modeled() -> None:
-    """The curve is about noise to its end; other errors do not depend on numbers."""
-    gears = {f"joint_{k}.transmission.sin1": 6e-4 * (-1) ** k for k in range(1, 7)}
-    true = Setup(parameters=("placement", "transmission"))
-    problem = nominal_problem(CHAIN, "position", true)
-    theta, rng = problem.parameters.vector(gears), np.random.default_rng(0)
-    rows = calib_pin.simulate(problem, theta, rng, count=60, noise=2e-5)
-    tip = fit(rows.only).accuracy.tip
-    assert tip is not None
-    errors = tip.by_count.position
-    assert (np.diff(errors) < 0).all() and tip.rms[0] > 1.5 * errors[-1]
-
-
-@pytest.mark.slow
-def test_very_many_rows_are_sampled() -> None:
-    *_, rows = measured(2, 1200, model="position")
-    result = fit(rows)
-    assert result.accuracy.tip is not None
-    found = result.accuracy.tip.by_count
-    counts, errors = found.measurements, found.position
-    assert counts[-2] <= 400 < counts[-1] == 1200
-    # Three times as many rows, the root of three better.
-    ratio = errors[-2] / errors[-1]
-    assert ratio == pytest.approx(np.sqrt(1200 / counts[-2]), rel=0.15)
 
 
 def test_points_are_those_of_the_tool_in_the_base_link() -> None:

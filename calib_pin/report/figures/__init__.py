@@ -29,7 +29,6 @@ DRAWN: Mapping[str, Mapping[str, Callable[..., Drawn | None]]] = {
         "errors-per-measurement": errors.errors_per_measurement,
         "residuals-over-order": errors.residuals_over_order,
         "residuals-by-joint": errors.residuals_by_joint,
-        "tip-error-by-count": workspace.tip_by_count,
         "tip-accuracy-in-workspace": workspace.tip_in_workspace,
     },
     "acceptance": {"poses-tested": robots.poses_tested},

@@ -10,15 +10,9 @@ from matplotlib.figure import Figure
 from calib_pin.estimation.statistics.distributions import chi2_interval
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import (
-    AFTER,
-    INK,
-    MUTED,
     SCALE,
     VECTORS,
     Drawn,
-    key,
-    log_axis,
-    marks,
     panels,
     top_of,
 )
@@ -54,44 +48,6 @@ def views(points: Floats, values: Floats, label: str) -> tuple[Figure, Any]:
     scale.outline.set_visible(False)
     scale.set_label(f"{label}{', more at the end' if values.max() > high else ''}")
     return figure, axes
-
-
-def tip_by_count(result: CalibrationResult) -> Drawn | None:
-    """The predicted tool-point uncertainty against the number of measurements."""
-    tip = result.accuracy.tip
-    if tip is None:
-        return None
-    unit, factor = unit_of("m")
-    counts, errors = tip.by_count.measurements, tip.by_count.position
-    usable = np.isfinite(errors) & (errors > 0.0)
-    counts, errors = counts[usable], factor * errors[usable]
-    if len(counts) < 2:
-        return None
-    figure, ((axes,),) = panels(1, 1, 2.15)
-    falling = errors[-1] * np.sqrt(counts[-1] / counts)
-    last = f"{counts[-1]:.0f} measured: {number(errors[-1])} {unit}"
-    signs: dict[str, dict[str, Any]] = {
-        "∝ 1/√n": {"color": MUTED, "linestyle": "--", "linewidth": 1.0},
-        "part of the measurements": {**marks(AFTER, "o", 5.0), "linestyle": "-"},
-        last: marks(INK, "o", 10.0, hollow=True),
-    }
-    curves = (counts, falling), (counts, errors), (counts[-1:], errors[-1:])
-    for curve, style in zip(curves, signs.values(), strict=True):
-        axes.plot(*curve, **style)
-    log_axis(axes, "x", counts)
-    log_axis(axes, "y", errors)
-    axes.set_xlabel("number of measurements")
-    axes.set_ylabel(f"tool-point uncertainty [{unit}]")
-    key(figure, signs)
-    return Drawn(
-        "Accuracy against number of measurements",
-        f"Predicted tool-point uncertainty (1 sigma, rms over the workspace): "
-        f"{number(errors[-1])} {unit} with all {counts[-1]:.0f} measurements. Far "
-        "above the dashed line the measurements are too few to determine all "
-        "parameters; along it, four times as many halve the uncertainty. "
-        "It is that of noise alone, in the frame of the instrument.",
-        figure,
-    )
 
 
 def tip_in_workspace(result: CalibrationResult) -> Drawn | None:

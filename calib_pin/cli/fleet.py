@@ -28,7 +28,7 @@ from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report import fleet_text, html
 from calib_pin.report.figures import drawn
 from calib_pin.setup import Setup
-from calib_pin.validation.fleet import FleetRow, by_urgency, fleet_columns, with_joint
+from calib_pin.validation.fleet import FleetRow, by_urgency, fleet_columns
 from calib_pin.workers import Workers
 
 TABLE, PAGE, PRIOR = FILES = ("fleet.csv", "fleet.html", "fleet.json")
@@ -91,7 +91,7 @@ def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
         rows[row.job] = row
         tell("drift", k / len(pairs))
     tell("types", None)
-    populations = types_of(every, rows, evidences)
+    populations = types_of(every, evidences)
     urgent = by_urgency([rows[job.name] for job in every])
     columns = fleet_columns(urgent)
     page = [*fleet_text.fleet_report(urgent, populations, fleet_text.MANY)]
@@ -139,15 +139,12 @@ def _check(table: Path, jobs: Sequence[Job], output: Path, force: bool) -> None:
 
 
 def types_of(
-    jobs: Sequence[Job],
-    rows: dict[str, FleetRow],
-    evidences: Mapping[str, RobotEvidence | None],
+    jobs: Sequence[Job], evidences: Mapping[str, RobotEvidence | None]
 ) -> list[Population]:
     """The types of a fleet; of a serial number its last calibration counts.
 
     Args:
         jobs: The jobs.
-        rows: The row of each, by its name; those of the types get their farthest joint.
         evidences: The evidence of each; None where it tells nothing of a type.
 
     Returns:
@@ -169,11 +166,7 @@ def types_of(
     found = []
     for members in sorted(alike, key=len, reverse=True):
         if len(members) >= population_prior.LEAST:
-            population = population_prior.population_of([*members.values()])
-            found.append(population)
-            joints = population_prior.joint_deviations(population)
-            for name, far in zip(members, joints, strict=True):
-                rows[name] = with_joint(rows[name], far)
+            found.append(population_prior.population_of([*members.values()]))
     return found
 
 

@@ -9,15 +9,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calib_pin.errors import counted
-from calib_pin.estimation.statistics.population_prior import Population, common_errors
+from calib_pin.estimation.statistics.population_prior import Population
 from calib_pin.monte_carlo import Outlook, Study
 from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
 from calib_pin.report.tables import (
-    ESTIMATE,
     UNIT,
     amount,
-    estimate,
     measures,
     quantity,
     unit_of,
@@ -36,7 +34,7 @@ def fleet_report(
 
     Args:
         rows: The rows, the most urgent first.
-        types: Types of robots that are known well enough to compare with.
+        types: Types of robots that are known well enough for a prior.
         most: Most rows that are listed.
     """
     counts = Counter(row.verdict for row in rows)
@@ -68,41 +66,13 @@ def fleet_report(
             "!: the tool points differ from the calibration before by more than noise "
             "explains."
         )
-    yield from _more(rows, most, "fleet.csv")
-    apart = [row for row in rows if row.joint.significant]
-    if apart:
-        yield table(
-            "Joints that differ from those of other robots by more than chance",
-            ("job", "joint|word", "spreads"),
-            [
-                (row.job, name, Cell(f"{spreads:+.1f}", spreads))
-                for row in apart[:most]
-                for name, spreads, _ in [row.joint]
-            ],
-        )
+    if len(rows) > most:
+        yield note(f"{len(rows) - most} more are in fleet.csv.")
     for population in types:
-        yield from _common(population, most)
-
-
-def _more(found: Sequence[object], most: int, file: str) -> Iterator[Line]:
-    if len(found) > most:
-        yield note(f"{len(found) - most} more are in {file}.")
-
-
-def _common(population: Population, most: int) -> Iterator[Block]:
-    """Errors that the robots of a type have in common."""
-    name, robots = population.evidences[0].robot.name, len(population.evidences)
-    clear = (error for error in common_errors(population) if error.significant)
-    errors = sorted(clear, key=lambda error: error.chance)
-    said = f"{robots} robots '{name}' are the prior of the next one of their type"
-    if not errors:
-        yield Line(f"{said}; they have no error in common that shows.")
-        return
-    yield Line(f"{said}.")
-    rows = [(e.name, *estimate(e.mean, e.sigma, e.unit)) for e in errors[:most]]
-    title = f"Errors that robots '{name}' have in common"
-    yield table(title, ("error", "mean", *ESTIMATE[1:]), rows)
-    yield from _more(errors, most, "fleet.json")
+        name, robots = population.evidences[0].robot.name, len(population.evidences)
+        yield Line(
+            f"{robots} robots '{name}' are the prior of the next one of their type."
+        )
 
 
 def _accuracy(rows: Sequence[FleetRow]) -> Iterator[Table]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.estimation.statistics.population_prior import JointDeviation
 from calib_pin.validation.comparison import Comparison, faults
 from calib_pin.validation.result import CalibrationResult
 
@@ -49,21 +48,6 @@ class Drift(NamedTuple):
     beyond: bool = False
 
 
-class FarJoint(NamedTuple):
-    """The joint that is farthest from those of other robots of the type.
-
-    Attributes:
-        name: Its name; empty if nothing is known of the type.
-        spreads: Distance of its farthest error from the mean of the type, in spreads,
-            with its sign.
-        significant: Whether it stands out among all joints of all robots.
-    """
-
-    name: str = ""
-    spreads: float = math.nan
-    significant: bool = False
-
-
 @dataclass(frozen=True)
 class FleetRow:
     """A calibration of a fleet; see `fleet_columns` for `fleet.csv`.
@@ -84,7 +68,6 @@ class FleetRow:
         calibrated: That of the calibrated robot.
         expected: Expected tool error.
         drift: Difference from an earlier calibration.
-        joint: The joint that differs most from others of the type.
         outliers: Number of measurements that were set aside.
         findings: Codes of findings, errors and warnings.
     """
@@ -103,7 +86,6 @@ class FleetRow:
     calibrated: float = math.nan
     expected: Expected = field(default_factory=Expected)
     drift: Drift = field(default_factory=Drift)
-    joint: FarJoint = field(default_factory=FarJoint)
     outliers: int = 0
     findings: tuple[str, ...] = ()
 
@@ -115,12 +97,11 @@ class FleetRow:
     @property
     def urgency(self) -> tuple[int, float]:
         """Small where somebody has to look at it first."""
-        stands_out = self.drift.beyond or self.joint.significant
         level = (*ORDER, self.verdict).index(self.verdict)
         # Among equals the robot that is least accurate, and those of which that is
         # unknown before it.
         size = self.expected.calibrated
-        level += level == len(ORDER) and not stands_out
+        level += level == len(ORDER) and not self.drift.beyond
         return level, -math.inf if math.isnan(size) else -size
 
 
@@ -174,17 +155,6 @@ def with_drift(row: FleetRow, found: Comparison, previous: str) -> FleetRow:
     return replace(row, drift=drift, findings=tuple(dict.fromkeys(codes)))
 
 
-def with_joint(row: FleetRow, joints: Sequence[JointDeviation]) -> FleetRow:
-    """A row with the joint that differs most from those of other robots.
-
-    Args:
-        row: The row.
-        joints: How far each joint is from the mean of the type.
-    """
-    far = min(joints, key=lambda joint: joint.chance)
-    return replace(row, joint=FarJoint(far.joint, far.spreads, far.significant))
-
-
 def by_urgency(rows: Iterable[FleetRow]) -> tuple[FleetRow, ...]:
     """The rows, those that need attention first; among equals in their order."""
     return tuple(sorted(rows, key=lambda row: row.urgency))
@@ -194,8 +164,8 @@ def fleet_columns(rows: Iterable[FleetRow]) -> dict[str, list[object]]:
     """The columns of `fleet.csv`; what is unknown is empty.
 
     Examples:
-        >>> list(fleet_columns([FleetRow("a")]))[-6:-2]
-        ['drift_beyond', 'joint_name', 'joint_spreads', 'joint_significant']
+        >>> list(fleet_columns([FleetRow("a")]))[-3:]
+        ['drift_beyond', 'outliers', 'findings']
     """
     found: dict[str, list[object]] = {}
     for row in rows:

@@ -36,14 +36,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, enumerated
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
-    f_tail,
     student_quantile,
 )
 from calib_pin.estimation.statistics.variance_components import (
@@ -188,99 +186,6 @@ def _require_alike(evidences: Sequence[RobotEvidence]) -> None:
                 value=other.robot.name,
                 allowed=first.robot.name,
             )
-
-
-@dataclass(frozen=True)
-class CommonError:
-    """An error that the robots of a type may have in common.
-
-    Attributes:
-        name: Name of the parameter.
-        unit: Its unit.
-        mean: Mean of the robots.
-        sigma: Its standard deviation.
-        chance: Probability of so large a mean by chance.
-        significant: Whether it differs from zero, see `REJECTED`. Of errors that only
-            their sum shows none does by itself.
-    """
-
-    name: str
-    unit: str
-    mean: float
-    sigma: float
-    chance: float
-    significant: bool
-
-
-@dataclass(frozen=True)
-class JointDeviation:
-    """How far a joint of one robot is from the mean of its type.
-
-    Attributes:
-        joint: Name of the joint.
-        parameter: Name of its error that is farthest from the mean.
-        spreads: Distance of that error from its mean in spreads, as far as the robot's
-            measurements tell it; with its sign.
-        chance: Probability of so large deviations of all errors of the joint by chance.
-        significant: Whether the joint stands out among all joints of all robots.
-    """
-
-    joint: str
-    parameter: str
-    spreads: float
-    chance: float
-    significant: bool
-
-
-def common_errors(population: Population) -> tuple[CommonError, ...]:
-    """The mean errors of a type, in the order of the parameters."""
-    first, mean = population.evidences[0], population.mean
-    sigma = np.sqrt(np.diag(population.covariance))
-    dof = np.maximum(population.robots - 1.0, 1.0)
-    pairs = zip((mean / sigma) ** 2, dof, strict=True)
-    chances = np.array([f_tail(square, 1.0, n) for square, n in pairs])
-    numbers = first.scales * mean, first.scales * sigma, chances, discoveries(chances)
-    columns = first.names, first.units, *(column.tolist() for column in numbers)
-    return tuple(map(CommonError, *columns))
-
-
-@serial_blas
-def joint_deviations(population: Population) -> tuple[tuple[JointDeviation, ...], ...]:
-    """How far every joint of every robot is from the mean, robot by robot."""
-    names, spread = population.evidences[0].names, population.spread
-    owners = np.array([name.rsplit(".", 2)[0] for name in names])
-    joints = list(dict.fromkeys(owners.tolist()))
-    found = []
-    # The first block is what is known of the means.
-    for block in range(1, len(spread.whitened)):
-        # In spreads; the noise of the measurements stands before them.
-        errors, covariance = spread.errors(block)
-        u, C = errors[-len(names) :], covariance[-len(names) :, -len(names) :]
-        for joint in joints:
-            own = np.flatnonzero(owners == joint)
-            far = int(own[np.argmax(np.abs(u[own]))])
-            chance = chance_of(u[own], C[np.ix_(own, own)])
-            found.append((joint, names[far], float(u[far]), chance))
-    flags = discoveries(np.array([chance for *_, chance in found])).tolist()
-    every = [JointDeviation(*o, flag) for o, flag in zip(found, flags, strict=True)]
-    starts = range(0, len(every), len(joints))
-    return tuple(tuple(every[k : k + len(joints)]) for k in starts)
-
-
-def discoveries(chances: Floats) -> NDArray[np.bool_]:
-    """Which of many tests are told apart, at a false discovery rate, shape (n,).
-
-    Args:
-        chances: Probability by chance of each, shape (n,).
-
-    Examples:
-        >>> discoveries(np.array([0.001, 0.04, 0.6, 0.024])).tolist()
-        [True, False, False, True]
-    """
-    ascending = np.sort(chances)
-    limits = REJECTED * np.arange(1, len(chances) + 1) / max(len(chances), 1)
-    passed = ascending[ascending <= limits]
-    return np.asarray(chances <= passed.max(initial=-1.0))
 
 
 def chance_of(u: Floats, covariance: Floats, least: float = TOLD) -> float:

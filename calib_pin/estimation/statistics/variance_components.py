@@ -839,16 +839,6 @@ class Variances:
         least = 2.0 / np.maximum(self.redundancies, 1e-300)
         return np.asarray(2.0 / np.maximum(np.diag(inverse), least))
 
-    def errors(self, block: int) -> tuple[Floats, Floats]:
-        """The most likely errors of a block with factors, in their deviations.
-
-        Returns:
-            The errors u, shape (n,), and the covariance that they have, shape (n, n).
-        """
-        e, U, F = self.whitened[block]
-        assert F is not None
-        return F.T @ e, F.T @ F - (F.T @ U) @ (U.T @ F)
-
     def steps(self, lower: Floats, upper: Floats) -> Iterator[Floats]:
         """Steps of the logarithms of variances to try, the boldest first, (K,) each."""
         score = 0.5 * (self.squares - self.redundancies)

@@ -14,9 +14,7 @@ from calib_pin.estimation.statistics.population_prior import (
     Explanation,
     Population,
     RobotEvidence,
-    common_errors,
     explained,
-    joint_deviations,
     population_of,
 )
 from calib_pin.kinematics.spatial import Floats
@@ -100,25 +98,6 @@ def test_other_robots_are_refused() -> None:
     names = ("j9.placement.x", *NAMES[1:])
     with refused(OptionError, reason="j9.placement.x"):
         population_of([*some[:5], replace(some[5], names=names)])
-
-
-def test_what_is_common_and_what_belongs_to_one() -> None:
-    rng = np.random.default_rng(3)
-    some = robots(60)
-    theta = MEAN + SPREAD * rng.normal(size=len(NAMES))
-    theta[5] += 8 * SPREAD[5]
-    found = population_of([*some, evidence(theta, equations(rng, 0.03), rng)])
-    common = {error.name: error for error in common_errors(found)}
-    for k, name in enumerate(NAMES):
-        # Of a sum neither term is known to differ from zero.
-        told = MEAN[k] != 0.0 and k not in (0, 1)
-        assert common[name].significant == told, name
-    deviations = joint_deviations(found)
-    bent = {d.joint: d for d in deviations[-1]}
-    assert bent["j1"].significant and bent["j1"].parameter == NAMES[5]
-    assert bent["j1"].spreads > 4.0 and bent["j1"].chance < 1e-4
-    others = [d for row in deviations[:-1] for d in row]
-    assert sum(d.significant for d in others) <= 1
 
 
 COUNT = 24

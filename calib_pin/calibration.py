@@ -305,12 +305,12 @@ def _unexplained(model: FittedModel, fitted: ModelErrors) -> bool:
 def _require_ends(
     chains: Chains, setup: Setup, training: Observations, held: Observations | None
 ) -> None:
-    """Refuse known distances and angles between what no measurement names.
+    """Refuse known distances between what no measurement names.
 
     Raises:
         OptionError: If there are such.
     """
-    if not setup.known:
+    if not setup.distances:
         return
     targets = {block.key: block.target.distinct for block in training.blocks}
     terms, _ = make_terms(chains, targets, setup)

@@ -207,7 +207,7 @@ def require_joints_only(
 PLANNED = (
     *("model", "parameters", "fixed", "base_frame", "tool_frame", "stations", "tools"),
     *("targets", "planes", "sockets", "spheres", "anchors", "camera"),
-    *("distances", "angles", "payloads", "gravity"),
+    *("distances", "payloads", "gravity"),
 )
 """Statements that a plan takes from an older calibration where there is no other."""
 

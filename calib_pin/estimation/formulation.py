@@ -179,7 +179,7 @@ def require_known(
     named: Collection[str] | None = None,
     elsewhere: Collection[str] = (),
 ) -> None:
-    """Refuse known distances and angles that nothing would use, or that mean nothing.
+    """Refuse known distances that nothing would use, or that mean nothing.
 
     Args:
         terms: The terms of a problem.
@@ -196,16 +196,18 @@ def require_known(
             name = term.frames.reference(reference)
             hidden = reference.section == "targets" and name in places
             told = named is None or reference.name in named
-            if told and not hidden and isinstance(reference, PLACES):
+            if told and not hidden and isinstance(reference, (*PLACES, Plane)):
                 frame = term.frames.station if reference.outer else term.frames.tool
                 places[name] = reference, frame
     every = {*places, *elsewhere}
-    for known in setup.known:
+    for known in setup.distances:
         lost = [name for name in known.between if name not in every]
         ends = [places[name] for name in known.between if name in places]
         frames = sorted({frame for _, frame in ends})
-        flat = all(isinstance(reference, Plane) for reference, _ in ends)
-        why = "is about planes alone" if known.unit == "rad" and not flat else ""
+        why = ""
+        if any(isinstance(reference, Plane) for reference, _ in ends):
+            why = "is about planes: state where they are in a frame of their own "
+            why += "('estimate: false'), and let the base be estimated"
         if len(frames) > 1:
             why = f"is about two frames: {' and '.join(frames)}"
         if lost:
@@ -213,7 +215,7 @@ def require_known(
             why = f"names '{lost[0]}', which no measurement does{hint}"
         if why:
             raise OptionError(
-                f"'{known.key}' {why}",
+                f"'distances' {why}",
                 file=setup.file or None,
                 value=list(known.between),
                 allowed=", ".join(sorted(filter(None, every))) or None,

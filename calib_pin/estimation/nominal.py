@@ -114,10 +114,8 @@ def analyze_structure(
         priors, shape (M, P).
 
     Raises:
-        OptionError: If there are too many parameters, or planes that are not parallel
-            have a known distance.
+        OptionError: If there are too many parameters.
     """
-    theta = problem.further.distances.with_parallels(theta)
     keys = representative(problem)
     blocks, at = len(keys), list[Measurements]()
     parameters = len(problem.parameters) - len(_omitted(problem, keys))

@@ -272,8 +272,8 @@ class Problem(Terms):
     """Whitened residuals of measurements as a function of the error parameters.
 
     The residual vector holds the measurements, block by block, each component divided
-    by its standard deviation, then one row per known distance or angle of what they
-    name, one per direction of an expected size, one per free parameter with a prior.
+    by its standard deviation, then one row per known distance of what they name, one
+    per direction of an expected size, one per free parameter with a prior.
 
     Attributes:
         data: The measurements; there is a term for the key of each block.
@@ -353,7 +353,9 @@ class Problem(Terms):
     @cached_property
     def further(self) -> Further:
         """The residual rows behind those of the measurements."""
-        known = KnownDistances.of(self.setup.known, self.references, self.given.names)
+        known = KnownDistances.of(
+            self.setup.distances, self.references, self.given.names
+        )
         return Further(known, self.expected, self._priors)
 
     def errors(self, theta: Floats) -> Floats:

@@ -8,21 +8,19 @@ gives a robot without any other length its scale.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import OptionError
 from calib_pin.estimation.identifiability import inverse_root
 from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.references import (
     Anchor,
-    Plane,
     Point,
     ReferenceObject,
     Sphere,
@@ -109,7 +107,7 @@ class Further:
     """The residual rows behind those of measurements, one kind behind the other.
 
     Attributes:
-        distances: Known distances and angles.
+        distances: Known distances.
         expected: Expected sizes of the robot's errors; None where there are none.
         priors: Priors on parameters.
     """
@@ -136,19 +134,23 @@ class Further:
         return self.distances, *expected, self.priors
 
 
+PLACES = (Point, Sphere, Anchor)
+"""Reference objects between which distances may be known."""
+
+
 @dataclass(frozen=True)
 class KnownDistances:
-    """D distances and angles between reference objects of a measurement model.
+    """D distances between reference objects of a measurement model.
 
     Attributes:
-        stated: The distances and angles.
-        ends: Both ends of each.
-        columns: Where three parameters of both ends stand among all, shape (D, 2, 3);
-            -1 where they are no parameters.
+        stated: The distances.
+        places: Both ends of each at its reference, shape (D, 2, 3) [m].
+        columns: Where the parameters of both ends stand among all, shape (D, 2, 3); -1
+            where they are no parameters.
     """
 
     stated: tuple[DistanceSetup, ...]
-    ends: tuple[tuple[ReferenceObject, ReferenceObject], ...]
+    places: Floats
     columns: NDArray[np.int64]
 
     @staticmethod
@@ -160,161 +162,69 @@ class KnownDistances:
         """Those whose both ends are among some references.
 
         Args:
-            known: Known distances and angles.
+            known: Known distances.
             references: Reference objects by section and name among all.
             names: Names of all parameters.
         """
         position = {name: k for k, name in enumerate(names)} if known else {}
-        found: dict[str, tuple[ReferenceObject, list[int]]] = {}
+        found: dict[str, tuple[Floats, list[int]]] = {}
         # A point of the tool yields its name to a place of the same name.
         for (section, name), reference in references.items() if known else ():
             hidden = section == "targets" and name in found
-            if hidden or not isinstance(reference, PLACES) or not reference.located:
+            if hidden or not isinstance(reference, PLACES) or reference.xyz is None:
                 continue
             # The known points of a camera have no parameters.
             three = [*reference.components][:3]
             own = [f"{name}.{reference.kind}.{component}" for component, *_ in three]
-            found[name] = reference, [position.get(name, -1) for name in own]
+            found[name] = reference.xyz, [position.get(name, -1) for name in own]
         whole = tuple(k for k in known if all(name in found for name in k.between))
-        pairs = [(found[k.between[0]], found[k.between[1]]) for k in whole]
-        columns = np.array([(a[1], b[1]) for a, b in pairs], np.int64)
-        ends = tuple((a[0], b[0]) for a, b in pairs)
-        return KnownDistances(whole, ends, columns.reshape(-1, 2, 3))
+        pairs = [[found[name] for name in k.between] for k in whole]
+        places = np.array([[xyz for xyz, _ in pair] for pair in pairs], float)
+        columns = np.array([[own for _, own in pair] for pair in pairs], np.int64)
+        return KnownDistances(
+            whole, places.reshape(-1, 2, 3), columns.reshape(-1, 2, 3)
+        )
 
     def __len__(self) -> int:
-        """Number of distances and angles D."""
+        """Number of distances D."""
         return len(self.stated)
 
     def lengths(self, theta: Floats) -> Floats:
-        """Their predicted values, (..., P) -> (..., D) [m, rad].
+        """Their predicted values, (..., P) -> (..., D) [m].
 
         Args:
             theta: Parameter values, one vector or many.
         """
-        found = [self._compared(k, v)[0] for k, v in enumerate(self._values_of(theta))]
-        return np.stack(found, -1) if found else np.empty((*theta.shape[:-1], 0))
+        return np.asarray(np.linalg.norm(self._apart(theta), axis=-1))
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residuals, predicted minus known, (..., P) -> (..., D)."""
-        numbers = np.array([(known.value, known.sigma) for known in self.stated])
-        values, sigma = numbers.reshape(-1, 2).T
-        return np.asarray((self.lengths(theta) - values) / sigma)
+        values = np.array([known.value for known in self.stated])
+        return np.asarray((self.lengths(theta) - values) / self._sigma)
 
     def jacobian(self, theta: Floats) -> Floats:
         """Derivative of the whitened residuals by the parameters, shape (D, P)."""
-        result = np.zeros((len(self), len(theta)))
-        for k, own in enumerate(self._values_of(theta)):
-            _, *slopes = self._compared(k, own)
-            for end, reference in enumerate(self.ends[k]):
-                columns = self.columns[k, end]
-                if columns[0] >= 0:
-                    by_values = slopes[end] @ _slope(reference, own[end])
-                    result[k, columns] = by_values / self.stated[k].sigma
-        return result
+        apart = self._apart(theta)
+        lengths = np.linalg.norm(apart, axis=-1)
+        # Points in one place have no direction to part in.
+        weights = np.where(lengths > 0.0, lengths, np.inf) * self._sigma
+        result = np.zeros((len(self), len(theta) + 1))
+        for row, slope, (one, other) in zip(
+            result, apart / weights[:, None], self.columns, strict=True
+        ):
+            row[one], row[other] = -slope, slope
+        return result[:, :-1]
 
-    def with_parallels(self, theta: Floats) -> Floats:
-        """Parameters with which planes of a known distance are parallel, shape (P,).
-
-        Others that are hardly tilted meet far away. A robot that grows about there
-        touches them as before, and the scale would seem unobservable.
-
-        Raises:
-            OptionError: If planes are not nearly parallel.
-        """
-        result = theta.copy()
-        for k, (one, other) in enumerate(self.ends):
-            known, columns = self.stated[k], self.columns[k]
-            flat = isinstance(one, Plane) and isinstance(other, Plane)
-            if not flat or known.unit == "rad" or columns.min() < 0:
-                continue
-            assert isinstance(one, Plane) and isinstance(other, Plane)
-            a, b = one.turned(result[columns[0]])[0], other.turned(result[columns[1]])
-            angle = float(np.arccos(min(abs(float(a @ b[0])), 1.0)))
-            if angle > PARALLEL:
-                raise OptionError(
-                    f"planes at {np.degrees(angle):.1f} deg have no distance; only "
-                    "parallel ones have",
-                    value=list(known.between),
-                )
-            at = _half_way(one, other)[:3]
-            normal, height = np.sign(a @ b[0]) * a, float(b[0] @ at + b[1])
-            result[columns[1]] = other.towards(normal, at, height)
-        return result
-
-    def _values_of(self, theta: Floats) -> Iterator[Floats]:
-        """Parameters of both ends of each, shape (2, ..., 3)."""
+    def _apart(self, theta: Floats) -> Floats:
+        """From one end of each to the other, (..., P) -> (..., D, 3) [m]."""
         # What is no parameter finds a zero behind the others.
         padded = np.append(theta, np.zeros((*theta.shape[:-1], 1)), axis=-1)
-        for columns in self.columns:
-            yield np.moveaxis(padded[..., columns], -2, 0)
+        ends = self.places + padded[..., self.columns]
+        return np.asarray(ends[..., 1, :] - ends[..., 0, :])
 
-    def _compared(self, k: int, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Distance or angle (...,), and its derivatives by both ends, (..., 4) each.
-
-        Args:
-            k: Which one it is.
-            values: Parameters of both ends, shape (2, ..., 3).
-        """
-        one, other = self.ends[k]
-        a, b = _placed(one, values[0]), _placed(other, values[1])
-        flat = isinstance(one, Plane), isinstance(other, Plane)
-        if self.stated[k].unit == "rad":
-            return _angle(a, b)
-        if flat == (True, True):
-            # Of planes that are not quite parallel it depends on where one looks.
-            sign = np.where(np.sum(a[..., :3] * b[..., :3], axis=-1) < 0.0, -1.0, 1.0)
-            at, turned = _half_way(one, other), sign[..., None]
-            height, by_a, by_b = (a - turned * b) @ at, at, -turned * at
-        elif any(flat):
-            height, by_a, by_b = np.sum(a * b, axis=-1), b, a
-        else:
-            length = np.linalg.norm(b - a, axis=-1)
-            # Points in one place have no direction to part in.
-            by_b = (b - a) / np.where(length > 0.0, length, np.inf)[..., None]
-            return length, -by_b, by_b
-        side = np.where(height < 0.0, -1.0, 1.0)
-        return np.abs(height), side[..., None] * by_a, side[..., None] * by_b
-
-
-PARALLEL = 0.1
-"""Largest angle between planes that are meant to be parallel [rad]."""
-
-PLACES = (Point, Sphere, Anchor, Plane)
-"""Reference objects between which distances may be known."""
-
-
-def _placed(reference: ReferenceObject, values: Floats) -> Floats:
-    """The coordinates of a point and 1, or a plane's normal and offset, (..., 4)."""
-    if isinstance(reference, Plane):
-        normal, offset, _ = reference.turned(values)
-        return np.concatenate([normal, offset[..., None]], axis=-1)
-    assert isinstance(reference, Point | Sphere | Anchor) and reference.xyz is not None
-    ones = np.ones((*values.shape[:-1], 1))
-    return np.concatenate([reference.xyz + values, ones], axis=-1)
-
-
-def _slope(reference: ReferenceObject, values: Floats) -> Floats:
-    """Derivative of that by the parameters, shape (4, 3)."""
-    result = np.eye(4, 3)
-    if isinstance(reference, Plane):
-        result = np.zeros((4, 3))
-        result[:3, :2], result[3, 2] = reference.turned(values)[2], 1.0
-    return result
-
-
-def _half_way(*planes: ReferenceObject) -> Floats:
-    """Where the distance of planes is taken: between where they were measured, (4,)."""
-    found = [p.center for p in planes if isinstance(p, Plane) and p.center is not None]
-    return np.append(np.mean(found or [np.zeros(3)], axis=0), 1.0)
-
-
-def _angle(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
-    """The smaller angle of planes, with its derivatives, see `KnownDistances`."""
-    cosine = np.sum(a[..., :3] * b[..., :3], axis=-1)
-    sine = np.linalg.norm(np.cross(a[..., :3], b[..., :3]), axis=-1)
-    side = np.where(cosine < 0.0, -1.0, 1.0)
-    slope = (-side / np.maximum(sine, 1e-12))[..., None] * [1.0, 1.0, 1.0, 0.0]
-    return np.arctan2(sine, side * cosine), slope * b, slope * a
+    @property
+    def _sigma(self) -> Floats:
+        return np.array([known.sigma for known in self.stated])
 
 
 def expected_places(system: Terms, parameters: ParameterSet) -> Floats:

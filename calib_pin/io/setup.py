@@ -282,9 +282,8 @@ def _check(setup: Setup) -> None:
     if setup.board and setup.targets:
         reason = "{} and 'targets' both say what the camera looks at"
         raise Refused(("board",), "one of them", reason)
-    for key in ("distances", "angles"):
-        ends = enumerate(getattr(setup, key))
-        _check_twice((frozenset(d.between), (key, k, "between")) for k, d in ends)
+    ends = enumerate(setup.distances)
+    _check_twice((frozenset(d.between), ("distances", k, "between")) for k, d in ends)
 
 
 def _check_evolution(setup: Setup) -> None:

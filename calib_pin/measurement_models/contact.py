@@ -87,8 +87,8 @@ class SiteModel(PointModel):
             part, here = data.rows(rows), moved[rows]
             if not reference.located:
                 _, sites[s] = self.fit_site(here, part, np.zeros(3), reference)
-            new = not reference.located and part.values.any()
-            sites[s] = sites[s].met(here[:, :3, 3], F[rows, :3, 3] if new else None)
+                if part.values.any():
+                    sites[s] = sites[s].facing(F[rows, :3, 3])
         return replace(self, points=points, sites=tuple(sites)), base, tool
 
 

@@ -167,8 +167,6 @@ class PlaneDistance(MeasurementModel):
             if plane.normal is None:
                 normal, offset = register_plane(hits[index == k])
                 planes[k] = replace(plane, normal=normal, offset=offset)
-            if (index == k).any():
-                planes[k] = planes[k].met(hits[index == k])
         # Rows may reach farther than the setup says or a simulation would.
         farthest = float(np.abs(data.values).max())
         reach = self.reach if farthest <= self.reach else 1.5 * farthest

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import ClassVar, Self
@@ -82,13 +82,8 @@ class ReferenceObject(ABC):
     def rebased(self, values: Floats) -> Self:
         """The same with its parameters, shape (K,), moved into the reference."""
 
-    def met(self, points: Floats, outside: Floats | None = None) -> Self:
-        """The same, which was measured at points and has two sides, perhaps.
-
-        Args:
-            points: The points, shape (N, 3) [m].
-            outside: Points on the outer side, where that is to be known, (M, 3) [m].
-        """
+    def facing(self, points: Floats) -> Self:
+        """The same with points, shape (N, 3) [m], on its outer side, if it has one."""
         return self
 
     @abstractmethod
@@ -150,14 +145,12 @@ class Plane(ReferenceObject):
         normal: Unit normal n, shape (3,); None until it is registered.
         offset: Offset f [m].
         estimate: Whether the plane is estimated.
-        center: Where it was measured on the average, shape (3,) [m]; None if nowhere.
     """
 
     name: str
     normal: Floats | None = None
     offset: float = 0.0
     estimate: bool = True
-    center: Floats | None = field(default=None, compare=False)
 
     kind = "plane"
 
@@ -207,25 +200,17 @@ class Plane(ReferenceObject):
         by_turn = np.stack([by_u, by_v], axis=-1)
         return normal, self.offset + values[..., 2], by_turn
 
-    def towards(self, normal: Floats, point: Floats, height: float) -> Floats:
-        """Parameters (u, v, f) of a unit normal with a point (3,) at a height."""
-        assert self.normal is not None
-        along = [float(normal @ axis) for axis in (*self.tangents, self.normal)]
-        u, v = np.arctan2(-along[1], along[2]), np.arcsin(np.clip(along[0], -1.0, 1.0))
-        return np.array([u, v, height - normal @ point - self.offset])
-
     def rebased(self, values: Floats) -> Plane:
         """Turned and shifted by (u, v, f)."""
         normal, offset, _ = self.turned(values)
         return replace(self, normal=normal, offset=float(offset))
 
-    def met(self, points: Floats, outside: Floats | None = None) -> Plane:
-        """With the mean of the points, and a normal that points outwards."""
+    def facing(self, points: Floats) -> Plane:
+        """With a normal that points to the points."""
         assert self.normal is not None
-        met = replace(self, center=points.mean(axis=0))
-        if outside is None or np.mean(outside @ self.normal) + self.offset >= 0.0:
-            return met
-        return replace(met, normal=-self.normal, offset=-self.offset)
+        if np.mean(points @ self.normal) + self.offset >= 0.0:
+            return self
+        return replace(self, normal=-self.normal, offset=-self.offset)
 
     def stated(self) -> PlaneSetup:
         """Its normal and offset."""

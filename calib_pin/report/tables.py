@@ -138,9 +138,8 @@ def accuracy_table(errors: Sequence[QuantityErrors], *, details: bool = True) ->
 
 def distance_table(distances: Sequence[FoundDistance]) -> Table:
     """Known distances beside those of the nominal and of the calibrated robot."""
-    rows = []
+    rows, (unit, factor) = [], DISPLAY["m"]
     for one in distances:
-        unit, factor = DISPLAY[one.unit]
         sizes = one.value, one.nominal, one.found
         cells = [Cell(f"{factor * size:.3f}", size) for size in sizes]
         which = "fitted" if one.fitted else "validation"

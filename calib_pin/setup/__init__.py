@@ -13,7 +13,7 @@ from calendar import monthrange
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -337,13 +337,11 @@ class BoardSetup(Section):
 
 @dataclass(frozen=True)
 class DistanceSetup(Section):
-    """A known distance between two points or planes, which counts as a measurement.
+    """A known distance between two points, which counts as a measurement.
 
     Attributes:
-        between: Names of two sockets, spheres, fixed reference points or planes, or of
-            two points of the tool. That of a point and a plane is along the normal, as
-            is that of two planes, which are parallel, half-way between where both were
-            measured.
+        between: Names of two sockets, spheres or fixed reference points, or of two
+            points of the tool.
         value: Distance [m].
         sigma: Its standard deviation [m].
     """
@@ -351,27 +349,6 @@ class DistanceSetup(Section):
     between: Annotated[tuple[Text, Text], distinct]
     value: Length
     sigma: Length = 1e-4
-
-    key: ClassVar[str] = "distances"
-    unit: ClassVar[str] = "m"
-
-
-@dataclass(frozen=True)
-class AngleSetup(DistanceSetup):
-    """A known angle between two planes, which counts as a measurement.
-
-    Attributes:
-        between: Names of two planes.
-        value: The smaller of both angles [rad].
-        sigma: Its standard deviation [rad].
-    """
-
-    # The angle of parallel planes has no derivative; a right one has few digits.
-    value: Annotated[float, Value("rad", 0.02, 1.571)]
-    sigma: Annotated[float, Value("rad", SMALLEST, 1.0)] = 1e-4
-
-    key: ClassVar[str] = "angles"
-    unit: ClassVar[str] = "rad"
 
 
 # --- the reading of files -----------------------------------------------------------
@@ -934,8 +911,7 @@ class MeasurementSetup(RobotSetup):
         camera: The camera, where there is one.
         board: The board that it looks at, instead of targets one by one: they are
             known, and named by their numbers, 0 1 2 ..., row by row.
-        distances: Known distances between such points and planes.
-        angles: Known angles between planes.
+        distances: Known distances between such points.
         columns: What columns with foreign names are: ours to theirs, which may state
             the unit in square brackets.
         joints: Joint map by file column; empty where columns are URDF joint names.
@@ -960,16 +936,10 @@ class MeasurementSetup(RobotSetup):
     camera: CameraSetup | None = None
     board: BoardSetup | None = None
     distances: tuple[DistanceSetup, ...] = ()
-    angles: tuple[AngleSetup, ...] = ()
     columns: Mapping[str, Text] = empty()
     joints: Mapping[str, JointMap] = empty()
     encoder_steps: Mapping[str, Annotated[float, Value("", SMALLEST)]] = empty()
     reading: ReadingSetup = ReadingSetup()
-
-    @property
-    def known(self) -> tuple[DistanceSetup, ...]:
-        """Everything that is known of places against one another."""
-        return (*self.distances, *self.angles)
 
 
 @dataclass(frozen=True)

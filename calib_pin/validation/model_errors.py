@@ -170,7 +170,7 @@ def errors_of_registered(
     """
     problem, theta = after.problem, after.theta
     old, new = (error_table(at.problem, at.theta) for at in (before, after))
-    spread, stated = np.full(new.shape, np.nan), problem.setup.known
+    spread, stated = np.full(new.shape, np.nan), problem.setup.distances
     placed = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
     known = set(located_names(model.problem)) - placed
     if not fitted:
@@ -213,7 +213,7 @@ def found_distances(
     )
     lengths = nominal.lengths(before.theta), found.lengths(after.theta)
     return tuple(
-        FoundDistance(d.between, d.value, d.sigma, float(n), float(f), fitted, d.unit)
+        FoundDistance(d.between, d.value, d.sigma, float(n), float(f), fitted)
         for d, n, f in zip(found.stated, *lengths, strict=True)
     )
 
@@ -267,7 +267,7 @@ def registered(
     new = tuple(k for k, name in enumerate(names) if name not in known and free[k])
     if not new:
         return Registered(problem, theta)
-    plain = replace(problem, setup=replace(problem.setup, distances=(), angles=()))
+    plain = replace(problem, setup=replace(problem.setup, distances=()))
     _require_redundancy(plain, theta, new)
     basis = np.diag(problem.parameters.scales)[:, list(new)]
     return Registered(problem, least_squares(plain, theta, basis).x, new)

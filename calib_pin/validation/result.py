@@ -864,17 +864,16 @@ class Correlation(NamedTuple):
 
 @dataclass(frozen=True)
 class FoundDistance:
-    """A known distance or angle beside what the calibration finds.
+    """A known distance beside what the calibration finds.
 
     Attributes:
         between: Names of both ends.
-        value: The known distance [m], or the angle [rad].
+        value: The known distance [m].
         sigma: Its standard deviation.
         nominal: The distance that the nominal robot finds.
         found: The distance that the calibrated robot finds.
         fitted: Whether it was fitted; otherwise no fitted measurement names its ends,
             and what the robot finds there is a check.
-        unit: `m`, or `rad` of an angle between planes.
     """
 
     between: tuple[str, str]
@@ -883,7 +882,6 @@ class FoundDistance:
     nominal: float
     found: float
     fitted: bool
-    unit: str = "m"
 
 
 @dataclass(frozen=True)

@@ -29,29 +29,28 @@ from calib_pin.measurement_models.references import (
     ReferenceObject,
     Sphere,
 )
-from calib_pin.setup import AngleSetup, DistanceSetup, FrameSetup, PointSetup, Setup
+from calib_pin.setup import (
+    DistanceSetup,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+)
 from calib_pin.setup.population import PopulationPrior
 from tests.shared import refused, simulated
 
 REFERENCES: tuple[ReferenceObject, ...] = (
     Point("probe", "target", np.array([0.0, 0.0, 0.1])),
-    Plane("table", np.array([0.0, 0.0, 1.0]), center=np.array([1.0, 2.0, 0])),
+    Plane("table", np.array([0.0, 0.0, 1.0])),
     Point("left", "socket", np.array([1.0, 0.0, 0.0])),
     Sphere("ball", np.array([1.0, 3.0, 4.0]), 0.1),
     Anchor("wire", np.array([1.0, 0.0, -2.0])),
     Point("right", "socket", np.array([3.0, 0.0, 0.0])),
-    # Its normal points to the table.
-    Plane("shelf", np.array([0.0, 0.0, -1.0]), 3.0, center=np.array([1.0, 0, 3.0])),
-    Plane("roof", np.array([0.6, 0.0, 0.8])),
 )
 DISTANCES = (
     DistanceSetup(("left", "ball"), 4.9, 0.1),
     DistanceSetup(("wire", "right"), 2.0, 1e-3),
     DistanceSetup(("left", "nowhere"), 1.0, 1e-3),
-    DistanceSetup(("table", "left"), 1.0, 1e-3),
-    DistanceSetup(("wire", "table"), 2.0, 1e-3),
-    DistanceSetup(("table", "shelf"), 3.0, 1e-3),
-    AngleSetup(("roof", "table"), 0.6, 1e-3),
 )
 
 
@@ -71,22 +70,21 @@ def known() -> tuple[KnownDistances, Floats]:
 def test_those_whose_ends_are_known() -> None:
     """What is not there has no place."""
     found, zero = known()
-    assert found.stated == (*DISTANCES[:2], *DISTANCES[3:]) and len(found) == 6
-    lengths = [5.0, np.sqrt(8.0), 0.0, 2.0, 3.0, np.arctan(0.75)]
-    np.testing.assert_allclose(found.lengths(zero), lengths)
+    assert found.stated == DISTANCES[:2] and len(found) == 2
+    np.testing.assert_allclose(found.lengths(zero), [5.0, np.sqrt(8.0)])
     # Probe 3, table 3, left 3, ball 4, wire 4, right 3.
-    assert found.columns[:2].tolist() == [
+    assert found.columns.tolist() == [
         [[6, 7, 8], [9, 10, 11]],
         [[13, 14, 15], [17, 18, 19]],
     ]
-    residual = found.residual(zero)[:2]
+    residual = found.residual(zero)
     np.testing.assert_allclose(residual, [1.0, (np.sqrt(8.0) - 2.0) / 1e-3])
     none, zero = distances_of((), REFERENCES)
     assert none.residual(zero).shape == (0,)
     assert none.jacobian(zero).shape == (0, len(zero))
 
 
-def test_derivatives_of_distances_and_angles() -> None:
+def test_derivatives_of_distances() -> None:
     """Of one vector as of many, by central differences."""
     found, zero = known()
     theta = 0.1 * np.random.default_rng(0).normal(size=len(zero))
@@ -97,19 +95,18 @@ def test_derivatives_of_distances_and_angles() -> None:
     assert J.any(axis=1).all()
 
 
-def test_planes_of_a_known_distance_are_parallel() -> None:
-    """Where they were measured they stay as far apart."""
-    found, zero = known()
-    theta = 1e-2 * np.random.default_rng(0).normal(size=len(zero))
-    turned = found.with_parallels(theta)
-    np.testing.assert_allclose(found.lengths(turned), found.lengths(theta), atol=1e-15)
-    (table, shelf), (a, b) = found.ends[4], found.columns[4]
-    normals = table.turned(turned[a])[0], shelf.turned(turned[b])[0]
-    np.testing.assert_allclose(normals[0], -normals[1], atol=1e-15)
-    assert set(np.flatnonzero(turned != theta)) <= set(b)
-    apart = DistanceSetup(("roof", "table"), 1.0)
-    with pytest.raises(OptionError, match=r"36\.9 deg"):
-        distances_of((apart,), REFERENCES)[0].with_parallels(zero)
+def test_a_distance_of_planes_is_that_of_known_planes() -> None:
+    """In a frame of their own; distances are between points."""
+    tool = FrameSetup((0.05, 0.08, 0.12), estimate=True)
+    faces = {"a": -0.3, "b": -0.55}
+    planes = {name: PlaneSetup((0, 0, 1), at, False) for name, at in faces.items()}
+    planes["c"] = PlaneSetup((1, 0, 0), 0.5, False)
+    setup = Setup(tool_frame=tool, base_frame=FrameSetup(estimate=True), planes=planes)
+    found = calib_pin.identify(ARM, "plane-contact", setup)
+    assert found.identifiability.scale_observable
+    apart = replace(setup, distances=(DistanceSetup(("a", "b"), 0.25),))
+    with refused(OptionError, reason="is about planes", value=["a", "b"]):
+        calib_pin.identify(ARM, "plane-contact", apart)
 
 
 # In a problem.
@@ -147,7 +144,6 @@ def test_rows_of_a_problem() -> None:
     [
         (DistanceSetup(("s/0", "t/0"), 0.5), "'t/0', which no measurement does"),
         (DistanceSetup(("ball", "s/0"), 0.5), "base.frame and tool.frame"),
-        (AngleSetup(("s/0", "s/1"), 0.5), "planes alone"),
         (DistanceSetup(("s/0", "s/1"), 0.5), ""),
     ],
 )
@@ -155,7 +151,7 @@ def test_nothing_that_is_known_is_ignored(known: DistanceSetup, said: str) -> No
     """It is used, or refused where there is no such thing in one frame."""
     points = {"ball": PointSetup((0.0, 0.0, 0.1))}
     setup = replace(
-        Setup(sockets=SOCKETS, targets=points, tool_frame=TOOL), **{known.key: (known,)}
+        Setup(sockets=SOCKETS, targets=points, tool_frame=TOOL), distances=(known,)
     )
     if said:
         with pytest.raises(OptionError, match=re.escape(said)):

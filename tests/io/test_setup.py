@@ -191,7 +191,6 @@ learned: network
 stations: {day1: {xyz: [1, 2, 3], estimate: false}}
 sockets: {front/0: {}, front/1: {xyz: [1, 2, 3]}}
 board: {type: charuco, columns: 7, rows: 5, square: 0.03, marker: 0.02}
-angles: [{between: [floor, wall], value: 1.57}]
 columns: {x: "X [mm]"}
 encoder_steps: {J*: 4096}
 reading: {without: [12, "a.csv:3"], exchanged: [[1, 2]], axes: [-y, x, z], drift: [0.1]}

@@ -152,7 +152,6 @@ def test_an_unknown_plane_faces_the_tool_that_reads(side: float) -> None:
         assert isinstance(plane, Plane) and plane.normal is not None
         expected = np.array(TABLE.normal) if planes else outward
         assert float(plane.normal @ expected) > 0.99
-        np.testing.assert_allclose(plane.center, points.mean(axis=0), atol=1e-12)
 
 
 # Registration.

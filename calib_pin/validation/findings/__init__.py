@@ -94,7 +94,7 @@ def find(case: Case, seek: bool = True) -> Found:
     follow = {code for first, code in FOLLOW if first in told}
     others = [found for found in others if found.code not in follow]
     wrong = {f.evidence["between"] for f in others if f.code == "known-distance"}
-    distances = [d.between for d in case.setup.known]
+    distances = [d.between for d in case.setup.distances]
     ends = {end for both in distances if " - ".join(both) in wrong for end in both}
     # The measurements of its ends do not fit a wrong distance.
     others = [f for f in others if not _targets(f) or not _targets(f) <= ends]

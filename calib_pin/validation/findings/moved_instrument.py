@@ -175,7 +175,7 @@ def _elsewhere(there: Registered, station: str) -> Registered | None:
         return None
     basis = np.diag(parameters.scales)[:, free]
     # Known distances count again later: they are left out of this fit only.
-    plain = replace(problem, setup=replace(problem.setup, distances=(), angles=()))
+    plain = replace(problem, setup=replace(problem.setup, distances=()))
     starts, relative = [plain], any(block.start.size for block in problem.data.blocks)
     if parameters.free[base].all() and not relative:
         starts.append(relocated(plain, theta, station))

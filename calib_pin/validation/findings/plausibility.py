@@ -434,7 +434,7 @@ def _scale(case: Case, fitted: Fit) -> Iterator[Finding]:
 def _yardstick(fitted: Fit) -> str:
     """The lengths on which the scale of these measurements rests."""
     problem = fitted.problem
-    known = [d for d in problem.further.distances.stated if d.unit == "m"]
+    known = problem.further.distances.stated
     more = ", ..." * (len(known) > 1)
     lengths = [f"the known distance {' - '.join(d.between)}{more}" for d in known[:1]]
     stated = dict.fromkeys(declared(model).yardstick for model in problem.data.models)
@@ -566,7 +566,7 @@ def contradicted(
     k = int(np.argmax(w))
     stated = known.stated[k]
     apart = float(v[k] * stated.sigma / left[k])
-    metric = problem.layout.quantities[0].unit == "m" == stated.unit
+    metric = problem.layout.quantities[0].unit == "m"
     least = max(MISSED, BEYOND * errors if metric else 0.0)
     if abs(apart) < min(least, CONTRADICTED):
         return
@@ -575,14 +575,14 @@ def contradicted(
     # A wrong distance takes all measurements for coarse ones.
     if not _scaled_without(robust or fitted, k):
         return
-    ends, what = " - ".join(stated.between), stated.key.removesuffix("s")
-    (unit, factor), found = DISPLAY[stated.unit], stated.value + apart
+    ends = " - ".join(stated.between)
+    (unit, factor), found = DISPLAY["m"], stated.value + apart
     sizes = [f"{factor * size:.1f} {unit}" for size in (found, stated.value)]
-    said = f"the measurements contradict the known {what} {ends}: without it they find "
-    said += f"{sizes[0]} instead of {sizes[1]} ({w[k]:.0f} standard deviations)"
+    said = f"the measurements contradict the known distance {ends}: without it they "
+    said += f"find {sizes[0]} instead of {sizes[1]} ({w[k]:.0f} standard deviations)"
     numbers = {"between": ends, "value": stated.value, "sigma": stated.sigma}
     numbers |= {"found": found, "normalized_residual": w[k]}
-    remedy = f"measure this {what} again, or state its true sigma"
+    remedy = "measure this distance again, or state its true sigma"
     error = abs(apart) > CONTRADICTED
     yield told("known-distance", said, numbers, remedy, error=error)
 

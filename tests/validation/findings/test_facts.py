@@ -98,12 +98,12 @@ STATED: dict[str, dict[str, Any]] = {
     },
     "plane-contact": {
         "planes": {
-            "a": PlaneSetup((0.0, 0.0, 1.0), -0.3),
-            "b": PlaneSetup((0.0, 0.0, 1.0), -0.55),
-            "c": PlaneSetup((1.0, 0.0, 0.0), 0.5),
-            "d": PlaneSetup((0.0, 1.0, 0.0), -0.4),
+            "a": PlaneSetup((0.0, 0.0, 1.0), -0.3, False),
+            "b": PlaneSetup((0.0, 0.0, 1.0), -0.55, False),
+            "c": PlaneSetup((1.0, 0.0, 0.0), 0.5, False),
+            "d": PlaneSetup((0.0, 1.0, 0.0), -0.4, False),
         },
-        "distances": (DistanceSetup(("a", "b"), 0.25, 1e-5),),
+        "base_frame": FrameSetup(estimate=True),
     },
     "fixed-point": {
         "sockets": {

@@ -43,7 +43,7 @@ from calib_pin.estimation.statistics.variance_components import (
     sampled,
     systematic,
 )
-from calib_pin.estimation.terms import Term, Terms
+from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
@@ -325,20 +325,21 @@ def require_learnable(name: str, setup: Setup, measurements: Observations) -> No
     """Refuse a residual model that does not exist or has nothing to learn from.
 
     Raises:
-        OptionError: If there is no such model, or the measurements are relative or of
-            several chains.
+        OptionError: If there is no such model, or the measurements are relative, or of
+            several chains or tools.
     """
     require_known("residual model", name, RESIDUAL_MODELS)
     relative = any(declared(model).relative for model in measurements.models)
-    source, other = "distances between two configurations", "another model"
-    if not relative:
-        source, other = "measurements of several chains", "one chain"
-    if relative or len({key.chain for key in measurements.keys}) > 1:
+    several = len({(key.chain, key.tool) for key in measurements.keys}) > 1
+    if relative or several:
+        source = "distances between two configurations"
+        if several:
+            source = "measurements of several chains or tools"
         raise OptionError(
             f"nothing can be learned from {source}",
             file=setup.file or None,
             value=name,
-            allowed=f"measurements of {other}",
+            allowed="measurements of one chain with one tool, by another model",
         )
 
 
@@ -347,23 +348,14 @@ def with_learned(problem: _Terms, learned: LearnedCorrection) -> _Terms:
 
     Args:
         problem: The problem.
-        learned: The correction, with a shift of all parameters, shape (P,); a motion
-            of the tool is one of the first tool.
+        learned: The correction, with a shift of all parameters, shape (P,).
     """
     terms = {}
     for key, term in problem.terms.items():
         shift = learned.shift[term.of_error]
-        own = replace(learned, shift=shift, carried=_carried(problem, term))
+        own = replace(learned, shift=shift)
         terms[key] = replace(term, error=replace(term.error, learned=own))
     return problem.with_terms(terms)
-
-
-def _carried(problem: Terms, term: Term) -> Floats | None:
-    """Adjoint from the first tool to that of a term; None where it is the same."""
-    first, tool = problem.only.error.tool, term.error.tool
-    if tool == first:
-        return None
-    return np.asarray((tool.inverse() * first).toActionMatrix())
 
 
 def learned_correction(
@@ -435,11 +427,8 @@ def training_rows(
             term, data, rows, flat = block
             own, error = term.index, term.error
             of_robot, instrument = term.values(theta)
-            count, corrections = len(of_robot), values[rows]
-            carried = _carried(problem, term) if space == "tip" else None
-            if carried is not None:
-                corrections = corrections @ carried.T
-            given = _Given(space, corrections, moved[own[:count]])
+            count = len(of_robot)
+            given = _Given(space, values[rows], moved[own[:count]])
             corrected = replace(error, learned=given)
             poses = corrected.linearize(data.q, of_robot, known_basis)
             linear = term.measurement.linearize(poses.T, instrument, data)
@@ -447,9 +436,8 @@ def training_rows(
             J_pose = linear.J_pose / sigma[:, :, None]
             columns = layout.column[flat][: sigma.shape[1]]
             result.residual[rows, columns] = linear.residual / sigma
-            by_correction = J_pose if carried is None else J_pose @ carried
-            if space == "joint":
-                by_correction = J_pose @ poses.joint_twists()
+            along_joints = space == "joint"
+            by_correction = J_pose @ poses.joint_twists() if along_joints else J_pose
             result.by_correction[rows, columns] = by_correction
             by_shift = poses.derivative(J_pose) @ directions[own[:count]]
             result.by_shift[rows, columns] = by_shift

@@ -194,13 +194,10 @@ class LearnedCorrection:
     Attributes:
         model: The residual model.
         shift: Change of the P parameters of the error model, shape (P,).
-        carried: Adjoint from the tool that a motion was learned of to the one that is
-            mounted, shape (6, 6); None where that is the same.
     """
 
     model: ResidualModel
     shift: Floats
-    carried: Floats | None = None
 
     @property
     def space(self) -> Space:
@@ -209,10 +206,7 @@ class LearnedCorrection:
 
     def __call__(self, q: Floats) -> Floats:
         """Corrections, shape (N, n) -> (N, n) [rad, m] or (N, 6) [m, rad]."""
-        values = self.model(q)
-        if self.carried is None or self.space == "joint":
-            return values
-        return values @ self.carried.T
+        return self.model(q)
 
     def weight(self, q: Floats) -> Floats:
         """Weight from 1 near training configurations to 0 far away, shape (N,)."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +11,9 @@ import pytest
 import calib_pin
 import calib_pin.io.results as results
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.fit import with_learned
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.json_text import encode
-from calib_pin.observations import BlockKey
 from calib_pin.residual_models import LearnedCorrection
-from calib_pin.setup import FrameSetup, Setup, ToolSetup
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.result import CalibrationResult, Provenance
 from tests.shared import refused, simulated
 
@@ -65,23 +60,6 @@ def test_it_predicts_as_before(learned: CalibrationResult, file: Path) -> None:
     with refused(OptionError):
         results.write_urdf(model, file.with_name("corrected.urdf"))
     results.write_urdf(model.without_corrections, file.with_name("corrected.urdf"))
-
-
-def test_it_belongs_to_all_tools_of_a_chain(learned: CalibrationResult) -> None:
-    keys = [BlockKey("position", "", "", tool) for tool in ("a", "b")]
-    setup = Setup(
-        parameters=("joint-offset",),
-        tools={"a": ToolSetup(TOOL.xyz), "b": ToolSetup((0.0, 0.1, 0.2))},
-    )
-    problem = nominal_problem(learned.model.chains, keys, setup)
-    model = CalibratedModel.create(problem, np.zeros(len(problem.given)))
-    shift = np.arange(1.0, len(problem.given) + 1.0) * 1e-4
-    model = with_learned(model, replace(network_of(learned), shift=shift))
-    model = replace(model, setup=replace(setup, learned="network"))
-    found = results.learned_model(model, results.learned_record(model))
-    q = model.chains.random_configurations(5, np.random.default_rng(0))
-    for key in keys:
-        np.testing.assert_array_equal(found.of(key).poses(q), model.of(key).poses(q))
 
 
 def test_what_was_edited_is_refused(file: Path) -> None:

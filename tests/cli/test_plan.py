@@ -212,7 +212,7 @@ def test_obstacles_region_and_limits_of_the_setup_file(here, run):
     Path("cell.yaml").write_text(CELL)
     words = (
         "plan boxes.urdf --model position --setup cell.yaml --count 8 --candidates 60 "
-        "--method exchange -o plan.csv --json"
+        "--method exchange -o plan.csv"
     )
     result = run(words)
     assert (result.status, result.err) == (0, "")

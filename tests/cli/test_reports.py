@@ -42,7 +42,7 @@ def test_a_page_with_figures_and_the_words_of_the_terminal(
     assert (result.status, result.err) == (0, "")
     page = Path("out/report.html").read_text()
     pictures = {path.stem for path in Path("out/figures").iterdir()}
-    assert pictures <= set(NAMES["calibration"]) and len(pictures) >= 7
+    assert pictures <= set(NAMES["calibration"]) and len(pictures) >= 6
     assert {*re.findall(r'<figure id="figure-([\w-]+)">', page)} == pictures
     assert "robot-errors" in pictures
     assert result.out.splitlines()[0] in page

@@ -209,7 +209,6 @@ class Format:
 
     Attributes:
         name: Name on the command line.
-        suffix: Suffix of its files.
         holds: Parts of a calibration, and properties of a robot, that it has a place
             for.
         template: Whether it needs the user's own file (`required`), can do with it
@@ -219,7 +218,6 @@ class Format:
     """
 
     name: str
-    suffix: str
     holds: tuple[str, ...]
     template: str
     write: Callable[[Exported, Path | None], Encoded]

@@ -130,7 +130,7 @@ def _corrected(exported: Exported) -> Document:
     return urdf_tree.parse_document(exported.robot.source, exported.robot.file)
 
 
-@partial(Format, "mjcf", ".xml", (*base.RIGID, *base.ROBOTS), "")
+@partial(Format, "mjcf", (*base.RIGID, *base.ROBOTS), "")
 def mjcf(exported: Exported, _: Path | None) -> Encoded:
     """MuJoCo's description of the robot.
 
@@ -205,7 +205,7 @@ def _inertia(document: Document, link: Element) -> dict[str, str]:
     return place | {"fullinertia": words(numbers)}
 
 
-@partial(Format, "xacro", ".xacro", (*base.RIGID, *base.ROBOTS), "")
+@partial(Format, "xacro", (*base.RIGID, *base.ROBOTS), "")
 def xacro(exported: Exported, _: Path | None) -> Encoded:
     """Joint origins as properties, to be included.
 
@@ -241,7 +241,7 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     return Encoded(data, tuple(renamed))
 
 
-@partial(Format, "tf", ".yaml", (base.FRAMES, *base.ROBOTS), "")
+@partial(Format, "tf", (base.FRAMES, *base.ROBOTS), "")
 def tf(exported: Exported, _: Path | None) -> Encoded:
     """Static transforms of base, tools, stations, camera.
 
@@ -268,7 +268,7 @@ def tf(exported: Exported, _: Path | None) -> Encoded:
     return Encoded("\n".join(lines).encode(), remarks)
 
 
-@partial(Format, "camera-info", ".yaml", (base.CAMERA, *base.ROBOTS), "")
+@partial(Format, "camera-info", (base.CAMERA, *base.ROBOTS), "")
 def camera_info(exported: Exported, _: Path | None) -> Encoded:
     """The camera, as ROS loads it.
 

@@ -109,13 +109,13 @@ def _tip(chain: Chain) -> pin.SE3:
     return pin.SE3(chain.poses(np.zeros((1, len(chain.joints))))[0])
 
 
-@partial(Format, "ur-kinematics", ".yaml", base.RIGID, "required")
+@partial(Format, "ur-kinematics", base.RIGID, "required")
 def ur(exported: Exported, template: Path | None) -> Encoded:
     """Calibration file of Universal Robots' description and driver."""
     return _vendor(exported, template, UR_LINKS)
 
 
-@partial(Format, "xarm-kinematics", ".yaml", base.RIGID, "required")
+@partial(Format, "xarm-kinematics", base.RIGID, "required")
 def xarm(exported: Exported, template: Path | None) -> Encoded:
     """Kinematics file of UFACTORY's xArm description."""
     names = (f"joint{k + 1}" for k in range(len(exported.nominal.joints)))
@@ -191,7 +191,7 @@ def _base(exported: Exported, own: Sequence[pin.SE3], template: Path) -> pin.SE3
     return BASES[int(np.argmin(sizes))]
 
 
-@partial(Format, "dh", ".csv", (*base.RIGID, base.PRISMATIC), "")
+@partial(Format, "dh", (*base.RIGID, base.PRISMATIC), "")
 def dh(exported: Exported, _: Path | None) -> Encoded:
     """Denavit-Hartenberg tables, standard and modified.
 

@@ -47,7 +47,7 @@ def _estimates(exported: Exported) -> tuple[dict[str, FoundOffset], tuple[str, .
     return found, (about + enumerated(unknown),) if unknown else ()
 
 
-@partial(Format, "joint-offsets", ".csv", (base.OFFSETS, base.SIGNS, *base.ROBOTS), "")
+@partial(Format, "joint-offsets", (base.OFFSETS, base.SIGNS, *base.ROBOTS), "")
 def offsets_table(exported: Exported, _: Path | None) -> Encoded:
     """Offsets of the joints, to be typed into a controller."""
     model = exported.result.model
@@ -81,9 +81,7 @@ FULL_TURN = "wrist_roll"
 """Motor that LeRobot gives the whole range of its encoder (`full_turn_motor`)."""
 
 
-@partial(
-    Format, "lerobot", ".json", (base.OFFSETS, base.MIMIC, base.SEVERAL), "required"
-)
+@partial(Format, "lerobot", (base.OFFSETS, base.MIMIC, base.SEVERAL), "required")
 def lerobot(exported: Exported, template: Path | None) -> Encoded:
     """LeRobot's homing offsets and ranges.
 
@@ -166,9 +164,7 @@ TAGS = {"mechanical_reduction": 1.0, "offset": 0.0}
 NUMBERS = "one <mechanical_reduction>, not 0, and one <offset>"
 
 
-@partial(
-    Format, "ros2-control", ".xml", (base.OFFSETS, base.GAINS, *base.ROBOTS), "optional"
-)
+@partial(Format, "ros2-control", (base.OFFSETS, base.GAINS, *base.ROBOTS), "optional")
 def ros2_control(exported: Exported, template: Path | None) -> Encoded:
     """Transmissions: mechanical reduction and offset.
 

@@ -299,7 +299,8 @@ def understood(table: Table) -> Table:
     names = {ours: n for ours, n in likeliest.items() if ours not in table}
     units = {one.name: one.unit or one.column.unit for one in columns}
     stated = {n: replace(c, unit=units[n]) for n, c in table.columns.items()}
-    free = {ours: n for ours, n in names.items() if n not in reserved()}
+    known = reserved()
+    free = {ours: n for ours, n in names.items() if n not in known}
     return replace(table, columns=stated).renamed(free)
 
 

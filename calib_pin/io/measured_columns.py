@@ -409,11 +409,11 @@ def own_columns(
     Raises:
         InputError: If a column has another meaning already, or see `JointColumns.of`.
     """
-    columns = JointColumns.of(chain, joints)
+    columns, known = JointColumns.of(chain, joints), reserved()
     for joint in columns.maps:
         for name in kinds_of(columns, joint):
             # One that is not there is told as missing.
-            if name in reserved() and (name in table or name != joint):
+            if name in known and (name in table or name != joint):
                 raise InputError(
                     f"column '{name}' has a meaning of its own and cannot be that of "
                     f"joint '{joint}'; give the joint a column of another name by "
@@ -606,11 +606,12 @@ def spare_positions(
         Positions, each of shape (N,) [rad, m].
     """
     model, found = chains.robot.model, dict[tuple[str, str], Floats]()
+    known = reserved()
     for joint in [*model.names][1:]:
         if joint not in chains.joints:
             own = table.found(joint, ANGLE if turns(model, joint) else LENGTH)
             found |= {} if own is None else {(joint, joint): own}
-    for name in (name for name in spare if name not in reserved()):
+    for name in (name for name in spare if name not in known):
         near, nearest = NEAR, dict[tuple[str, str], Floats]()
         for i, joint in enumerate(chains.joints):
             column, given = columns.maps[joint]

@@ -34,10 +34,13 @@ class Points(base.Dialect):
         """No header: every line begins with names, and three numbers follow."""
         plain = [one for one in lines if not one[1].lstrip().startswith("//")]
         for mark in "\t;, " if plain else "":
-            rows = [base.cells_of(line, mark) for _, line in plain]
-            width = len(rows[0])
+            first = base.cells_of(plain[0][1], mark)
+            width = len(first)
             lead = min(width - 3, len(NAMES))
-            fits = lead > 0 and all(_is_point(row, lead, width) for row in rows)
+            if lead <= 0 or not _is_point(first, lead, width):
+                continue
+            rows = [base.cells_of(line, mark) for _, line in plain]
+            fits = all(_is_point(row, lead, width) for row in rows)
             if not (fits and any(map(FRACTION.fullmatch, chain(*rows)))):
                 continue
             comments = " ".join(line for _, line in lines if line.startswith("//"))

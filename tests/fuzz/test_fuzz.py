@@ -104,7 +104,7 @@ def test_damaged_files(
     files: dict[str, bytes], capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = {"first": 0, "minutes": None, "jobs": 1}
-    for seed, count in ((19, 50), (1900, 100)):
+    for seed, count in ((19, 50), (1900, 40)):
         asked = argparse.Namespace(seed=seed, cases=count, **options)
         assert run(asked, files) == 0, capsys.readouterr().out
 

@@ -39,11 +39,11 @@ def test_workers_of_dask_have_the_same_results(dask):
 
 @pytest.mark.slow
 def test_a_worker_that_is_killed_is_done_without(dask):
-    items = range(3000)
+    items = range(600)
     with Cluster(str(dask.file)) as cluster:
         assert cluster.count == 2
         found = cluster.map(square, 1, items)
-        first = [next(found) for _ in range(200)]
+        first = [next(found) for _ in range(40)]
         dask.workers[0].send_signal(signal.SIGKILL)
         assert [*first, *found] == list(SERIAL.map(square, 1, items))
 

@@ -12,6 +12,7 @@ from calib_pin.errors import counted, enumerated
 from calib_pin.planning.suggestions import LARGEST
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
 from calib_pin.report.tables import ESTIMATE, STATUS, estimate, listed, number
+from calib_pin.report.trust import ADDING
 from calib_pin.validation.joint_errors import FoundOffset, joint_offsets
 from calib_pin.validation.result import (
     CalibrationResult,
@@ -113,7 +114,7 @@ def _remedied(
     known, weak = found.identifiability.robot_rank, found.identifiability.weak
     rows = [("no change", known - weak)]
     if weak:
-        rows.append(("more or other configurations: calib-pin plan --add", known))
+        rows.append((f"more or other configurations: {ADDING}", known))
     rows += [(remedy.change, remedy.count) for remedy in suggestions]
     if len(rows) > 1:
         titles = ("|remark", "identifiable robot parameters")

@@ -35,10 +35,13 @@ TONES: Mapping[Severity, Tone] = {"error": "bad", "warning": "strong", "info": "
 PLACES = {"measured": "where measured", "workspace": "over the workspace"}
 """Where an accuracy is expected, in words, by its name in `ToolAccuracy`."""
 
+ADDING = "calib-pin plan --count N --add --to FILE"
+"""The command that proposes further measurements."""
+
 NEXT = {
-    "unchecked": "measure more configurations: calib-pin plan --add proposes them",
+    "unchecked": f"measure more configurations: {ADDING} proposes them",
     "untrusted": "check units, joint signs, and base and tip; then measure more or "
-    "other configurations (calib-pin plan --add)",
+    f"other configurations ({ADDING})",
 }
 """Next steps where no finding has one, by the verdict."""
 

@@ -22,6 +22,9 @@ TRUSTED = ("good", "no-gain")
 
 Severity = Literal["info", "warning", "error"]
 
+ADDING = "calib-pin plan ROBOT --count 10 --add --to FILE"
+"""The command that proposes further measurements, for advice."""
+
 
 @dataclass(frozen=True)
 class Finding:

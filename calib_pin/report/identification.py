@@ -9,10 +9,10 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from calib_pin.errors import counted, enumerated
+from calib_pin.estimation.evidence import ADDING
 from calib_pin.planning.suggestions import LARGEST
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
 from calib_pin.report.tables import ESTIMATE, STATUS, estimate, listed, number
-from calib_pin.report.trust import ADDING
 from calib_pin.validation.joint_errors import FoundOffset, joint_offsets
 from calib_pin.validation.result import (
     CalibrationResult,

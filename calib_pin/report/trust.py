@@ -8,7 +8,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 
 from calib_pin.errors import counted
-from calib_pin.estimation.evidence import TRUSTED, ExpectedAccuracy, Finding, Severity
+from calib_pin.estimation.evidence import (
+    ADDING,
+    TRUSTED,
+    ExpectedAccuracy,
+    Finding,
+    Severity,
+)
 from calib_pin.estimation.statistics.distributions import chi2_interval
 from calib_pin.io.setup import yaml_text
 from calib_pin.report.blocks import (
@@ -34,9 +40,6 @@ TONES: Mapping[Severity, Tone] = {"error": "bad", "warning": "strong", "info": "
 
 PLACES = {"measured": "where measured", "workspace": "over the workspace"}
 """Where an accuracy is expected, in words, by its name in `ToolAccuracy`."""
-
-ADDING = "calib-pin plan --count N --add --to FILE"
-"""The command that proposes further measurements."""
 
 NEXT = {
     "unchecked": f"measure more configurations: {ADDING} proposes them",

@@ -1,4 +1,4 @@
-"""Predicted accuracy: by number of measurements, and over the workspace."""
+"""Predicted accuracy over the workspace."""
 
 from __future__ import annotations
 

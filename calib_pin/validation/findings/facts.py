@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from calib_pin.errors import enumerated
-from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.evidence import ADDING, Finding
 from calib_pin.estimation.problem import (
     EXACT,
     Problem,
@@ -34,10 +34,7 @@ from calib_pin.validation.findings.explanations import setup_lines
 from calib_pin.validation.findings.readings import offset_by
 from calib_pin.validation.findings.sentences import listed, named, shown, told, without
 
-MORE = (
-    "measure configurations that differ more: calib-pin plan ROBOT --count 10 --add "
-    "--to FILE"
-)
+MORE = f"measure configurations that differ more: {ADDING}"
 _alike = partial(told, remedy=MORE, residuals="by-joint")
 """Makes a finding of configurations that are too much alike."""
 

@@ -91,7 +91,8 @@ HIDDEN = 10.0
 """By what factor the movement of tool points by another scale may exceed the errors of
 the nominal robot, whose frames absorb a part of it, and the corrections of its joints,
 which make it larger. A camera that looks at a board of 35 for 30 mm squares, and
-contacts 60 for 50 mm apart, leave errors of a thirtieth to a seventieth of that."""
+contacts 60 for 50 mm apart, left errors of an eleventh to a forty-fifth of that, and
+corrections of a third to three quarters."""
 
 LARGE = 10.0
 """Expected sizes of an error from which the correction of a joint is looked at."""

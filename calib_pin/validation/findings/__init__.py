@@ -144,30 +144,34 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     if better := [found for found in sets if found.setup]:
         # What one column lags behind another is no lag of its joint.
         return (min(better, key=lambda found: _left([found])),)
-    in_time = _told(course.changes, case)
-    sure = _tried(joint_motions.joint_motion, case)
-    if sure is not None and sure.fitted:
-        # What bends follows joints as well, and the position of one most of all.
-        _, left = _tried(lambda case: case.lacking, case) or ((), 1.0)
-        of_motion = np.exp(-sure.ratio / case.fit.left)
-        sure = None if np.sqrt(left) < CLEARER * of_motion else sure
-    turned = [found for found in in_time if found.code == "joint-rehomed"]
-    if sure is not None and not _left(turned) < CLEARER * sure.after:
+    changes, motion = _told(course.changes, case), _motion(case)
+    of_joints = [found for found in changes if "joint" in found.evidence]
+    if motion is not None and not _left(of_joints) < CLEARER * motion.after:
         # A nominal robot that is read wrong makes plateaus of its own.
-        return tuple(finding(case, sure))
-    in_time = in_time or _told(course.drift, case)
+        return tuple(finding(case, motion))
+    in_time = changes or _told(course.drift, case)
     causes = tuple(found for found in in_time if found.severity == "error")
+    left = _left(causes)
     # As little may be left if these are corrected as a calibration leaves.
     enough = DOUBTFUL * expected_size(case.fit.quantity.unit)
-    if case.doubtful and not _left(causes) < enough:
-        explanation = _tried(_explanation, case)
-        # Of the nominal robot more is left than of a fit: the parts are compared, too.
-        if explanation is not None and (
-            explanation.after < _left(causes)
-            or explanation.after < explanation.before * _left(causes, part=True)
-        ):
-            return tuple(finding(case, explanation))
+    other = _tried(_explanation, case) if case.doubtful and not left < enough else None
+    # Of the nominal robot more is left than of a fit: the parts are compared, too.
+    if other is not None and (
+        other.after < left or other.after < other.before * _left(causes, part=True)
+    ):
+        return tuple(finding(case, other))
     return causes or (*in_time, *sets)
+
+
+def _motion(case: Case) -> Explanation | None:
+    """The motion of joints that errors follow, unless parameters explain more."""
+    motion = _tried(joint_motions.joint_motion, case)
+    if motion is None or not motion.fitted:
+        return motion
+    # What bends follows joints as well, and the position of one most of all.
+    _, squares = _tried(lambda case: case.lacking, case) or ((), 1.0)
+    of_motion = np.exp(-motion.ratio / case.fit.left)
+    return None if np.sqrt(squares) < CLEARER * of_motion else motion
 
 
 def _explanation(case: Case) -> Explanation | None:

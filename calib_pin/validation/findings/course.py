@@ -135,6 +135,11 @@ class Change(NamedTuple):
     rank: int = 0
     size: float = 0.0
 
+    @property
+    def what(self) -> tuple[Kind, frozenset[BlockKey], int]:
+        """What changes, whenever it does."""
+        return self.kind, self.keys, self.joint
+
 
 def subjects(problem: Problem) -> Iterator[Change]:
     """The frames and joint zeros that may change in a problem."""
@@ -211,9 +216,7 @@ class Trial(QuickFit):
         """
         data, index = changed(plain.data, rank, changes)
         problem = make_problem(plain.chains, data, plain.setup)
-        own: dict[str, Any] = {"plain": plain, "rank": rank}
-        own |= {"changes": changes, "index": index}
-        trial = Trial.of(problem, **own)
+        trial = Trial.of(problem, plain=plain, rank=rank, changes=changes, index=index)
         zeros = [k for k, change in enumerate(changes) if change.kind == "joint"]
 
         def of(sizes: Floats) -> tuple[Change, ...]:
@@ -281,7 +284,7 @@ class Trial(QuickFit):
             rows = np.flatnonzero(concerned(self.plain.data, subject)[self.index])
             rows = rows[np.argsort(rank[rows])]
             # What comes and goes within a few measurements is an outlier.
-            cuts = sorted(c.rank for c in self.changes if c[:3] == subject[:3])
+            cuts = sorted(c.rank for c in self.changes if c.what == subject.what)
             parts = np.split(groups[rows], np.searchsorted(rank[rows], cuts))
             allowed = np.concatenate([divisible(part) for part in parts])
             if not columns.size or not allowed.any():
@@ -352,7 +355,7 @@ class Trial(QuickFit):
             rank: Place of each in the order of the files, shape (N,).
         """
         change, others = self.changes[k], [*self.changes[:k], *self.changes[k + 1 :]]
-        ranks = [c.rank for c in others if c[:3] == change[:3]]
+        ranks = [c.rank for c in others if c.what == change.what]
         first = max((at for at in ranks if at <= change.rank), default=0)
         last = min((at for at in ranks if at > change.rank), default=rank.max() + 1)
         squares = np.zeros((2, len(rank)))
@@ -438,53 +441,52 @@ def changes(case: Case) -> Iterator[Finding]:
     """Frames and joint zeros that changed at a row, in their order, or all at once."""
     seen = _unchanged(case)
     found = changes_of(case, seen)
-    # Who moves an instrument homes no joint, and mounts no tool.
     every = found[1].changes if found else ()
+    # Who moves an instrument homes no joint, and mounts no tool.
     at_once = len({c.rank for c in every}) == 1 < len({c.kind for c in every})
     sought = at_once or (case.doubtful and not found)
     another = [*_another(case, seen)] if sought else []
     yield from another
     # Two or three things change on a bad day; more are what steps make of a drift.
-    many = len({change[:3] for change in every}) > 3
-    if found is None or another or many:
-        return
-    data, (first, last) = case.data.weighted(np.ones(len(case.data))), found
-    rank, said = np.argsort(data.in_order), []
-    places: dict[Kind, list[str]] = {kind: [] for kind in CHANGED}
-    for k in sorted(range(len(last.changes)), key=lambda k: last.changes[k].rank):
-        change = last.changes[k]
+    if found and not another and len({c.what for c in every}) <= 3:
+        yield from _each(case, *found)
+
+
+def _each(case: Case, first: Trial, last: Trial) -> Iterator[Finding]:
+    """The changes of the last trial in their order, each with the lines of all."""
+    data = case.data.weighted(np.ones(len(case.data)))
+    rank, found = np.argsort(data.in_order), []
+    starts: dict[Kind, tuple[str, ...]] = dict.fromkeys(CHANGED, ())
+    for k, change in sorted(enumerate(last.changes), key=lambda one: one[1].rank):
         at = last.place(k, data, rank)  # It may be one that was not looked at.
-        row, behind = _sides(concerned(data, change), rank, at)
-        file, line = data.files[row], int(data.lines[row]) or int(rank[row]) + 1
-        where = f"after {'line' if file else 'measurement'} {place_of(data, row)}"
-        if data.files[behind] != file:
-            where = f"between {file} and {data.files[behind]}"
-        places[change.kind].append(place_of(data, behind))
-        if change.kind == "joint":
+        before, behind = _sides(concerned(data, change), rank, at)
+        found.append((k, change, before, behind))
+        starts[change.kind] += (place_of(data, behind),)
+    reading = lines_of(ReadingSetup(moved=starts["station"], remounted=starts["tool"]))
+    lines = {"reading": reading} if reading else {}
+    more = f", or state in the setup file: {written(lines)}" if lines else ""
+    for k, change, before, behind in found:
+        kind = change.kind
+        if kind == "joint":
             name = data.joints[change.joint]
             size = shown(abs(change.size), case.unit(name))
             numbers: dict[str, Any] = {"joint": name, "offset": change.size}
-        else:
-            name = getattr(data.blocks[data.block_of[row]], change.kind)
-            size, numbers = _frame(last, k)
-        numbers |= {"file": file, "line": line}
-        numbers |= {"rms_before": first.errors, "rms_after": last.errors}
-        owner = " at station" if change.kind == "station" else ""
-        of = CHANGED[change.kind][1].format(f"{owner} '{name}'" if name else "")
-        said.append((change.kind, of, where, size, numbers))
-    moved, remounted = tuple(places["station"]), tuple(places["tool"])
-    reading = lines_of(ReadingSetup(moved=moved, remounted=remounted))
-    lines = {"reading": reading} if reading else {}
-    undone = f", or state in the setup file: {written(lines)}" if lines else ""
-    for kind, of, where, size, numbers in said:
-        remedy = f"give the two parts different {kind}s (a column '{kind}'"
-        remedy += ", or --station-per-file)" if kind == "station" else ")"
-        if kind == "joint":
             remedy = "measure anew, or calibrate what was measured before and behind "
             remedy += "apart"
-        how = (remedy + undone, lines, "over-order")
-        words = f"{of} {where} ({size})"
-        yield told(CHANGED[kind][0], words, numbers, *how, error=True)
+        else:
+            name = getattr(data.blocks[data.block_of[before]], kind)
+            size, numbers = _frame(last, k)
+            remedy = f"give the two parts different {kind}s (a column '{kind}'"
+            remedy += ", or --station-per-file)" if kind == "station" else ")"
+        file, line = data.files[before], int(data.lines[before] or rank[before] + 1)
+        numbers |= {"file": file, "line": line}
+        numbers |= {"rms_before": first.errors, "rms_after": last.errors}
+        where = f"after {'line' if file else 'measurement'} {place_of(data, before)}"
+        if data.files[behind] != file:
+            where = f"between {file} and {data.files[behind]}"
+        (code, words), owner = CHANGED[kind], " at station" * (kind == "station")
+        said = words.format(f"{owner} '{name}'" if name else "") + f" {where} ({size})"
+        yield told(code, said, numbers, remedy + more, lines, "over-order", error=True)
 
 
 def _another(case: Case, fit: Trial | None) -> Iterator[Finding]:
@@ -500,8 +502,7 @@ def _another(case: Case, fit: Trial | None) -> Iterator[Finding]:
     dof = fit.left - count
     allowed = divisible(fit.problem.data.groups()[order])
     gain = np.where(allowed, fit.gains(columns, order), 0.0)
-    best = int(np.argmax(gain))
-    left = 1.0 - gain[best]
+    best, left = int(np.argmax(gain)), 1.0 - float(gain.max())
     if dof < 1 or by_chance(1.0, left, count, dof) * len(order) > CHANCE:
         return
     before, after = fit.errors, fit.errors * float(np.sqrt(left * fit.left / dof))

@@ -297,17 +297,15 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
     if quantity.unit != "m" or found.fitted:
         scale = 1.0  # Errors of the nominal robot are in the unit of the file.
     before, after = scale * found.before, scale * found.after
-    fall = f"drop from {shown(before, quantity.unit, 3)} to"
+    was, left = (shown(size, quantity.unit, 3) for size in (before, after))
+    fall = f"drop from {was} to" if np.isfinite(before) else "are"
     robot = "of a fit" if found.fitted else "of the nominal robot"
     numbers = {"rms_before": before, "rms_after": after}
     numbers |= {"log_likelihood_ratio": found.ratio, "tried": found.tried}
     for fault in found.faults:
-        said = (
-            f"{fault.words}: with this corrected, the {quantity.name} errors {robot} "
-        )
-        said += fall if np.isfinite(before) else "are"
+        said = f"{fault.words}: with this corrected, the {quantity.name} errors {robot}"
+        said += f" {fall} {left}"
         how = (fault.advice, {}) if fault.advice else (remedy, lines)
-        said += f" {shown(after, quantity.unit, 3)}"
         clear = after < FITTED * before and not found.harmless
         yield told(fault.code, said, numbers, *how, fault.figure, error=clear)
 

@@ -441,8 +441,7 @@ def coarse_values(case: Case) -> Iterator[Finding]:
                 said += f"which makes {parts[0]} of the {parts[1]} of {quantity.name} "
                 said += "errors that are left"
                 numbers = {"step": step, "noise": noise, "left": left}
-                remedy = "write them with more digits"
-                yield told("coarse-steps", said, numbers, remedy)
+                yield told("coarse-steps", said, numbers, "write them with more digits")
 
 
 def _step_of(case: Case, quantity: Quantity) -> float:

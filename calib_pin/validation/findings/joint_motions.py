@@ -388,48 +388,48 @@ def lost_motions(case: Case) -> dict[str, tuple[float, float]]:
     fit, data, found = case.fit, case.fit.problem.data, {}
     row, by_joints = fit.problem.layout.row, fit.by_joints
     sides, order = data.conditions.direction, np.argsort(case.rank)
+    place = np.argsort(order)[row]  # Of each residual, in the order of the files.
     usual = by_joints * _usual_sides(data.q, sides)[row]
     smooth = np.hstack([usual, _smooth(case, by_joints, data.q[row])])
     columns = -0.5 * by_joints * sides[row]
     # Smooth errors are fitted along where they show at all.
     beside = fit.explaining(smooth if fit.score(smooth).chance < CHANCE else usual)
     X = beside.beyond(columns)
-    of_all = np.maximum(np.sum(columns**2, axis=0), 1e-300)
-    seen = np.flatnonzero(np.sum(X**2, axis=0) > LEAST * of_all)
+    seen = np.flatnonzero(np.sum(X**2, axis=0) > LEAST * np.sum(columns**2, axis=0))
     dof = beside.left - len(seen)
     if not len(seen) or dof < 1:
         return {}
     every = beside.explaining(columns[:, seen])
-    B, rest = np.linalg.pinv(X[:, seen]).T, every.unexplained[1]
-    values = -(B.T @ beside.unexplained[1])
-    plain = np.sqrt(float(rest @ rest) / dof * np.sum(B**2, axis=0))
+    # Each lost motion is a weighted sum of residuals.
+    weights, rest = np.linalg.pinv(X[:, seen]).T, every.unexplained[1]
+    values = -(weights.T @ beside.unexplained[1])
+    squares = np.sum(weights**2, axis=0)
+    deviations = np.sqrt(float(rest @ rest) / dof * squares)
     for k, j in enumerate(seen.tolist()):
-        run = np.empty(len(order), np.int64)
-        run[order] = np.cumsum(np.diff(sides[order, j], prepend=0) != 0)
-        runs, size = len(np.unique(run[row])), float(values[k] / plain[k])
-        if runs < RUNS or size <= 0.0 or size**2 < LEAST * (size**2 + dof):
+        side, value = sides[order, j], float(values[k])
+        run = np.cumsum(np.diff(side, prepend=0) != 0)[place]
+        runs, t = len(np.unique(run)), float(values[k] / deviations[k])
+        if runs < RUNS or t <= 0.0 or t**2 < LEAST * (t**2 + dof):
             continue
-        sums = np.bincount(run[row], (B[:, k] * rest)[: len(row)])
-        shared = max(float(np.sqrt(runs / (runs - 1.0) * (sums @ sums))), 1e-300)
-        by_runs = student_tail(float(values[k]) / shared, runs - 1)
+        # Residuals of a run may err together.
+        sums = np.bincount(run, (weights[:, k] * rest)[: len(row)])
+        of_runs = max(float(np.sqrt(runs / (runs - 1.0) * (sums @ sums))), 1e-300)
         # Along a path what the model lacks changes as slowly as sides do: those of
         # other measurements must explain far less.
-        lagged = np.empty((len(order), min(LAGS, len(order) - 1)))
-        for lag in range(1, lagged.shape[1] + 1):
-            away = lag * len(order) // (lagged.shape[1] + 1)
-            lagged[order, lag - 1] = np.roll(sides[order, j], away)
-        others = every.beyond(by_joints[:, [j]] * lagged[row])
+        count = min(LAGS, len(side) - 1)
+        lags = np.arange(1, count + 1) * len(side) // (count + 1)
+        lagged = np.column_stack([np.roll(side, lag) for lag in lags])[place]
+        others = every.beyond(by_joints[:, [j]] * lagged)
         norms = np.maximum(np.sum(others**2, axis=0), 1e-300)
         theirs = max(float(np.mean((others.T @ rest) ** 2 / norms)), 1e-300)
-        gain = float(values[k] ** 2 / np.sum(B[:, k] ** 2))
+        ratio = float(value**2 / squares[k]) / theirs
+        by_runs = student_tail(value / of_runs, runs - 1)
         # Sides that hardly change are alike at neighboring lags.
-        by_others = f_tail(gain / theirs, 1, min(lagged.shape[1], runs - 1))
-        chance = max(student_tail(size, dof), by_runs, by_others)
+        by_others = f_tail(ratio, 1, min(count, runs - 1))
+        chance = max(student_tail(t, dof), by_runs, by_others)
         if chance * len(data.joints) < CHANCE:
-            deviation = max(float(plain[k]), shared)
-            found[data.joints[j]] = float(values[k]), deviation
-    ranked = sorted(found.items(), key=lambda one: -one[1][0] / one[1][1])
-    return dict(ranked)
+            found[data.joints[j]] = value, max(float(deviations[k]), of_runs)
+    return dict(sorted(found.items(), key=lambda one: -one[1][0] / one[1][1]))
 
 
 def _usual_sides(q: Floats, sides: Signs) -> Floats:

@@ -145,8 +145,7 @@ def outliers(case: Case) -> Iterator[Finding]:
         remedy = "exchange their joint positions ('reading: exchanged' in the setup)"
         remedy = "" if len(pairs) <= NAMED else remedy
         numbers |= {"pairs": len(pairs)}
-        code = "measurements-exchanged"
-        yield told(code, said, numbers, remedy, lines, "over-order")
+        yield told("measurements-exchanged", said, numbers, remedy, lines, "over-order")
     alone = [o for o in out if not any(o.row in pair for pair in pairs)]
     if not alone:
         return
@@ -288,8 +287,7 @@ def noise(case: Case) -> Iterator[Finding]:
         robot = fitted and (fitted.effects is not None or part.pure is not None)
         numbers = {"quantity": part.quantity, "stated": part.given}
         numbers |= {"estimated": scatter, "factor": factor}
-        info = bool(unclear and robot)
-        yield told("noise", said, numbers, remedy, lines, info=info)
+        yield told("noise", said, numbers, remedy, lines, info=bool(unclear and robot))
 
 
 def _scatter(part: VarianceComponent) -> tuple[float, bool]:

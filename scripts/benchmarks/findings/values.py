@@ -118,7 +118,7 @@ def _angles(
     numbers = turned.as_rotvec() if held == "rotvec" else turned.as_euler(held)
     table = {
         name: cells
-        for name, cells in measurement_columns(rows)
+        for name, cells in measurement_columns(rows).items()
         if name not in STATED["quaternion"]
     }
     table |= dict(zip(STATED[columns], numbers.T, strict=True))

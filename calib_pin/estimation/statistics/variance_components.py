@@ -92,6 +92,7 @@ from calib_pin.parameterizations import (
 )
 from calib_pin.parameterizations.base import owner
 from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.setup import Setup
 
 if TYPE_CHECKING:
@@ -656,6 +657,10 @@ def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None
         whole: Further parameterizations, all of whose parameters are tried.
     """
     setup, chains = problem.setup, problem.chains
+    families = [PARAMETERIZATIONS[name] for name in setup.parameters]
+    placed = any(f.geometric and f.name != JointOffset.name for f in families)
+    # What joint offsets alone leave is of the places of the joints first of all.
+    whole = [*whole, Placement.name] if families and not placed else whole
     kinds = dict.fromkeys(whole, ("",)) | {
         name: member.effects.components
         for name, member in PARAMETERIZATIONS.items()

@@ -30,7 +30,6 @@ from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.progress import Progress
 from calib_pin.setup import Setup
 from calib_pin.validation.result import ToolAccuracy
@@ -654,12 +653,8 @@ class Case:
             return (), 1.0
         if not self.errors_left <= FOREIGN:
             return (), 1.0  # No gear and no link is so far off.
-        families = [PARAMETERIZATIONS[name] for name in names]
-        placed = any(f.geometric and f.name != JointOffset.name for f in families)
-        others = [
-            n for n, f in PARAMETERIZATIONS.items() if f.effects and n not in names
-        ]
-        effects = candidates(fit.problem, others + [Placement.name] * (not placed))
+        others = (n for n, f in PARAMETERIZATIONS.items() if f.effects)
+        effects = candidates(fit.problem, [n for n in others if n not in names])
         if effects is None:
             return (), 1.0
         X, kinds = effects.rows(fit.problem, fit.theta), np.array(effects.kinds)

@@ -226,8 +226,15 @@ def test_what_is_estimated_is_no_random_effect() -> None:
     assert {name.split(".")[1] for name in names(problem_of("pa10", gears))} == {
         "compliance"
     }
-    both = replace(Setup(), parameters=("transmission", "compliance"))
-    assert names(problem_of("pa10", both)) == []
+    every = replace(Setup(), parameters=("placement", "transmission", "compliance"))
+    assert names(problem_of("pa10", every)) == []
+
+
+def test_places_that_are_not_estimated_are_random_effects() -> None:
+    offsets = replace(Setup(), parameters=("joint-offset",))
+    assert any(".placement." in name for name in names(problem_of("pa10", offsets)))
+    links = replace(Setup(), parameters=("link-transform",))
+    assert not any(".placement." in name for name in names(problem_of("pa10", links)))
 
 
 def test_what_has_no_mass_does_not_give() -> None:

@@ -55,7 +55,7 @@ class Outcome:
 TRUE: dict[str, tuple[str, ...]] = {
     "outliers": ("outliers",),
     "path": ("one-path", "small-range"),
-    "unmodeled": ("transmission",),
+    "unmodeled": ("model-lacks",),
 }
 """Codes of findings that are true of a kind."""
 

@@ -1,4 +1,4 @@
-"""Every defect of `scripts/benchmark findings` spoils a job; none is calibrated here."""
+"""Every defect of `scripts/benchmark findings` spoils a job; nothing is calibrated."""
 
 from __future__ import annotations
 

@@ -46,6 +46,7 @@ from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.setup import AXES, ReadingSetup
 from calib_pin.validation.findings.case import (
     CHANCE,
+    SOME,
     Case,
     QuickFit,
     Score,
@@ -81,9 +82,9 @@ LOOKED_AT = 0.76
 without a plateau it is as much and more."""
 
 LEFT, SETTLED = 1.0 / 3.0, 1.5
-"""Part of the errors that all changes leave at most (a drift of the instrument leaves
-one half with one frame more), and errors that small ones leave, by those of the fit
-without what it has set aside."""
+"""Part of the errors that all changes leave at most where much was set aside (a drift
+of the instrument leaves one half with one frame more), and errors that they leave, by
+those of the fit without what it has set aside."""
 
 CONFIGURATIONS = 6
 """Least configurations on each side of a change."""
@@ -400,9 +401,12 @@ def changes_of(case: Case, seen: Trial | None) -> tuple[Trial, Trial] | None:
     if len(trials) < 2:
         return None
     first, last = trials[0], trials[-1]
-    # Outliers look like small moves; of these the fit without outliers leaves no more.
-    clear = last.rms <= max(LEFT * first.rms, SETTLED * case.fit.rms)
-    return (first, last) if clear and last.stands_out(first) else None
+    # Outliers look like moves; of true ones the fit without outliers leaves no more, or
+    # it has set aside more than outliers are.
+    limit = SETTLED * case.fit.rms
+    if np.mean(case.fit.problem.data.weight == 0.0) > SOME:
+        limit = max(LEFT * first.rms, limit)
+    return (first, last) if last.rms <= limit and last.stands_out(first) else None
 
 
 def _unchanged(case: Case) -> Trial | None:

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
+from benchmarks.findings import clean
 from calib_pin.estimation.fit import fit_model
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Observations
@@ -211,3 +212,8 @@ def test_a_drift_of_a_joint(moved_job) -> None:
     assert finding.code == "robot-drift"
     assert finding.evidence["joint"] == block.joints[2]
     assert finding.evidence["drift"] == pytest.approx(size, rel=0.3)
+
+
+def test_outliers_of_a_meter_are_no_changes() -> None:
+    """Two lie near the ends of the file, where moves of the tool explain much."""
+    assert not clean.run(20010).has("error", "warning")

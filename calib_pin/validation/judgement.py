@@ -292,6 +292,10 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
     expected += f" instead of {shown(nominal, 'm', 3)} are expected"
     expected = f"over the workspace{chain} {expected}"
     if workspace.better >= SURE:
+        if better and bound >= nominal:
+            # A robot that errs little, measured in a small region.
+            gain += f" on {held}, but {expected}, which is no sure gain"
+            yield "no-gain", f"{gain}; measure configurations that differ more"
         if better:
             condition = _if_noise(grounds, calibrated)
             yield "good", f"{gain} on {held}; {expected}{condition}"

@@ -27,7 +27,6 @@ from calib_pin.io.columns import (
 from calib_pin.io.measured_columns import NAMES, POSITION, optional, reserved
 from calib_pin.io.measured_columns import measured as measured_kinds
 from calib_pin.io.table import Table
-from calib_pin.measurement_models.declaration import QUATERNION
 from calib_pin.setup import STATED
 
 GAUGES = {
@@ -68,12 +67,6 @@ MEANINGS: Mapping[str, str] = {
 SHARED = 3
 """Measurements of each name of a column with a foreign name, on the average, from which
 it names what they have in common; one that numbers the measurements names nothing."""
-
-ORDERS = (("qw", "qx", "qy", "qz"), QUATERNION)
-"""Elements of quaternions that are numbered, as ABB, Leica and MATLAB do, or ROS."""
-
-UNIT = 1e-2
-"""Largest error of the norm of a quaternion that rounding explains."""
 
 VECTORS = (POSITION, *STATED.values(), ("u", "v"))
 """Columns that mean something together only: positions, orientations, pixels."""
@@ -273,20 +266,8 @@ def vectors(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:
             if any(one.moves for one in turned.values()):
                 result.append(position | turned)
                 break
-        else:
-            result += [position | turned for turned in _numbered_quaternions(columns)]
         result.append(position)
     return result
-
-
-def _numbered_quaternions(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:
-    """Orientations that four numbered columns may be: qw comes first, or else last."""
-    found = list[dict[str, Foreign]]()
-    for four in (one for one in families(columns) if len(one) == 4):
-        norms = np.linalg.norm([one.column.numbers for one in four], axis=0)
-        if (abs(norms[np.isfinite(norms)] - 1.0) < UNIT).all() and four[0].moves:
-            found += [dict(zip(names, four, strict=True)) for names in ORDERS]
-    return found
 
 
 def understood(table: Table) -> Table:

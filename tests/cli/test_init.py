@@ -304,17 +304,6 @@ def test_orientations_in_degrees_and_of_other_conventions(run):
         assert ("the orientation is not used" in result.err) == (not used)
 
 
-@pytest.mark.parametrize("order", [[3, 0, 1, 2], [0, 1, 2, 3]])
-def test_elements_of_quaternions_in_either_order(run, order):
-    assert run("simulate space6 --model pose --count 40 --seed 1 -o a.csv").status == 0
-    rows = numbers("a.csv")[:, :13]
-    rows[:, 9:] = rows[:, 9:][:, order]
-    names = [*JOINTS, *"xyz", "q1", "q2", "q3", "q4"]
-    assert run(INIT.replace("foreign.csv", foreign(names, rows))).status == 0
-    columns = read_setup("setup.yaml").columns
-    assert columns["qw"] == f"q{order.index(3) + 1}"
-
-
 @pytest.mark.parametrize(
     ("position", "turn"),
     [

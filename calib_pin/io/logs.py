@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,9 +32,6 @@ STAMPS = re.compile(
     r"timestamp)(?:$|[ _.\-#])"
 )
 """Words of counters and of times."""
-
-DAY = 86400.0
-"""Length of a day [s]."""
 
 COUNTED = 10
 """Numbers that grow by equal steps from which a column is a counter."""
@@ -183,18 +179,7 @@ def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
         spare = f"{POSE} (of the file)"  # One of them alone has names.
         ours = ours.renamed({"time": times[0], spare: POSE})
         return ours, theirs.renamed({"time": times[1], spare: POSE})
-    names = (
-        {
-            name: [cell.strip().lower() for cell in column.texts()]
-            for name, column in table.columns.items()
-            # Numbers with decimals are no names.
-            if not np.any(column.numbers[np.isfinite(column.numbers)] % 1.0)
-        }
-        for table in (ours, theirs)
-    )
-    if both := joining.shared_names(*names):
-        return ours.renamed({POSE: both[0]}), theirs.renamed({POSE: both[1]})
-    reason = "there is no column 'time', and no column of names that both logs share"
+    reason = "there is no column 'time', and none of names, 'pose', in both logs"
     allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
     raise (theirs if times[0] else ours).error(reason, allowed=allowed)
 
@@ -315,22 +300,11 @@ def _times(table: Table, name: str) -> Floats:
 
 
 def _dates(table: Table, name: str) -> Floats:
-    """Times of dates, or of clocks with or without a column of dates, (N,) [s]."""
-    from dateutil.parser import parse  # type: ignore[import-untyped]
-
-    days = [other for other in table.columns if other.lower() in ("date", "datum")]
-    cells = table.texts([*days[:1], name]).values()
-    texts = [" ".join(row).replace(",", ".") for row in zip(*cells, strict=True)]
-    # Points separate day, month and year, where slashes do not say.
-    points = "." in texts[0].split()[0]
-    other = partial(parse, default=datetime(1970, 1, 1), dayfirst=points)
-    time = np.full(len(texts), np.nan)
-    for row, text in enumerate(texts):
-        for read in (datetime.fromisoformat, other):
-            with suppress(ValueError, OverflowError):
-                time[row] = read(text).timestamp()
-                break
+    """Times of dates as ISO 8601 writes them, shape (N,) [s]."""
+    time = np.full(len(table.lines), np.nan)
+    for row, text in enumerate(table.labels(name)):
+        with suppress(ValueError):
+            time[row] = datetime.fromisoformat(text).timestamp()
     allowed = "seconds, or a date such as 2026-01-31T12:00:00.5"
     table.refuse(np.isnan(time), "not a time", name, allowed)
-    # A clock without a date begins anew at midnight.
-    return np.asarray(time + DAY * np.cumsum(np.diff(time, prepend=time[0]) < -DAY / 2))
+    return time

@@ -10,7 +10,7 @@ least squares for the polynomials of all motions and, by Gauss-Newton, one offse
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -377,25 +377,6 @@ def _correlated(b: Floats, a: Floats) -> Floats:
     count = len(a) + len(b) - 1
     of_both = np.fft.rfft(b, count) * np.fft.rfft(a[::-1], count)
     return np.fft.irfft(of_both, count)
-
-
-def shared_names(
-    ours: Mapping[str, Sequence[str]], theirs: Mapping[str, Sequence[str]]
-) -> tuple[str, str] | None:
-    """The two columns that share most names; None where no two share two names.
-
-    Args:
-        ours: Columns of names, of which one counts where each name stands once.
-        theirs: Those of the other file.
-    """
-    shared = {
-        (own, other): len({*names} & {*others} - {""})
-        for own, names in ours.items()
-        if len({*names}) == len(names)
-        for other, others in theirs.items()
-    }
-    most = max(shared.values(), default=0)
-    return next((k for k, v in shared.items() if v == most), None) if most > 1 else None
 
 
 def join_by_name(

@@ -300,11 +300,6 @@ def _joints(
             reason += f"; '{texts[0].name}' has no numbers, but '{cell}'"
         raise InputError(f"{reason} (joints: {enumerated(every)})")
     yield found
-    # Of two arms alike, such as left_elbow and right_elbow, the other may be meant.
-    rest = [one for one in columns if one not in by_name.values()]
-    twins = headers.joints_by_name(rest, every)
-    if twins and twins.keys() == by_name.keys():
-        yield [replace(own, joints={j: twins[j] for j in own.joints}) for own in found]
     # Joints at the end of a chain that stand still may be in units of their own, such
     # as a gripper in percent.
     for own in (own for own in found if own.tips):

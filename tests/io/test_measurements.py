@@ -315,7 +315,7 @@ def same(data, again):
     return True
 
 
-@settings(max_examples=25, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=15, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(drawn=st.data(), comments=st.lists(TEXT, max_size=3))
 def test_written_files_read_back_bit_by_bit(tmp_path, tree, drawn, comments):
     data, file = drawn.draw(mixtures(tree)), tmp_path / "written.csv"

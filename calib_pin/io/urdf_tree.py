@@ -2,8 +2,7 @@
 
 The round trip through an XML library changes lines that are not ours (2 to 23 lines
 in each of 16 URDFs), so expat says where the tags are, and the values of their
-attributes are replaced in the bytes. Everything works on a UTF-8 copy, in which
-expat's offsets hold for every encoding; the copy is encoded back at the end.
+attributes are replaced in the bytes.
 """
 
 from __future__ import annotations
@@ -28,14 +27,8 @@ from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import as_number
 
-_BYTE_ORDER_MARKS = {
-    codecs.BOM_UTF8: "utf-8",
-    codecs.BOM_UTF16_LE: "utf-16-le",
-    codecs.BOM_UTF16_BE: "utf-16-be",
-}
 # Some generators put a blank line or a comment before the declaration.
 _DECLARATION = re.compile(rb"(?>\s++|<!--.*?-->)*+(<\?xml\s.*?\?>)", re.DOTALL)
-_ENCODING = re.compile(rb"""\sencoding\s*=\s*["']([\w.:-]+)["']""")
 _ATTRIBUTE = re.compile(rb"""(\s+([^\s=]+)\s*=\s*)("[^"]*"|'[^']*')""")
 _START = re.compile(rb"<[^\s/>]+(?:%s)*" % _ATTRIBUTE.pattern)
 _INDENT = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
@@ -91,11 +84,10 @@ class Document:
 
     Attributes:
         file: Name of the source, for messages.
-        data: The document in UTF-8 without byte order mark.
+        data: The document in UTF-8, without the mark.
         plain: The same with blanks in place of the XML declaration, which speaks of
             the encoding of the file and may be where XML does not allow it.
-        codec: Python's name of the encoding in the file.
-        mark: Byte order mark at the start of the file, often empty.
+        mark: Byte order mark of UTF-8 at the start of the file, often empty.
         root: The outermost element; tags have the namespace prefix as written.
         places: Of each element the line of its start tag, counted from 1, its offset
             in the data, and the element below the root in which it is, as messages
@@ -105,7 +97,6 @@ class Document:
     file: str | None
     data: bytes
     plain: bytes
-    codec: str
     mark: bytes
     root: Element
     places: Mapping[Element, tuple[int, int, str]]
@@ -129,10 +120,6 @@ class Document:
         """Raise an error that points at an element if something does not hold."""
         if not holds:
             raise self.error(element, reason, **about)
-
-    def encoded(self, data: bytes) -> bytes:
-        """The bytes of a file with other data."""
-        return self.mark + data.decode().encode(self.codec)
 
     def numbers(self, element: Element, attribute: str, count: int) -> Floats:
         """Read an attribute that must hold `count` finite numbers, shape (count,)."""
@@ -191,43 +178,27 @@ def parse_document(
     """Parse XML as far as a URDF, or what else is named, needs it.
 
     Raises:
-        RobotError: If the bytes are not well-formed XML in a known encoding, declare
-            a DOCTYPE or entities, or are an unexpanded xacro file.
+        RobotError: If the bytes are not well-formed XML in UTF-8, declare a DOCTYPE or
+            entities, or are an unexpanded xacro file.
     """
-    mark = next((m for m in _BYTE_ORDER_MARKS if source.startswith(m)), b"")
-    body = source[len(mark) :]
-    if not re.match(rb"[\s\0]*<", body):
-        found = body[:16] if body.strip(b"\0 \t\r\n") else None
+    mark = codecs.BOM_UTF8 if source.startswith(codecs.BOM_UTF8) else b""
+    data = plain = source.removeprefix(mark)
+    if not re.match(rb"\s*<", data):
+        found = data[:16] if data.strip(b"\0 \t\r\n") else None
         reason = "the file is empty" if found is None else "is not XML"
-        raise RobotError(reason, file=file, value=found, allowed=f"{kind}, as text")
-    declaration = _DECLARATION.match(body)
-    declared = declaration and _ENCODING.search(declaration[1])
-    codec = declared[1].decode() if declared else "utf-8"
-    if body[:2] in (b"<\0", b"\0<"):
-        codec = "utf-16-le" if body[0] else "utf-16-be"
-    codec = _BYTE_ORDER_MARKS.get(mark, codec)
-    data = plain = _decode(body, codec, file).encode()
+        allowed = f"{kind}, as text in UTF-8"
+        raise RobotError(reason, file=file, value=found, allowed=allowed)
+    try:
+        data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        reason = f"the byte 0x{data[error.start]:02x} is not UTF-8"
+        allowed = "text in UTF-8"
+        raise RobotError(reason, file=file, line=line, allowed=allowed) from None
     if stated := _DECLARATION.match(data):
         blank = re.sub(rb"[^\r\n]", b" ", stated[1])
         plain = data[: stated.start(1)] + blank + data[stated.end() :]
-    return Document(file, data, plain, codec, mark, *_scan(plain, file))
-
-
-def _decode(body: bytes, codec: str, file: str | None) -> str:
-    """Text of the document, if encoding it again gives the same bytes."""
-    line, reason = None, f"is not written in its encoding, {codec}"
-    try:
-        text = body.decode(codec)
-        # UTF-32, read as UTF-16, is full of NUL characters.
-        if text.encode(codec) == body and "\0" not in text[:2]:
-            return text
-    except UnicodeDecodeError as error:
-        line = body.count(b"\n", 0, error.start) + 1
-        reason = f"the byte 0x{body[error.start]:02x} is not {codec}"
-    except (UnicodeError, LookupError):
-        line = 1
-    allowed = "UTF-8, or the encoding that the first line declares"
-    raise RobotError(reason, file=file, line=line, allowed=allowed)
+    return Document(file, data, plain, mark, *_scan(plain, file))
 
 
 def _scan(
@@ -315,7 +286,7 @@ def move_origins(document: Document, moves: Iterable[tuple[Element, pin.SE3]]) -
     edits, data = (_edited(document, *moved) for moved in moves), document.data
     for start, end, text in sorted(edits, reverse=True):
         data = data[:start] + text + data[end:]
-    return document.encoded(data)
+    return document.mark + data
 
 
 def _edited(

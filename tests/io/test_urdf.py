@@ -248,26 +248,21 @@ def test_quaternion_of_urdf_1_1(bad: Callable[..., None]) -> None:
 
 
 ENCODINGS = [
-    ("utf-8", b"", "UTF-8", "\n"),
-    ("utf-8", b"\xef\xbb\xbf", "UTF-16", "\r\n"),
-    ("utf-16-le", b"\xff\xfe", "UTF-16", "\r\n"),
-    ("utf-16-be", b"\xfe\xff", "UTF-16", "\r"),
-    ("utf-16-le", b"", "UTF-16LE", "\n"),
-    ("cp1252", b"", "windows-1252", "\r"),
-    ("shift_jis", b"", "Shift_JIS", "\n"),
+    (b"", "UTF-8", "\n"),
+    (b"\xef\xbb\xbf", "UTF-16", "\r\n"),
+    (b"", "windows-1252", "\r"),
 ]
 
 
-@pytest.mark.parametrize(("codec", "mark", "declared", "line_end"), ENCODINGS)
-def test_encodings(codec: str, mark: bytes, declared: str, line_end: str) -> None:
-    # The second byte of each of these Shift_JIS letters is an ASCII backslash.
-    name = "ソ表" if codec == "shift_jis" else "é"
+@pytest.mark.parametrize(("mark", "declared", "line_end"), ENCODINGS)
+def test_utf_8_whatever_is_declared(mark: bytes, declared: str, line_end: str) -> None:
+    name = "é"
     text = ARM.decode().replace('"1.0"', f'"1.0" encoding="{declared}"')
     text = text.replace('"b"', f'"{name}"').replace("<link", f"<!--{name}--><link")
     text = text.replace('rpy="0.1 0.2 0.3"', 'rpy="0 0 0"').replace("\n", line_end)
 
     def write(content: str) -> bytes:
-        return mark + content.encode(codec)
+        return mark + content.encode()
 
     robot = parse_robot(write(text), "arm.urdf")
     assert robot.links == ("a", name, "c")
@@ -407,10 +402,8 @@ def test_robots_that_are_not_there(tmp_path, monkeypatch):
         (b"<robot\n", 1),
         (b"<a\0b/>", 1),
         (b"<robot>\n<!-- \xe9 --></robot>", 2),
-        (b'<?xml version="1.0" encoding="klingon"?><r/>', 1),
-        (b'<?xml version="1.0" encoding="base64"?><r/>', 1),
-        (b'<?xml version="1.0" encoding="UTF-16"?><r/>', 1),
-        (b"\xff\xfe<\0r\0/", 1),
+        (b"\xff\xfe<\0r\0/", None),
+        (ARM.decode().encode("utf-16-le"), 2),
         ('<robot name="r"><link name="a"/></robot>'.encode("utf-32"), ...),
         (b'<!DOCTYPE r [<!ENTITY a "aaa"><!ENTITY b "&a;&a;">]>\n<r>&b;</r>', 1),
         (b'\n<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]>\n<r>&x;</r>', 2),

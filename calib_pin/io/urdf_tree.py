@@ -150,20 +150,12 @@ class Document:
             return placement
         if "xyz" in origin.attrib:
             placement.translation = self.numbers(origin, "xyz", 3)
-        if self.turn(origin) == "quat_xyzw":
-            quaternion = self.numbers(origin, "quat_xyzw", 4)
-            reason = f"quat_xyzw of {self.owner(element)} is zero"
-            self.require(quaternion.any(), origin, reason)
-            placement.rotation = pin.Quaternion(quaternion).normalized().matrix()
-        elif "rpy" in origin.attrib:
+        reason = f"the origin of {self.owner(element)} has a quaternion"
+        plain = "quat_xyzw" not in origin.attrib
+        self.require(plain, origin, reason, allowed="rpy, the angles of URDF 1.0")
+        if "rpy" in origin.attrib:
             placement.rotation = pin.rpy.rpyToMatrix(self.numbers(origin, "rpy", 3))
         return placement
-
-    def turn(self, origin: Element | None) -> str:
-        """Attribute from which urdfdom takes the rotation; quaternions from 1.1 on."""
-        stated = origin is not None and "quat_xyzw" in origin.attrib
-        later = self.root.get("version", "1.0") != "1.0"
-        return "quat_xyzw" if stated and later else "rpy"
 
 
 def link_of(joint: Element, role: str) -> str:
@@ -242,9 +234,9 @@ def edit_origins(
 ) -> bytes:
     """Change joint origins, `origin <- origin * correction`, and nothing else.
 
-    Only the values of `xyz` and `rpy` (or `quat_xyzw`, from URDF 1.1 on) change, with
-    all digits; a number that stays the same keeps its text. An attribute or an
-    `<origin>` that is missing is added if it is needed.
+    Only the values of `xyz` and `rpy` change, with all digits; a number that stays the
+    same keeps its text. An attribute or an `<origin>` that is missing is added if it is
+    needed.
 
     Args:
         source: The bytes of a URDF.
@@ -294,15 +286,14 @@ def _edited(
 ) -> tuple[int, int, bytes]:
     """From where to where the start tag of an origin is, and the moved one."""
     origin, old = element.find("origin"), document.origin(element)
-    new, key, changed = old * move, document.turn(origin), dict[str, Floats]()
+    new, changed = old * move, dict[str, Floats]()
     if not np.isfinite(new.homogeneous).all():
         reason = f"the correction of {document.owner(element)} is not finite"
         raise OutputError(reason)
     if not np.array_equal(new.translation, old.translation):
         changed["xyz"] = new.translation
     if not np.array_equal(new.rotation, old.rotation):
-        rpy, turn = origin_of(new)[3:], pin.Quaternion(new.rotation)
-        changed[key] = np.array(rpy) if key == "rpy" else turn.coeffs()
+        changed["rpy"] = np.array(origin_of(new)[3:])
     data, tag, behind = document.data, b"<origin", b""
     if origin is not None:
         start = document.places[origin][1]

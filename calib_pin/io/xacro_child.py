@@ -117,18 +117,9 @@ def _install(folders: list[Path]) -> None:
     def value(text: str, symbols: Mapping[str, Any], _: object = None) -> Any:
         return evaluate(text, symbols, FUNCTIONS)
 
-    def substituted(text: str, context: Mapping[str, Any]) -> str:
-        """The value of `$(eval ...)`, as roslaunch has it."""
-        arguments = context["arg"]
-
-        def argument(name: str) -> Any:
-            return substitution_args.convert_value(arguments[name], "auto")
-
-        symbols = {"true": True, "false": False, **GLOBAL}
-        symbols |= {name: argument(name) for name in arguments}
-        env, optenv = substitution_args._eval_env, substitution_args._eval_optenv
-        own = {"arg": argument, "dirname": folder, "env": env, "optenv": optenv}
-        return str(evaluate(text, symbols, {**FUNCTIONS, **own, "find": find}))
+    def substituted(text: str, context: object) -> str:
+        """The value of `$(eval ...)`, which is roslaunch's."""
+        raise Refused(f"$(eval {text}) is not evaluated; write ${{...}}")
 
     def find(name: str) -> str:
         """The folder of a package."""

@@ -139,8 +139,7 @@ def read_setup(path: str | Path | Mapping[str, object]) -> Setup:
     camera = data.get("camera") if isinstance(data, Mapping) else None
     if isinstance(camera, Mapping) and isinstance(camera.get("file"), str):
         own = {key: value for key, value in camera.items() if key != "file"}
-        place, _, name = camera["file"].partition("#")
-        there = camera_of(folder / place, name, own.get("estimate") is True)
+        there = camera_of(folder / camera["file"], own.get("estimate") is True)
         data = {**data, "camera": {**there, **own}}
     setup: Setup = _taken(tree, data, Setup)
     obstacles = tuple(

@@ -250,9 +250,9 @@ class CameraSetup(Section):
         distortion: k_1, k_2, p_1, p_2, k_3, or the first two or four of them.
         size: Width and height of the image [px]; None where it has no edge.
         estimate: Whether focal lengths, principal point and distortion are estimated.
-        file: Only in a setup file: a file of ROS, OpenCV, Kalibr, RealSense or MATLAB
+        file: Only in a setup file: a `camera_info` of ROS, or a file of OpenCV as YAML,
             that states focal, center, distortion and size, as far as they are not
-            stated here; of several cameras in it one is meant by `camchain.yaml#cam1`.
+            stated here.
     """
 
     mount: Literal["hand", "world"]

@@ -164,7 +164,9 @@ def test_a_camera_that_is_stated_stays(run, fails):
     with Image.open("0.png") as image:
         width, height = image.size
     for size, known in ((width, True), (width // 2, False)):
-        info = f"fx: 700\nfy: 701\ncx: 300\ncy: 200\nwidth: {size}\nheight: {height}\n"
+        info = f"image_width: {size}\nimage_height: {height}\n"
+        info += "camera_matrix: {data: [700, 0, 300, 0, 701, 200, 0, 0, 1]}\n"
+        info += "distortion_coefficients: {data: [0, 0, 0, 0, 0]}\n"
         Path("info.yaml").write_text(info)
         board = "{type: charuco, columns: 7, rows: 5, square: 0.03, marker: 0.022}"
         camera = "{mount: world, file: info.yaml}"

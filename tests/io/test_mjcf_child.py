@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.errors import RobotError
-from calib_pin.io.urdf import load_chain, load_robot
+from calib_pin.io.urdf import load_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot
 from tests.shared import refused
@@ -51,6 +53,14 @@ def written(folder: Path, bodies: str, head: str = HEAD) -> Path:
     return file
 
 
+def read(file: Path) -> Robot:
+    """The robot, without a process of its own."""
+    from calib_pin.io.mjcf_child import read
+
+    urdf, remark = read(str(file))
+    return replace(parse_robot(urdf.encode(), str(file)), remarks=(remark,))
+
+
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     return load_robot(written(tmp_path_factory.mktemp("plain"), BASE))
@@ -74,7 +84,7 @@ def test_what_stands_in_the_file(plain: Robot) -> None:
 
 def test_a_free_body_is_carried_but_no_chain_contains_it(tmp_path):
     free = f'<body name="torso" pos="0 0 1"><freejoint name="fly"/>{BODIES}</body>'
-    robot = load_robot(written(tmp_path, free))
+    robot = read(written(tmp_path, free))
     assert len(Chain(robot, "torso", "tool").joints) == 4
     with refused(RobotError):
         Chain(robot, tip="tool")
@@ -89,7 +99,7 @@ def test_files_that_are_included(tmp_path: Path, plain: Robot) -> None:
     defaults.write_text(f"{HEAD}{worldbody}</mujoco>")
     bodies = '<body name="base"><include file="parts/a.xml"/></body>'
     head = '<mujoco model="arm"><include file="parts/b.xml"/>'
-    found = load_chain(written(tmp_path, bodies, head), tip="tip")
+    found = Chain(read(written(tmp_path, bodies, head)), tip="tip")
     expected = Chain(plain, tip="tip")
     q = expected.random_configurations(5, np.random.default_rng(0))
     assert found.joints == ("j1", "j2", "j3", "slide")
@@ -102,7 +112,7 @@ def test_what_has_no_name_or_is_in_a_frame(tmp_path: Path) -> None:
     inner = '<body name="inner"><joint name="j9"/><geom size="1"/></body>'
     part = f'<frame pos="0 0 1">{inner}</frame><site name="tip"'
     bodies = nameless.replace('<site name="tip"', part)
-    chain = load_chain(written(tmp_path, bodies), tip="tool")
+    chain = Chain(read(written(tmp_path, bodies)), tip="tool")
     robot = chain.robot
     assert robot.remarks == (REMARK,)
     assert len({*robot.model.names}) == 6
@@ -115,8 +125,8 @@ def test_meshes_that_are_not_there(tmp_path: Path) -> None:
     bodies = '<body name="a"><joint/><geom type="mesh" mesh="m"/></body>'
     assets = '<asset><mesh name="m" file="no.stl"/></asset>'
     file = written(tmp_path, bodies, f"{HEAD}{assets}")
-    with refused(RobotError, "no.stl", file=str(file)):
-        load_robot(file)
+    with refused(RobotError, "no.stl"):
+        read(file)
 
 
 def test_couplings_are_those_of_mujoco(tmp_path: Path) -> None:
@@ -127,7 +137,7 @@ def test_couplings_are_those_of_mujoco(tmp_path: Path) -> None:
     equal += '<joint joint1="slide" joint2="j2" polycoef="0 0 1 0 0"/>'
     equal += '<joint joint1="j2" polycoef="0.2 0 0 0 0"/></equality>'
     file = written(tmp_path, BASE, f"{HEAD}{equal}")
-    robot = load_robot(file)
+    robot = read(file)
     assert {*robot.mimics} == {"j3"} and "slide, j2 moves freely" in robot.remarks[0]
     chain = Chain(robot, tip="tool")
     q = chain.random_configurations(5, np.random.default_rng(2))
@@ -155,8 +165,8 @@ WRONG = [
 @pytest.mark.parametrize("bodies", WRONG)
 def test_wrong_files(tmp_path: Path, bodies: str) -> None:
     file = written(tmp_path, bodies)
-    with refused(RobotError, file=str(file)):
-        load_chain(file)
+    with refused(RobotError):
+        read(file)
 
 
 def test_other_xml_files(tmp_path: Path) -> None:
@@ -179,7 +189,7 @@ def test_all_its_bodies_are_where_mujoco_has_them(tmp_path):
     turned = BASE.replace('name="slide"', 'name="slide" ref="0.1" pos="0 0 0.2"')
     turned = turned.replace('class="tilt"', 'class="tilt" ref="-30"')
     file = written(tmp_path, turned + table)
-    robot = load_robot(file)
+    robot = read(file)
     model = mujoco.MjModel.from_xml_path(str(file))
     state = mujoco.MjData(model)
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (5, 5)):

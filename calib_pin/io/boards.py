@@ -1,7 +1,6 @@
 """Corners of calibration boards and tags in images, found by OpenCV, which is an extra.
 
-The decoders of images are foreign code: only formats of cameras get to them, and
-headers that promise more than a large sensor has are refused before anything is
+An image that promises more pixels than a large sensor has is refused before anything is
 decoded.
 """
 
@@ -31,12 +30,6 @@ PIXELS = 1 << 27
 
 LARGEST = 1 << 30
 """Most bytes of an image file."""
-
-FORMATS = (
-    *(b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*"),
-    *(b"P2", b"P3", b"P5", b"P6"),
-)
-"""First bytes of PNG, JPEG, BMP, TIFF, and portable gray and color maps."""
 
 Gray = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -145,16 +138,14 @@ def read_image(path: Path) -> Gray:
     """
     cv2 = vision()
     data = read_bytes(path, LARGEST)
-    if not data.startswith(FORMATS):
-        allowed = "PNG, JPEG, BMP, TIFF, PGM, PPM"
-        raise InputError("is no image", file=path, allowed=allowed)
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     image = None
     with suppress(cv2.error, MemoryError):
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if image is None:
-        reason = f"cannot be read: it is damaged, or has more than {PIXELS} pixels"
-        raise InputError(reason, file=path)
+        reason = "cannot be read: it is no image or damaged, or has more than "
+        reason += f"{PIXELS} pixels"
+        raise InputError(reason, file=path, allowed="PNG, JPEG, BMP, TIFF, PGM, PPM")
     if image.dtype != np.uint8:
         # Sensors of 10 to 14 bits leave the upper ones empty.
         levels = np.nan_to_num(image.astype(float), posinf=0.0, neginf=0.0)

@@ -31,6 +31,7 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.measurement_models.declaration import QUATERNION
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import (
+    AT,
     BlockKey,
     Booleans,
     Conditions,
@@ -544,9 +545,9 @@ def write_measurements(
     Args:
         path: File to write.
         measurements: Measurements to write; quaternions of unit length with qw >= 0, as
-            `read_measurements` gives them, come back unchanged; every start of relative
-            distances has a target of its own. Those of files stand in the order of
-            their lines, others block after block.
+            `read_measurements` gives them, come back unchanged. So do the targets of
+            relative distances where every start has one of its own. Those of files
+            stand in the order of their lines, others block after block.
         comments: Lines for the head of the file.
         force: Whether an existing file is replaced.
         progress: Told the part that is done, 0 to 1.
@@ -644,27 +645,39 @@ def _with_starts(data: Observations) -> Observations:
 
 
 def _started(data: Measurements) -> Measurements:
-    """Relative measurements with a row for every start, which targets tell apart."""
+    """Relative measurements with a row for every start.
+
+    Targets tell starts apart; of several with one name the first keeps it.
+    """
     start = data.start if data.start.size else data.q * np.nan
-    target, payload = data.target.codes, data.payload.codes
-    _, first, which = np.unique(target, return_index=True, return_inverse=True)
-    begun = first[which]
-    other = (start != start[begun]).any(axis=1) | (payload != payload[begun])
     for wrong, reason in (
         (np.isnan(start).any(axis=1), "has no start"),
-        (other, "does not start where the first of its target does"),
         ((data.q == start).all(axis=1), "is taken at its start"),
         (data.values[:, 0] <= 0.0, "is not more than 0"),
     ):
         if wrong.any():
             told = f"the relative distance {reason} and would not read back"
             raise OutputError(f"{data.source(int(np.argmax(wrong)))}: {told}")
-    index = np.sort(np.append(np.arange(len(data)), first))
+    # Bit by bit, for starts have to read back.
+    starts = [*zip(data.target, data.payload, map(bytes, start), strict=True)]
+    names, taken, firsts = dict[Any, str](), {*data.target.names}, list[int]()
+    for row, label in enumerate(starts):
+        if label in names:
+            continue
+        target = name = label[0]
+        if any(other == target for other, *_ in names):
+            stem = target + "start" * (not target or target.endswith(AT))
+            name = next(n for k in count(2) if (n := f"{stem}/{k}") not in taken)
+        names[label] = name
+        taken.add(name)
+        firsts.append(row)
+    index = np.sort(np.append(np.arange(len(data)), firsts))
     begin = np.append(np.diff(index) == 0, False)
     rows = data.rows(index)
     q = np.where(begin[:, None], rows.start, rows.q)
     values = np.where(begin[:, None], 0.0, rows.values)
-    return replace(rows, q=q, values=values)
+    targets = Labels.of([names[starts[row]] for row in index.tolist()])
+    return replace(rows, q=q, values=values, target=targets)
 
 
 def _writable(column: str, names: Sequence[str]) -> Labels:

@@ -690,10 +690,30 @@ def relative(**changes):
     return Measurements(**{**fields, **changes})
 
 
-def test_starts_of_one_target_cannot_be_told_apart(tmp_path):
+@pytest.mark.parametrize(
+    ("target", "names"),
+    [
+        ("a", ("a", "a/2", "a/4")),
+        ("", ("", "start/2", "start/3")),
+        ("ball@", ("ball@", "ball@start/2", "ball@start/3")),
+    ],
+)
+def test_starts_of_one_target_are_told_apart(tmp_path, chain, target, names):
+    """As in rows that are joined from several files, or each have their own start."""
     start = 0.01 * np.arange(3)[:, None] + np.zeros(3)
-    with pytest.raises(OutputError, match="the first of its target"):
-        write_measurements(tmp_path / "out.csv", relative(start=start))
+    data = relative(target=(target,) * 3, start=start)
+    if target == "a":
+        # A name that others have is not taken.
+        data = Measurements.concatenate(
+            [data, relative(target=("a/3",) * 3, start=np.full((3, 3), 0.05))]
+        )
+        names += ("a/3",) * 3
+    file = tmp_path / "out.csv"
+    write_measurements(file, data)
+    again = read(file, chain, model="relative-distance")
+    assert again.target == names
+    assert again.start.tobytes() == data.start.tobytes()
+    assert again.values.tobytes() == data.values.tobytes()
 
 
 @pytest.mark.parametrize(

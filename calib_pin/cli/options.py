@@ -372,8 +372,7 @@ class Request(OfStations, OfParameters):
             then the robot), de (differential evolution), or hybrid: de, then
             gauss-newton, for errors of centimeters and degrees.
         loss: auto (default) sets outliers aside where there are any; gnc always
-            searches for them; huber gives them less weight; squared weights all
-            measurements equally.
+            searches for them; squared weights all measurements equally.
         learned: Learn the errors that no parameter describes: network or
             gaussian-process; with --model-ladder the only one that is tried.
         model_ladder: Select the model: try joint offsets, geometry, transmission,

@@ -58,8 +58,7 @@ class Outlier:
         row: Its position among the training rows.
         size: Size of its residual in standard deviations.
         weight: Its weight after robust estimation, 0 to 1; 0 is rejected.
-        cause: Property shared with other rejected measurements, such as `target a` or
-            `lines 40 to 52`; empty if there is none.
+        cause: What is wrong of it, `exchanged with` another one; empty if unknown.
     """
 
     place: str

@@ -41,7 +41,6 @@ without that configuration.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import ceil
@@ -68,7 +67,7 @@ from calib_pin.estimation.row_blocks import Priors, expected_places
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import AT, Indices, Observations, states_sigmas
+from calib_pin.observations import Indices, Observations, states_sigmas
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import LOSSES
 
@@ -86,12 +85,12 @@ class RobustOptions:
             0.01 TIAGo loses a good configuration of 37 and gains 16 % of error on
             others. Of one component in a hundred this is 5.3 deviations.
         stated_chance: The same where noise is all there is, as measurements state
-            it; of one to be beyond c while the solution is sought.
+            it; of one to be beyond c while the solution is sought, and of any pair
+            of outliers to fit exchanged.
         carried: Root mean square by robust scale from which few carry much of
             chi-square. With normal noise and forty configurations of one component
             it is above once in ten jobs; real robots, with tails, have up to 1.1.
         held: Scale, in stated deviations, up to which there is no more than noise.
-        bent: Probability of a good configuration beyond where Huber's loss bends.
         breakdown: Share of configurations beyond which those set aside may as well
             be the right ones. Medians hold up to one half; with four of ten wrong
             a few good ones may go as well.
@@ -114,16 +113,17 @@ class RobustOptions:
         same: Relative difference in squares of two subsets that agree: a nominal
             robot's errors make many minima close to the right one, and the wrong ones
             are far off.
-        looked_at: Measurements that are looked at; more do not make a better start.
+        looked_at: Measurements that are looked at; more do not make a better start, and
+            of more outliers pairs that were exchanged are not the trouble.
         corners: The same of corners in images.
         images: Images of a subset: three tell where a camera is, and its intrinsics.
+        fits: Part of its own size that the residual of an exchanged value may have.
     """
 
     chance: float = 1e-5
     stated_chance: float = 0.01
     carried: float = 1.2
     held: float = 1.3
-    bent: float = 0.1
     breakdown: float = 0.45
     lost: float = 0.5
     size: float = 5.0
@@ -139,6 +139,7 @@ class RobustOptions:
     looked_at: int = 200
     corners: int = 2000
     images: int = 5
+    fits: float = 0.2
 
 
 OPTIONS = RobustOptions()
@@ -169,26 +170,23 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     plain = RobustDecision(_outliers(squared, found, scale))
     if loss == "squared" or (loss == "auto" and not _suspicious(squared, found, scale)):
         return replace(squared, robust=plain)
-    about, theta, weight = _sought(problem, loss, squared.rank, solver.rng)
-    bends = loss == "huber"
-    if not bends:
-        weight = _selected(about, theta, weight).astype(float)
+    accepted = _selected(*_sought(problem, squared.rank, solver.rng))
     fitted = squared
     for _ in range(OPTIONS.rounds):
         # They must be a majority that determines the robot.
-        out = 0.0 if bends else 1.0 - float(weight.mean())
-        few = _weighted(squared.problem, weight)
+        out = 1.0 - float(accepted.mean())
+        few = _weighted(squared.problem, accepted)
         if out > OPTIONS.breakdown or known_values(few) <= squared.rank:
             return replace(squared, robust=replace(plain, disagreement=out))
-        if (weight == 1.0).all():
+        if accepted.all():
             return squared
-        fitted = balanced(_weighted(problem, weight), solver)
-        found = _studentized_about(fitted, weight > 0.0)
-        scale = found.robust_scale() if bends else _scale(found, weight > 0.0)
-        passed = _passed(found, scale).astype(float)
-        if bends or np.array_equal(passed, weight):
+        fitted = balanced(_weighted(problem, accepted), solver)
+        found = _studentized_about(fitted, accepted)
+        scale = _scale(found, accepted)
+        passed = _passed(found, scale)
+        if np.array_equal(passed, accepted):
             break
-        weight = passed
+        accepted = passed
     return replace(
         fitted, robust=RobustDecision(_outliers(fitted, found, scale), squared)
     )
@@ -382,11 +380,11 @@ def _quantiles(counts: Floats, tail: float) -> Floats:
 # Decisions.
 
 
-def _weighted(problem: Problem, weight: NDArray[np.generic] | None = None) -> Problem:
-    """The problem with a weight for each configuration, shape (G,); default one."""
+def _weighted(problem: Problem, accepted: Flags | None = None) -> Problem:
+    """The problem of accepted configurations, shape (G,); default all of them."""
     each = np.ones(len(problem.data))
-    if weight is not None:
-        each = weight.astype(float)[failing(problem)]
+    if accepted is not None:
+        each = accepted.astype(float)[failing(problem)]
     return replace(problem, data=problem.data.weighted(each))
 
 
@@ -437,9 +435,9 @@ def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
 
 
 def _sought(
-    problem: Problem, loss: str, rank: int, rng: np.random.Generator
+    problem: Problem, rank: int, rng: np.random.Generator
 ) -> tuple[Problem, Floats, Floats]:
-    """The solution of a robust loss over the whole model, by consensus and steps.
+    """The solution of the truncated cost over the whole model, by consensus and steps.
 
     The measurements determine as many directions as the rank says.
 
@@ -464,23 +462,20 @@ def _sought(
         r, J = few.linearize_rows(theta)
         found = _unfitted(few, r)
         scale = found.robust_scale(share)
-        before, weight = weight, _weights(found, scale, loss)
+        before, weight = weight, _weights(found, scale)
         if len(before) and np.abs(weight - before).max() < OPTIONS.still:
             break
         layout = few.layout
         rows = np.sqrt(weight)[found.labels][layout.row] / scale[layout.component]
         theta = theta + _step(few, r, J, rows)
     if few is not every:
-        weight = _weights(_unfitted(every, every.residual(theta)), scale, loss)
+        weight = _weights(_unfitted(every, every.residual(theta)), scale)
     return replace(every, units=scale), theta, weight
 
 
-def _weights(found: Studentized, scale: Floats, loss: str) -> Floats:
+def _weights(found: Studentized, scale: Floats) -> Floats:
     """Weights of configurations for their residuals, shape (G,)."""
     squares = found.statistic(scale)
-    if loss == "huber":
-        with np.errstate(divide="ignore"):
-            return np.minimum(1.0, np.sqrt(found.limit(OPTIONS.bent) / squares))
     cut = found.limit(OPTIONS.stated_chance)
     return np.asarray((cut / (squares + cut)) ** 2)
 
@@ -619,34 +614,7 @@ def _better(squares: Floats, rows: Indices) -> Indices:
     return rows[np.argsort(squares[rows], kind="stable")[:count]]
 
 
-# What outliers have in common.
-
-
-@dataclass(frozen=True)
-class CauseOptions:
-    """Limits from which outliers share a cause.
-
-    Attributes:
-        blamed: Share of the rows of a target that must be out to blame the target.
-        few: Rows below which a share says nothing.
-        chance: Probability that what outliers share comes about by chance.
-        pairs: Rows among which exchanged pairs are sought; with more, that is not
-            the trouble.
-        fits: Part of its own size that the residual of an exchanged value may have;
-            less where so many pairs of so few values fit as well by chance.
-    """
-
-    blamed: float = 0.7
-    few: int = 3
-    chance: float = 0.01
-    pairs: int = 100
-    fits: float = 0.2
-
-
-SHARED = CauseOptions()
-
-_Causes: TypeAlias = Iterator[tuple[list[int], str]]
-"""Rows, and the cause that they share."""
+# What is said of outliers.
 
 
 def _outliers(fitted: Fit, found: Studentized, scale: Floats) -> tuple[Outlier, ...]:
@@ -658,93 +626,19 @@ def _outliers(fitted: Fit, found: Studentized, scale: Floats) -> tuple[Outlier, 
     out = ~_passed(found, scale)[found.labels] | (data.weight == 0.0)
     if not out.any():
         return ()
-    shared: dict[int, str] = {}
-    for causes in (  # The most telling first.
-        _targets(problem, out),
-        _exchanged(problem, fitted.theta, out, found, scale),
-        _places(problem, out),
-        _stretches(problem, out),
-        _configurations(problem, out),
-    ):
-        for members, cause in causes:
-            shared = dict.fromkeys(members, cause) | shared
+    exchanged = dict(_exchanged(problem, fitted.theta, out, found, scale))
     rows, sizes = np.flatnonzero(out), found.sizes(scale)
     order = rows[np.argsort(-sizes[rows], kind="stable")].tolist()
     numbers = sizes[order].tolist(), data.weight[order].tolist()
-    told = [shared.get(row, "") for row in order]
+    told = [exchanged.get(row, "") for row in order]
     return tuple(map(Outlier, map(data.source, order), order, *numbers, told))
-
-
-def _targets(problem: Problem, out: Flags) -> _Causes:
-    """Targets most of whose rows are out, where those of others are not."""
-    target = problem.data.target
-    size = len(target.names)
-    counts = np.bincount(target.codes, minlength=size)
-    lost = np.bincount(target.codes[out], minlength=size)
-    if np.count_nonzero(counts) < 2:
-        return
-    for k in np.flatnonzero(lost).tolist():
-        others = (int(out.sum()) - lost[k]) / max(len(target) - counts[k], 1)
-        most = max(SHARED.few, SHARED.blamed * counts[k])
-        if lost[k] >= most and others < 0.5 * SHARED.blamed:
-            rows = np.flatnonzero(out & (target.codes == k)).tolist()
-            yield rows, f"target {target.names[k]}"
-
-
-def _places(problem: Problem, out: Flags) -> _Causes:
-    """The place, of several with sockets, at which most of what is out was measured."""
-    from scipy.special import bdtrc
-
-    target = problem.data.target
-    names = [name.rpartition(AT)[2].rpartition("/")[0] for name in target.names]
-    place = np.array(names)[target.codes]
-    counts, lost = Counter(place.tolist()), Counter(place[out].tolist())
-    name, number = lost.most_common(1)[0]
-    share, total = counts[name] / len(place), int(out.sum())
-    if not name or len(counts) < 2 or number < max(SHARED.few, 0.5 * total):
-        return
-    # Binomial: so many there if it were a place like the others.
-    if bdtrc(number - 1, total, share) < SHARED.chance:
-        yield np.flatnonzero(out & (place == name)).tolist(), f"place {name}"
-
-
-def _stretches(problem: Problem, out: Flags) -> _Causes:
-    """Runs of successive rows that are out, too long to be chance.
-
-    Of N rows of which a share p is out, runs of length L are to be expected N p^L
-    times.
-    """
-    data, share = problem.data, float(out.mean())
-    labels, order = data.groups(), data.in_order
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], out[order], [0]]).astype(int)))
-    for begin, end in edges.reshape(-1, 2).tolist():
-        rows = order[begin:end]
-        # Rows of one configuration are out together anyway.
-        length = len(np.unique(labels[rows]))
-        one_file = len(np.unique(data.files.codes[rows])) == 1
-        unlikely = len(out) * share**length < SHARED.chance
-        if one_file and length >= SHARED.few and unlikely:
-            first, last = rows[0], rows[-1]
-            where = f"rows {first} to {last}"
-            if data.files[first]:
-                where = f"lines {data.lines[first]} to {data.lines[last]}"
-            yield rows.tolist(), where
-
-
-def _configurations(problem: Problem, out: Flags) -> _Causes:
-    """Configurations in which more than one measurement was taken, all of them out."""
-    labels = problem.data.groups()
-    sizes, lost = np.bincount(labels), np.bincount(labels, out)
-    for label in np.flatnonzero((sizes > 1) & (lost == sizes)).tolist():
-        rows = np.flatnonzero(labels == label).tolist()
-        yield rows, f"configuration of {problem.data.source(rows[0])}"
 
 
 def _exchanged(
     problem: Problem, theta: Floats, out: Flags, found: Studentized, scale: Floats
-) -> _Causes:
-    """Pairs of rows each of which fits what was measured in the other."""
-    if not 2 <= out.sum() <= SHARED.pairs:
+) -> Iterator[tuple[int, str]]:
+    """Rows of pairs each of which fits the values of the other, with their cause."""
+    if not 2 <= out.sum() <= OPTIONS.looked_at:
         return
     own, data = found.sizes(scale), problem.data
     units = scale * current_units(problem)
@@ -767,12 +661,12 @@ def _exchanged(
                 r = block.term.measurement.residual(T, instrument, there)
                 size = np.linalg.norm(r / block.table(sigma)[a], axis=1)
             # The parts of wrong values are anywhere in a ball of two pairs of values.
-            by_chance = (SHARED.chance / max(len(i), 1)) ** (0.5 / r.shape[1])
-            fits.append(size < min(SHARED.fits, by_chance) * own[block.rows][a])
+            by_chance = (OPTIONS.stated_chance / max(len(i), 1)) ** (0.5 / r.shape[1])
+            fits.append(size < min(OPTIONS.fits, by_chance) * own[block.rows][a])
         for k in np.flatnonzero(fits[0] & fits[1]).tolist():
             a, b = int(i[k]) + block.rows.start, int(j[k]) + block.rows.start
-            yield [a], exchanged_with(data, b)
-            yield [b], exchanged_with(data, a)
+            yield a, exchanged_with(data, b)
+            yield b, exchanged_with(data, a)
 
 
 def exchanged_with(data: Observations, row: int) -> str:

@@ -832,7 +832,7 @@ def _whole(value: float) -> float:
 SOLVERS = ("gauss-newton", "two-step", "de", "hybrid")
 """Names of the solvers."""
 
-LOSSES = ("auto", "squared", "huber", "gnc")
+LOSSES = ("auto", "squared", "gnc")
 """Names of the losses."""
 
 

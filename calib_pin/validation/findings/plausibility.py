@@ -155,9 +155,7 @@ def outliers(case: Case) -> Iterator[Finding]:
     targets = {data.target[row] for row in rows}
     if len(targets) <= NAMED and all(targets):
         numbers["target"] = ", ".join(sorted(targets))
-    causes = [*dict.fromkeys(o.cause for o in alone if o.cause)][:NAMED]
-    shared = f" ({', '.join(causes)})" if causes else ""
-    why = f" excluded as outliers{shared}{together}{keeping}"
+    why = f" excluded as outliers{together}{keeping}"
     error, info = bool(together), moved <= LENGTH_SCALE
     yield _aside(code, data, rows, why, numbers, error=error, info=info)
 

@@ -65,8 +65,6 @@ class ManyRows:
             may be others; what it has prepared is used again.
     """
 
-    reduces = True
-
     def __init__(self, block: Block, sigma: Floats, last: Any = None) -> None:
         """Cut the measurements into chunks."""
         self._block, self._sigma = block, block.table(sigma)

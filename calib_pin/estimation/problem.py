@@ -36,7 +36,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.parameterizations import needed_conditions
-from calib_pin.parameterizations.error_model import flexures
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
 
@@ -471,8 +470,8 @@ class Problem(Terms):
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        reduces = any(one.reduces for one in self._evaluators)
-        return reduces or bool(self.own_of_stations)
+        reduced = any(not isinstance(one, RowByRow) for one in self._evaluators)
+        return reduced or bool(self.own_of_stations)
 
     @cached_property
     def _evaluators(self) -> Sequence[Evaluator]:
@@ -654,14 +653,11 @@ def known_values(problem: Problem) -> int:
     return distinct_values(problem) + len(problem.further.priors)
 
 
-PIECE = 4096
-"""Measurements whose Jacobian is held at once, where there are very many."""
-
 Evaluator: TypeAlias = "RowByRow | ManyRows"
 """The measurements of a block as a function of all parameters, shape (P,).
 
-Derivatives are by the block's own parameters, shape (p,). Where it `reduces`,
-`factorize` returns fewer rows than there are values.
+Derivatives are by the block's own parameters, shape (p,). Of `ManyRows`, `factorize`
+returns fewer rows than there are values.
 """
 
 
@@ -672,25 +668,12 @@ class RowByRow:
         block: The block.
         sigma: Standard deviations of the residual components of all blocks of the
             problem, shape (M,).
-        reduces: Whether only the triangular factor of the rows is wanted, which takes
-            no more memory than a piece of them.
-        last: The evaluator of the same measurements before, whose references or
-            weights may have been others.
     """
 
-    def __init__(
-        self,
-        block: Block,
-        sigma: Floats,
-        reduces: bool = False,
-        last: Evaluator | None = None,
-    ) -> None:
+    def __init__(self, block: Block, sigma: Floats) -> None:
         """Prepare nothing: what does not change is computed where it is needed."""
         self._block, self._sigma = block, block.table(sigma)
-        self.reduces = reduces
         self._tool = ToolPoses(block.term.error, block.data)
-        if isinstance(last, RowByRow) and last._block.term is block.term:
-            self._tool = last._tool
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (N, d)."""
@@ -705,24 +688,6 @@ class RowByRow:
         return error.poses(data.q, self._block.term.values(theta)[0], basis)[:, :3, 3]
 
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Whitened residual, shape (M,), and Jacobian, shape (M, p), M = N d if whole.
-
-        Its rows are those of all values, or a triangular factor of them.
-        """
-        if not self.reduces:
-            return self._rows(theta)
-        block = self._block
-        R = np.zeros((0, len(block.term.index) + 1))
-        for start in range(0, len(block.data), PIECE):
-            rows = slice(start, start + PIECE)
-            data, sigma = block.data.rows(rows), self._sigma[rows].reshape(-1)
-            piece = block._replace(data=data, values=slice(0, len(sigma)))
-            r, J = RowByRow(piece, sigma)._rows(theta)
-            more = np.vstack([R, np.column_stack([J, r])])
-            R = np.asarray(np.linalg.qr(more, mode="r"))
-        return R[:, -1], R[:, :-1]
-
-    def _rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
         term, data = self._block.term, self._block.data
         of_robot, instrument = term.values(theta)
@@ -738,8 +703,7 @@ def evaluator_of(
 ) -> Evaluator:
     """The evaluator of a block of measurements.
 
-    Compiled kernels take measurements that are many and that they can evaluate. Where
-    places bend row by row, Pinocchio takes them piece by piece.
+    Compiled kernels take measurements that are many and that they can evaluate.
 
     Args:
         block: The measurements with their term.
@@ -753,8 +717,7 @@ def evaluator_of(
         from calib_pin.estimation.many_rows import ManyRows
 
         return ManyRows(block, sigma, last)
-    bent = many and len(flexures(error)) > 0 and len(data) > PIECE
-    return RowByRow(block, sigma, bent, last)
+    return RowByRow(block, sigma)
 
 
 @dataclass(frozen=True)

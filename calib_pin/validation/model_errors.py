@@ -15,7 +15,7 @@ from calib_pin.estimation.fitted import Fit, Posterior
 from calib_pin.estimation.identifiability import column_space
 from calib_pin.estimation.nominal import extended
 from calib_pin.estimation.problem import (
-    PIECE,
+    SAMPLE,
     Problem,
     distinct_values,
     error_table,
@@ -378,7 +378,7 @@ def _predicted_parts(
     noises = deviations.noise[fitted_components(problem.layout, fitted.problem.layout)]
     every = np.arange(len(problem.data))
     # An estimate couples all of them.
-    step = max(len(every), 1) if new else PIECE
+    step = max(len(every), 1) if new else SAMPLE
     for start in range(0, len(every), step):
         some = replace(problem, data=problem.data.rows(every[start : start + step]))
         component = some.layout.component

@@ -16,7 +16,7 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.many_rows import ManyRows
 from calib_pin.estimation.population import PopulationCost
-from calib_pin.estimation.problem import Problem, RowByRow, part_of
+from calib_pin.estimation.problem import Problem, part_of
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -477,40 +477,3 @@ def test_a_beam_along_the_plane(offset: float) -> None:
     found = PopulationCost(problem)(np.array([0.0 * tilted, tilted, 0.0 * tilted]))
     assert not np.isfinite(found[[0, 2]]).any()
     assert found[1] == pytest.approx(problem.cost(tilted), rel=1e-10)
-
-
-@pytest.mark.parametrize("model", ["pose", "relative-distance"])
-def test_very_many_measurements_that_bend_go_piece_by_piece(
-    model: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of the same residuals and normal equations, in the memory of one piece."""
-    piece = 64
-    count = 2 * piece + 11
-    monkeypatch.setattr("calib_pin.estimation.problem.PIECE", piece)
-    stated = {"payloads": LOAD, "prior": PRIOR}
-    plain = measured(load_chain("space6"), model, BENDING, count, **stated)
-    theta = 0.1 * members(plain, 2)[0]
-    assert not plain.many
-    # Neither other weights nor other references need more than that.
-    weight = 1.0 + np.arange(count) % 3
-    expected = [
-        (few.errors(theta), few.cost(theta), *few.linearize(theta))
-        for few in (plain, reweighted(plain, weight), plain.rebased(theta)[0])
-    ]
-    monkeypatch.setattr("calib_pin.estimation.problem.MANY", 1)
-    pieces = replace(plain)
-    (other,) = pieces._evaluators
-    assert isinstance(other, RowByRow)
-    assert pieces.many
-    changed = (pieces, reweighted(pieces, weight), pieces.rebased(theta)[0])
-    for many, (errors, cost, r, J) in zip(changed, expected, strict=True):
-        np.testing.assert_array_equal(many.errors(theta), errors)
-        assert many.cost(theta) == pytest.approx(cost, rel=1e-10)
-        whole = np.column_stack([J, r])
-        size = np.linalg.norm(whole, axis=0)
-        size[size == 0.0] = 1.0
-        reduced, slope = many.linearize(theta)
-        assert len(reduced) < len(r)
-        rows = np.column_stack([slope, reduced])
-        products = (M.T @ M / np.outer(size, size) for M in (rows, whole))
-        np.testing.assert_allclose(*products, rtol=0, atol=1e-11)

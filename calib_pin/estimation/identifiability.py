@@ -40,9 +40,6 @@ from calib_pin.parameters import ParameterSet
 CRUMB = 1e-6
 """Ratio to the heaviest term of a sum below which a term is rounding."""
 
-DWARFED = 100.0
-"""Ratio of weights from which the first term of a sum does not set its unit."""
-
 
 @dataclass(frozen=True)
 class Combination:
@@ -117,10 +114,7 @@ class Structure:
         return tuple(self._readable(row, order) for row in C / parameters.scales[order])
 
     def _readable(self, coefficients: Floats, order: NDArray[np.int64]) -> Combination:
-        """A sum whose first term has coefficient 1, unless another dwarfs that term.
-
-        A tool point close to the last axis, say, makes the first term a hundredth of
-        what the others weigh; the sum is then a length and not a strangely large angle.
+        """A sum whose first term that matters has coefficient 1.
 
         Args:
             coefficients: Of the free parameters in the order of elimination, (K,).
@@ -130,10 +124,8 @@ class Structure:
         # The scale of a frame is that of an unknown stand, not of an error.
         sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in own]
         weights = np.abs(coefficients) * sizes
-        heaviest = int(np.argmax(weights))
-        kept = np.flatnonzero(weights > CRUMB * weights[heaviest])
-        dwarfed = weights[heaviest] > DWARFED * weights[kept[0]]
-        lead = heaviest if dwarfed else int(kept[0])
+        kept = np.flatnonzero(weights > CRUMB * weights.max())
+        lead = int(kept[0])
         values = (coefficients[kept] / coefficients[lead]).tolist()
         terms = tuple(zip(order[kept].tolist(), values, strict=True))
         return Combination(terms, own[lead].unit)

@@ -98,10 +98,6 @@ def test_everetts_count_is_the_rank_of_full_poses(
 
 LENGTHS = tuple(Parameter(f"r.k.{name}", "m", 1e-3) for name in "abc")
 OF_TWO_UNITS = (Parameter("r.k.x", "m", 1e-3), Parameter("r.k.rz", "rad", 3e-3))
-DWARFED = (
-    Parameter("j.placement.ry", "rad", 3e-3),
-    Parameter("tool.frame.y", "m", 1.0, nuisance=True),
-)
 A, B, C = np.random.default_rng(0).normal(size=(3, 40))
 
 
@@ -114,8 +110,6 @@ A, B, C = np.random.default_rng(0).normal(size=(3, 40))
         (LENGTHS, (A, B, A - 2.0 * B), [[1.0, 0.0, 1.0], [0.0, 1.0, -2.0]], "m"),
         # Sums of different units carry the ratio of their scales.
         (OF_TWO_UNITS, (A, 0.76 * A), [[1.0, 0.76]], "m"),
-        # A dwarfed first term does not set the unit.
-        (DWARFED, (1e-4 * A, A), [[1e-4, 1.0]], "m"),
     ],
 )
 def test_what_columns_show(

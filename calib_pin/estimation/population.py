@@ -88,14 +88,11 @@ class _Part:
         self._batch, self._segments, self._term = batch, segments, block.term
         self._comparison = kernels.COMPARISONS.index(batch.comparison)
         start, conditions = block.data.start, block.data.conditions.rows(batch.rows)
-        # From base to tool the joints come in the other order and move back.
-        way = -1 if batch.inward else 1
-        revolute = segments.revolute[::way]
 
         def move(q: Floats, at: Conditions) -> tuple[Floats, NDArray[np.int64], Floats]:
-            factors = block.term.error.basis(q, at) * (way * segments.factors)
-            moved = (q * (way * segments.signs))[:, ::way]
-            return *compiled.motions(moved, revolute), factors.T.copy()
+            factors = block.term.error.basis(q, at) * segments.factors
+            motion, starts = compiled.motions(q * segments.signs, segments.revolute)
+            return motion, starts, factors.T.copy()
 
         motion, starts, factors = move(block.data.q[batch.rows], conditions)
         begin, begin_factors = motion[:0], factors[:, :0]
@@ -105,8 +102,8 @@ class _Part:
             starts=starts,
             motion=motion,
             begin=begin,
-            revolute=revolute.copy(),
-            joints=np.arange(len(revolute))[::way][segments.joints],
+            revolute=segments.revolute,
+            joints=segments.joints,
             factors=factors,
             begin_factors=begin_factors,
             point=batch.point,
@@ -118,20 +115,9 @@ class _Part:
     def costs(self, theta: Floats) -> Floats:
         """Half the sums of squares of these measurements, shape (S, P) -> (S,)."""
         of_robot, instrument = self._term.values(theta)
-        chains = self._segments.links(of_robot)
-        if self._batch.inward:
-            chains = _inverted(chains)
+        links = self._segments.links(of_robot)
         amounts = of_robot[:, self._term.error.joint_corrections]
         found, result = self._batch.geometry(instrument), np.empty(len(instrument))
-        of_members = chains, amounts, found.points, found.sites
+        of_members = links, amounts, found.points, found.sites
         kernels.population_costs(self._comparison, *of_members, self._rows, result)
         return result
-
-
-def _inverted(chains: Floats) -> Floats:
-    """Chains from tool to base, shape (S, n + 1, 12)."""
-    links = chains.reshape(*chains.shape[:2], 3, 4)[:, ::-1]
-    result = np.empty_like(links)
-    result[..., :3] = np.swapaxes(links[..., :3], 2, 3)
-    result[..., 3] = -np.einsum("snji,snj->sni", links[..., :3], links[..., 3])
-    return result.reshape(chains.shape)

@@ -194,7 +194,6 @@ class Batch:
         values: Measured values, shape (N, D).
         weights: Reciprocal standard deviations of the residual, shape (N, d).
         geometry: That of members, from the model's parameters (S, K).
-        inward: Whether points are carried from the base to the tool.
     """
 
     comparison: str
@@ -204,7 +203,6 @@ class Batch:
     values: Floats
     weights: Floats
     geometry: Callable[[Floats], Geometry]
-    inward: bool = False
 
 
 @runtime_checkable

@@ -202,7 +202,9 @@ class CameraModel(MeasurementModel):
         return Linearization(view.image.pixels - data.values, J_pose, J_instrument)
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
-        """Carries the points into the camera."""
+        """Carries the points into the camera; none for one on the hand."""
+        if self.camera.mount == "hand":
+            return []
         rows, point = np.arange(len(data)), self._index(data.target)
         known = np.array([p.xyz for p in self.points], float)
         column = self._columns
@@ -218,10 +220,7 @@ class CameraModel(MeasurementModel):
             return Geometry(points, sites)
 
         camera = np.zeros_like(point)
-        hand = self.camera.mount == "hand"
-        return [
-            Batch("pixel", rows, point, camera, data.values, weights, geometry, hand)
-        ]
+        return [Batch("pixel", rows, point, camera, data.values, weights, geometry)]
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -422,14 +422,14 @@ class Fleet:
         mean: Errors that all have, shape (P,).
         spread: How far each deviates, shape (P,).
         results: Calibrations of the robots.
-        population: What they have in common.
+        prior: Of the next one.
     """
 
     problem: Problem
     mean: Floats
     spread: Floats
     results: tuple[Any, ...]
-    population: Any
+    prior: Any
 
     def measured(
         self, seed: int, count: int, changes: Mapping[str, float] | None = None
@@ -447,7 +447,7 @@ class Fleet:
 def fleet() -> Fleet:
     """Sixteen calibrated robots of one type."""
     from calib_pin.calibration import calibrate
-    from calib_pin.estimation.statistics.population_prior import population_of
+    from calib_pin.estimation.statistics.population_prior import prior_of_type
     from calib_pin.validation.robot_state import robot_evidence
 
     setup = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12)))
@@ -461,5 +461,5 @@ def fleet() -> Fleet:
         calibrate(chain, bare.measured(seed, 24)[0], validate=False)
         for seed in range(16)
     )
-    population = population_of([robot_evidence(result) for result in results])
-    return replace(bare, results=results, population=population)
+    prior = prior_of_type([robot_evidence(result) for result in results])
+    return replace(bare, results=results, prior=prior)

@@ -15,7 +15,7 @@ from calib_pin.cli.jobs import Job
 from calib_pin.cli.options import asked_workers
 from calib_pin.cli.printing import Bar, notice, progress_bar
 from calib_pin.errors import OptionError, counted
-from calib_pin.estimation.statistics.population_prior import Population, RobotEvidence
+from calib_pin.estimation.statistics.population_prior import RobotEvidence
 from calib_pin.io import json_text, measurements, results, setup
 from calib_pin.io.files import sha256
 from calib_pin.io.json_text import Json, encode, format_keys
@@ -28,6 +28,7 @@ from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report import fleet_text, html
 from calib_pin.report.figures import drawn
 from calib_pin.setup import Setup
+from calib_pin.setup.population import PopulationPrior
 from calib_pin.validation.fleet import FleetRow, by_urgency, fleet_columns
 from calib_pin.workers import Workers
 
@@ -140,15 +141,15 @@ def _check(table: Path, jobs: Sequence[Job], output: Path, force: bool) -> None:
 
 def types_of(
     jobs: Sequence[Job], evidences: Mapping[str, RobotEvidence | None]
-) -> list[Population]:
-    """The types of a fleet; of a serial number its last calibration counts.
+) -> list[PopulationPrior]:
+    """The priors of a fleet's types; of a serial number its last calibration counts.
 
     Args:
         jobs: The jobs.
         evidences: The evidence of each; None where it tells nothing of a type.
 
     Returns:
-        The types with robots enough, the largest first.
+        Those of types with robots enough, the largest first.
     """
     earlier = {job.before for job in jobs}
     alike: list[dict[str, RobotEvidence]] = []
@@ -166,19 +167,19 @@ def types_of(
     found = []
     for members in sorted(alike, key=len, reverse=True):
         if len(members) >= population_prior.LEAST:
-            found.append(population_prior.population_of([*members.values()]))
+            found.append(population_prior.prior_of_type([*members.values()]))
     return found
 
 
-def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]:
+def priors(folder: Path, populations: Sequence[PopulationPrior]) -> dict[Path, bytes]:
     """The files of the priors; all but the first have the name of their robot."""
     found: dict[Path, bytes] = {}
     for number, population in enumerate(populations, 1):
-        robot = Path(results.urdf_name(population.evidences[0].robot.name)).stem
+        robot = Path(results.urdf_name(population.robot.name)).stem
         path = folder / PRIOR
         for end in (f"-{robot}", f"-{number}"):  # Two types may have one name.
             path = path.with_stem(path.stem + end) if path in found else path
-        found[path] = json_text.encode(setup.prior_document(population.prior()))
+        found[path] = json_text.encode(setup.prior_document(population))
     return found
 
 

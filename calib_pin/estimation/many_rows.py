@@ -334,7 +334,4 @@ def _applied(screws: list[int]) -> list[Factor]:
 
 def _to_axis(axis: Floats) -> pin.SE3:
     """A rotation that takes z to a unit axis."""
-    turn = np.array([-axis[1], axis[0], 0.0])
-    sine = float(np.linalg.norm(turn))
-    direction = turn / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
-    return pin.SE3(pin.exp3(direction * np.arctan2(sine, axis[2])), np.zeros(3))
+    return pin.SE3(pin.Quaternion.FromTwoVectors(np.eye(3)[2], axis), np.zeros(3))

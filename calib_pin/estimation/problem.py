@@ -627,23 +627,12 @@ def repeated(problem: Problem) -> NDArray[np.int64]:
     return labels
 
 
-def numbered(labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Distinct labels, ascending, and which of them each one is, (n,) -> (C,), (n,)."""
-    largest = int(labels.max(initial=-1))
-    if largest > 8 * len(labels):  # Where most are in use, sorting takes longer.
-        return np.unique(labels, return_inverse=True)
-    used = np.zeros(largest + 1, bool)
-    used[labels] = True
-    return np.flatnonzero(used), (np.cumsum(used) - 1)[labels]
-
-
 def distinct_values(problem: Problem) -> int:
     """Measured values and distances, repetitions of a configuration left out."""
     rows = np.flatnonzero(problem.data.weight > 0.0)
-    found, place = numbered(repeated(problem)[rows])
-    first, counted = np.empty(len(found), np.intp), np.zeros(len(problem.data), bool)
-    first[place[::-1]] = rows[::-1]
-    counted[first] = True
+    _, first = np.unique(repeated(problem)[rows], return_index=True)
+    counted = np.zeros(len(problem.data), bool)
+    counted[rows[first]] = True
     used = counted[problem.layout.row] & np.isfinite(problem.sigma)
     return int(used.sum()) + len(problem.further.distances)
 

@@ -61,7 +61,6 @@ from calib_pin.estimation.problem import (
     current_units,
     known_values,
     measured_count,
-    numbered,
 )
 from calib_pin.estimation.row_blocks import Priors, expected_places
 from calib_pin.estimation.solve import Solver
@@ -223,7 +222,8 @@ class Studentized:
         self.whole = np.zeros(int(self.labels.max(initial=-1)) + 1, np.int64)
         self.whole[self.labels] = problem.data.groups()
         width, row = len(self.layout.components), self.layout.row
-        cells, place = numbered(self.labels[row] * width + self.layout.component)
+        keys = self.labels[row] * width + self.layout.component
+        cells, place = np.unique(keys, return_inverse=True)
         self.configuration, self.quantity = cells // width, cells % width
         with np.errstate(over="ignore"):
             self.components = np.where(np.isfinite(r), r**2, np.inf)

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calib_pin.errors import counted
-from calib_pin.estimation.statistics.population_prior import Population
 from calib_pin.monte_carlo import Outlook, Study
 from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
@@ -21,6 +20,7 @@ from calib_pin.report.tables import (
     unit_of,
 )
 from calib_pin.setup import LimitSetup
+from calib_pin.setup.population import PopulationPrior
 from calib_pin.validation.fleet import FAILED, ORDER, FleetRow
 
 FEW, MANY = 20, 2000
@@ -28,13 +28,13 @@ FEW, MANY = 20, 2000
 
 
 def fleet_report(
-    rows: Sequence[FleetRow], types: Sequence[Population] = (), most: int = FEW
+    rows: Sequence[FleetRow], types: Sequence[PopulationPrior] = (), most: int = FEW
 ) -> Iterator[Block]:
     """The report of a fleet.
 
     Args:
         rows: The rows, the most urgent first.
-        types: Types of robots that are known well enough for a prior.
+        types: Priors of the types that are known well enough.
         most: Most rows that are listed.
     """
     counts = Counter(row.verdict for row in rows)
@@ -68,10 +68,10 @@ def fleet_report(
         )
     if len(rows) > most:
         yield note(f"{len(rows) - most} more are in fleet.csv.")
-    for population in types:
-        name, robots = population.evidences[0].robot.name, len(population.evidences)
+    for prior in types:
         yield Line(
-            f"{robots} robots '{name}' are the prior of the next one of their type."
+            f"{prior.robots} robots '{prior.robot.name}' are the prior of the next one "
+            "of their type."
         )
 
 

@@ -23,7 +23,7 @@ from benchmarks.criterion import Criterion, Line, between, square
 from benchmarks.verdict.coverage import covered, unmodeled
 from benchmarks.verdict.jobs import SEED, Job, draw, stream
 from benchmarks.verdict.truth import WORKSPACE, position_error
-from calib_pin.estimation.statistics.population_prior import population_of
+from calib_pin.estimation.statistics.population_prior import prior_of_type
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import PopulationPrior, Setup
 from calib_pin.validation.robot_state import robot_evidence
@@ -203,7 +203,7 @@ def run(number: int, robots: int = ROBOTS, following: int = NEXT) -> Outcome:
         rng = np.random.default_rng([SEED, number, 0, k])
         result = _calibrated(kind.robot(rng), rng, COUNT, Setup(), None)
         fleet.append(robot_evidence(result))
-    prior = population_of(fleet).prior()
+    prior = prior_of_type(fleet)
     planned = _planned(kind, prior)
     found: dict[Way, Next] = {way: Next() for way in WAYS}
     for k in range(following):

@@ -240,7 +240,7 @@ def bench(fleet, alone) -> Path:
     """Measurements of one more robot, and the prior of its fleet."""
     data, _ = fleet.measured(600, 12)
     calib_pin.write_measurements("rows.csv", data)
-    prior = fleet.population.prior()
+    prior = fleet.prior
     Path("fleet.json").write_bytes(encode(prior_document(prior)))
     Path("setup.yaml").write_text("prior: fleet.json\n")
     return alone
@@ -265,7 +265,7 @@ def test_priors_of_others(bench, fleet, fails) -> None:
     """Of another robot, of other parameters, and of the same robot otherwise made."""
     fails(CALIBRATE.replace("space6", "space7"))
     fails(f"{CALIBRATE} --parameters dh", "parameters")
-    prior = fleet.population.prior()
+    prior = fleet.prior
     first = replace(prior.robot.joints[1], axis=(0.0, 0.6, 0.8))
     joints = (prior.robot.joints[0], first, *prior.robot.joints[2:])
     other = replace(prior, robot=replace(prior.robot, joints=joints))

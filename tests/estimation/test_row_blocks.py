@@ -17,7 +17,7 @@ from calib_pin.estimation.problem import distinct_values, known_count, known_val
 from calib_pin.estimation.row_blocks import KnownDistances, Priors, expected_places
 from calib_pin.estimation.statistics.population_prior import (
     RobotEvidence,
-    population_of,
+    prior_of_type,
 )
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot_types import robot_type
@@ -191,7 +191,7 @@ def prior_of(names: Sequence[str]) -> PopulationPrior:
         )
         for _ in range(6)
     ]
-    return replace(population_of(told).prior(), file="fleet.json")
+    return replace(prior_of_type(told), file="fleet.json")
 
 
 @pytest.fixture(scope="module")

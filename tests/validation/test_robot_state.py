@@ -98,7 +98,7 @@ def test_a_prior_does_not_count_twice(fleet) -> None:
     """The evidence of a calibration with a prior is that of one without."""
     data, _ = fleet.measured(100, 24)
     chain, noise = fleet.problem.chains[""], {"position": 1e-4}
-    prior = fleet.population.prior()
+    prior = fleet.prior
     without, with_it = (
         robot_evidence(
             calib_pin.calibrate(

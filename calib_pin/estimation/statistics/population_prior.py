@@ -38,7 +38,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import OptionError, enumerated
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
@@ -50,7 +49,6 @@ from calib_pin.estimation.statistics.variance_components import (
     STATED,
     Components,
     ErrorBlock,
-    Variances,
     estimate_variances,
 )
 from calib_pin.kinematics.spatial import Floats
@@ -90,65 +88,16 @@ class RobotEvidence:
     noise: Mapping[str, float]
 
 
-@dataclass(frozen=True)
-class Population:
-    """Robots of one type, and what they have in common; all numbers in scales.
-
-    Attributes:
-        evidences: What their measurements tell, one for each robot.
-        spread: The model of their measurements; its components are the errors, its
-            unknowns their means.
-        robots: Number of robots that each spread is known from, shape (P,).
-    """
-
-    evidences: tuple[RobotEvidence, ...]
-    spread: Variances
-    robots: Floats
-
-    @property
-    def mean(self) -> Floats:
-        """Mean errors mu, shape (P,)."""
-        return self.spread.unknowns
-
-    @property
-    def covariance(self) -> Floats:
-        """Covariance of the means, shape (P, P)."""
-        return self.spread.covariance
-
-    @property
-    def variances(self) -> Floats:
-        """Variance of every error among robots, shape (P,)."""
-        return self.spread.values
-
-    def prior(self) -> PopulationPrior:
-        """The prior of the next robot."""
-        first, scales = self.evidences[0], self.evidences[0].scales
-        widened = self.variances * [_widening(STATED + n) for n in self.robots]
-        covariance = (np.diag(widened) + self.covariance) * np.outer(scales, scales)
-        sizes = self.mean, np.sqrt(np.diag(self.covariance)), np.sqrt(self.variances)
-        numbers = [(scales * of).tolist() for of in sizes]
-        columns = first.names, first.units, *numbers, self.robots.tolist()
-        return PopulationPrior(
-            robot=first.robot,
-            robots=len(self.evidences),
-            parameters=tuple(map(ParameterPrior, *columns)),
-            covariance=tuple(map(tuple, covariance.tolist())),
-            noise=_median_noise(self.evidences),
-        )
-
-
 @serial_blas
-def population_of(evidences: Sequence[RobotEvidence]) -> Population:
-    """Mean and spread of the errors of robots of one type.
+def prior_of_type(evidences: Sequence[RobotEvidence]) -> PopulationPrior:
+    """The prior of the next robot of a type.
 
     Args:
-        evidences: What the measurements of each robot tell.
-
-    Raises:
-        OptionError: If they are too few, of several types, or of other parameters.
+        evidences: What the measurements of each robot tell, `LEAST` or more of one type
+            and of the same parameters.
     """
-    _require_alike(evidences)
-    count = len(evidences[0].names)
+    first, scales = evidences[0], evidences[0].scales
+    count = len(first.names)
     # The means are about one beforehand.
     blocks = [ErrorBlock(np.eye(count, count + 1), np.full(count, KNOWN))]
     for one in evidences:
@@ -163,29 +112,24 @@ def population_of(evidences: Sequence[RobotEvidence]) -> Population:
     stated = Components(blocks, STATED * each, STATED * common)
     found = estimate_variances(stated, common, SMALLEST)
     robots = np.maximum(found.redundancies - STATED, 0.0)
-    return Population(tuple(evidences), found, robots)
-
-
-def _require_alike(evidences: Sequence[RobotEvidence]) -> None:
-    if len(evidences) < LEAST:
-        raise OptionError(
-            "the robots are too few to tell what their type has in common",
-            value=len(evidences),
-            allowed=f"{LEAST} or more",
-        )
-    first = evidences[0]
-    for number, other in enumerate(evidences[1:], 2):
-        difference = first.robot.difference(other.robot)
-        lacking = set(first.names) ^ set(other.names)
-        if not difference and (lacking or first.names != other.names):
-            names = sorted(lacking) or list(other.names)
-            difference = f"its parameters are others: {enumerated(names)}"
-        if difference:
-            raise OptionError(
-                f"robot {number} is not of the type of the first one: {difference}",
-                value=other.robot.name,
-                allowed=first.robot.name,
-            )
+    widened = found.values * [_widening(STATED + number) for number in robots]
+    covariance = np.diag(widened) + found.covariance
+    parameters = map(
+        ParameterPrior,
+        first.names,
+        first.units,
+        (scales * found.unknowns).tolist(),
+        (scales * np.sqrt(np.diag(found.covariance))).tolist(),
+        (scales * np.sqrt(found.values)).tolist(),
+        robots.tolist(),
+    )
+    return PopulationPrior(
+        robot=first.robot,
+        robots=len(evidences),
+        parameters=tuple(parameters),
+        covariance=tuple(map(tuple, (covariance * np.outer(scales, scales)).tolist())),
+        noise=_median_noise(evidences),
+    )
 
 
 def chance_of(u: Floats, covariance: Floats, least: float = TOLD) -> float:

@@ -70,7 +70,6 @@ from calib_pin.estimation.problem import (
     current_units,
     known_values,
     measured_count,
-    numbered,
     repeated,
     representative,
     with_response,
@@ -489,7 +488,7 @@ def repetitions(problem: Problem) -> NDArray[np.intp]:
         if not data.values.shape[1] or data.start.size:
             used[own] = False
     labels = np.arange(len(used), 2 * len(used))
-    labels[used] = numbered(repeated(problem)[used])[1]
+    labels[used] = np.unique(repeated(problem)[used], return_inverse=True)[1]
     return labels
 
 

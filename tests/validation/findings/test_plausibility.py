@@ -203,7 +203,7 @@ def unlike(fleet, seed: int, count: int, spreads: float, prior: bool = True):
     name = f"{joint}.placement.rx"
     change = {name: spreads * fleet.spread[fleet.problem.parameters.index(name)]}
     data, _ = fleet.measured(seed, count, change)
-    setup = Setup(prior=fleet.population.prior() if prior else {})
+    setup = Setup(prior=fleet.prior if prior else {})
     own = fit_model(chain, data, setup, 0).fit
     return list(population(Case.of(own, own.problem.chains))), name
 

@@ -1,22 +1,19 @@
-"""Quantiles and tails of distributions, by `scipy.special`.
+"""Quantiles and tails of distributions, by scipy.
 
-It is loaded by what computes with them: importing it takes as long as importing
-Pinocchio does.
+Its modules are loaded by what computes with them: to import them takes as long as to
+import Pinocchio.
 """
 
 from __future__ import annotations
 
 from math import erfc, nan, sqrt
 
-NORMAL = 1.959964
-"""Standard deviations within which 95 % of a normal distribution lie."""
-
 
 def normal_tail(deviations: float) -> float:
     """Probability of a normal deviate above so many standard deviations.
 
     Examples:
-        >>> round(normal_tail(NORMAL), 6)
+        >>> round(normal_tail(1.959964), 6)
         0.025
     """
     return 0.5 * erfc(deviations / sqrt(2.0))
@@ -105,8 +102,9 @@ def share_interval(found: int, count: int) -> tuple[float, float, float]:
     """
     if not count:
         return nan, nan, nan
-    share, square = found / count, NORMAL**2 / count
-    middle = (share + square / 2.0) / (1.0 + square)
-    half = sqrt(square * (share * (1.0 - share) + square / 4.0)) / (1.0 + square)
+    from scipy.stats import binomtest
+
+    share = found / count
+    low, high = binomtest(found, count).proportion_ci(0.95, "wilson")
     # At its ends the interval holds the share but for rounding.
-    return share, min(max(middle - half, 0.0), share), max(middle + half, share)
+    return share, min(float(low), share), max(float(high), share)

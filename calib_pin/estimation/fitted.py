@@ -76,7 +76,6 @@ from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.estimation.statistics.variance_components import (
     KNOWN,
     REJECTED,
-    ROWS,
     STATED,
     Components,
     ErrorBlock,
@@ -167,21 +166,15 @@ def shared_variances(
 def by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
     """Covariance of errors that repetitions have in common, shape (r, r).
 
-    By orthonormal columns U of the rows, (M, r), and their variances, (K,).
+    By orthonormal columns U of the rows, (M, r), which are the same for all n
+    repetitions of a configuration, and their variances, (K,): the square of their sum
+    is n times the sum of their squares.
     """
-    layout, rank = problem.layout, U.shape[1]
-    if not shared.any():
-        return np.zeros((rank, rank))
-    each = U[: len(layout.row)] * np.sqrt(problem.data.weight)[layout.row, None]
-    place = repetitions(problem)[layout.row] * layout.width + layout.column
-    result = np.zeros((rank, rank))
-    for own, variance in zip(layout.of_components, shared, strict=True):
-        if variance:
-            groups, group = np.unique(place[own], return_inverse=True)
-            summed = np.zeros((len(groups), rank))
-            np.add.at(summed, group, each[own])
-            result += variance * summed.T @ summed
-    return result
+    layout, label = problem.layout, repetitions(problem)
+    repeated = np.bincount(label, problem.data.weight)[label]
+    sizes = np.sqrt(shared[layout.component] * repeated[layout.row])
+    each = sizes[:, None] * U[: len(layout.row)]
+    return np.asarray(each.T @ each)
 
 
 @dataclass(frozen=True)
@@ -312,11 +305,8 @@ class Fit:
 
         These absorb as much of effects as all of them do.
         """
-        if len(self.problem.data) <= ROWS and not self.problem.many:
-            return self.result.jac, self.effect_rows
-        few = replace(self.problem, data=sampled(self.problem))
-        there = replace(self, problem=few)
-        return few.linearize_rows(self.theta)[1], there.effect_rows
+        few = replace(self, problem=replace(self.problem, data=sampled(self.problem)))
+        return few.problem.linearize_rows(self.theta)[1], few.effect_rows
 
 
 def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
@@ -351,9 +341,7 @@ def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
         core += by_configuration(problem, jac @ half, shared)
     if effects is not None:
         J, X = fitted._absorbing
-        inverse = half
-        if J is not jac:
-            inverse = half_covariance(np.concatenate([J, held]), basis, parameters)
+        inverse = half_covariance(np.concatenate([J, held]), basis, parameters)
         by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
     values, vectors = np.linalg.eigh(core)
     by_noise = half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -563,10 +551,7 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
         weak = np.column_stack([last.directions.weak, told.weak])
         last = solved(replace(told, weak=weak))
     if last.result.cost > VISIBLE**2 * before.cost:
-        extended = _extended(last)
-        if extended is not last and solver.name == "de":
-            extended = solved(extended.directions)
-        last = extended
+        last = _extended(last)
     return shrunk(last)
 
 

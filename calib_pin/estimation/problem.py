@@ -229,14 +229,12 @@ class Shared:
         setup: What the user states.
         terms: The terms; their references may differ.
         evaluators: The last evaluators.
-        many: Whether they are part of very many.
     """
 
     data: Observations
     setup: Setup
     terms: Mapping[BlockKey, Term]
     evaluators: Sequence[Evaluator] = ()
-    many: bool = False
 
     def holds(self, problem: Problem) -> bool:
         """Whether a problem differs in weights, references and priors alone."""
@@ -410,11 +408,11 @@ class Problem(Terms):
         for (term, *_), part in zip(self.blocks, parts, strict=True):
             rows.setdefault(term.frames.station, []).append(part)
         self._eliminated.clear()
-        stations, left = self._eliminated.setdefault(theta.tobytes(), []), []
+        stations, left = self._eliminated.setdefault(theta.tobytes(), {}), []
         for name, members in rows.items():
             r, J = map(np.concatenate, zip(*members, strict=True))
-            station, rest = eliminate(self.own_of_stations[name], shared, r, J)
-            stations.append(station)
+            own = self.own_of_stations[name]
+            stations[name], rest = eliminate(own, shared, r, J)
             left.append(rest)
         R, jac = np.concatenate(left), np.zeros((1, len(theta)))
         if not np.isfinite(R).all():
@@ -434,7 +432,7 @@ class Problem(Terms):
             parts.append((r, self.spread(block.term, J)))
         return self._whole(theta, parts)
 
-    def stations(self, theta: Floats) -> Sequence[Station]:
+    def stations(self, theta: Floats) -> Mapping[str, Station]:
         """The parameters that were eliminated, where these were last linearized.
 
         Args:
@@ -442,7 +440,7 @@ class Problem(Terms):
         """
         if self.own_of_stations and theta.tobytes() not in self._eliminated:
             self.linearize(theta)
-        return self._eliminated.get(theta.tobytes(), ())
+        return self._eliminated.get(theta.tobytes(), {})
 
     @cached_property
     def own_of_stations(self) -> Mapping[str, NDArray[np.intp]]:
@@ -475,19 +473,30 @@ class Problem(Terms):
 
     @cached_property
     def _evaluators(self) -> Sequence[Evaluator]:
-        """Residuals and derivatives of every block."""
-        given = self.sigma, self._large
-        pairs = zip_longest(self.blocks, self._known.evaluators)
-        found = [evaluator_of(block, *given, one) for block, one in pairs]
+        """Residuals and derivatives of every block.
+
+        Compiled kernels take measurements that are many and that they can evaluate; of
+        the last evaluators, whose references or weights may have been others, they use
+        again what these have prepared.
+        """
+        found = list[Evaluator]()
+        for block, last in zip_longest(self.blocks, self._known.evaluators):
+            error, relative = block.term.error, block.data.start.size > 0
+            if self._large and compilable(error) and not relative:
+                from calib_pin.estimation.many_rows import ManyRows
+
+                found.append(ManyRows(block, self.sigma, last))
+            else:
+                found.append(RowByRow(block, self.sigma))
         self._known.evaluators = found
         return found
 
     @cached_property
     def _large(self) -> bool:
-        return self._known.many or len(self.layout.row) * len(self.given) >= MANY
+        return len(self.layout.row) * len(self.given) >= MANY
 
     @cached_property
-    def _eliminated(self) -> dict[bytes, list[Station]]:
+    def _eliminated(self) -> dict[bytes, dict[str, Station]]:
         """The last elimination, by the parameter values at which it was made."""
         return {}
 
@@ -513,13 +522,6 @@ class Problem(Terms):
             return parts[0]
         r, J = zip(*parts, strict=True)
         return np.concatenate(r), np.concatenate(J)
-
-
-def part_of(problem: Problem, rows: NDArray[np.bool_]) -> Problem:
-    """The problem of some measurements, which are evaluated as all are, (N,)."""
-    part = replace(problem, data=problem.data.rows(rows))
-    part._known.many = problem.many
-    return part
 
 
 def current_units(problem: Problem) -> Floats:
@@ -687,28 +689,6 @@ class RowByRow:
         return r.reshape(-1), J.reshape(-1, len(term.index))
 
 
-def evaluator_of(
-    block: Block, sigma: Floats, many: bool, last: Evaluator | None
-) -> Evaluator:
-    """The evaluator of a block of measurements.
-
-    Compiled kernels take measurements that are many and that they can evaluate.
-
-    Args:
-        block: The measurements with their term.
-        sigma: Standard deviations of the residual components of all blocks, (M,).
-        many: Whether a Jacobian of all measurements would be too large to be handy.
-        last: That of the same measurements with other weights or about other
-            references; what it has prepared is used again.
-    """
-    error, data = block.term.error, block.data
-    if many and compilable(error) and not data.start.size:
-        from calib_pin.estimation.many_rows import ManyRows
-
-        return ManyRows(block, sigma, last)
-    return RowByRow(block, sigma)
-
-
 @dataclass(frozen=True)
 class Station:
     """The parameters of one station alone, about a linearization.
@@ -753,23 +733,23 @@ def eliminate(
     return station, rows - U @ along
 
 
-def completed(stations: Sequence[Station], step: Floats) -> Floats:
+def completed(stations: Mapping[str, Station], step: Floats) -> Floats:
     """A step of the shared parameters with that of the eliminated ones, shape (P,)."""
     result = with_response(stations, step)
-    for station in stations:
+    for station in stations.values():
         result[station.own] += station.settled
     return result
 
 
-def with_response(stations: Sequence[Station], factor: Floats) -> Floats:
+def with_response(stations: Mapping[str, Station], factor: Floats) -> Floats:
     """Changes of all parameters, where only the shared ones were given, (P, k)."""
     result = factor.copy()
-    for station in stations:
+    for station in stations.values():
         result[station.own] = station.response @ factor[station.shared]
     return result
 
 
-def own_deviations(stations: Sequence[Station], count: int) -> Floats:
+def own_deviations(stations: Mapping[str, Station], count: int) -> Floats:
     """Deviations of parameters by the measurements of their own station, shape (P, k).
 
     A column has one noise for each station: stations are independent of each other.
@@ -778,8 +758,8 @@ def own_deviations(stations: Sequence[Station], count: int) -> Floats:
         stations: The stations.
         count: Number of parameters P.
     """
-    width = max((station.root.shape[1] for station in stations), default=0)
+    width = max((one.root.shape[1] for one in stations.values()), default=0)
     result = np.zeros((count, width))
-    for station in stations:
+    for station in stations.values():
         result[station.own, : station.root.shape[1]] = station.root
     return result

@@ -32,7 +32,7 @@ from calib_pin.estimation.fitted import (
 )
 from calib_pin.estimation.identifiability import half_covariance, visible_nuisances
 from calib_pin.estimation.nominal import extended
-from calib_pin.estimation.problem import EXACT, Problem, known_count, part_of
+from calib_pin.estimation.problem import EXACT, Problem, known_count
 from calib_pin.estimation.robust import by_size, spectrum
 from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
@@ -239,7 +239,7 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     problem, F = robot.problem, robot.factor
     fun, out = robot.fun, np.zeros(0, bool)
     if problem.many:
-        some = part_of(problem, mask)
+        some = replace(problem, data=problem.data.rows(mask))
         r, jac = some.linearize(robot.theta)
         count = len(r) - len(some.further)
         B, r = jac[:count] @ F, r[:count]

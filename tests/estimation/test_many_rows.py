@@ -16,7 +16,7 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.many_rows import ManyRows
 from calib_pin.estimation.population import PopulationCost
-from calib_pin.estimation.problem import Problem, part_of
+from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -240,19 +240,6 @@ def test_other_weights_and_references_are_those_of_a_new_problem(
     np.testing.assert_array_equal(found, before)
     ((_, weighted),) = reweighted(problem, weight).factorize(theta)
     assert np.abs(weighted - found).max() > 1.0
-
-
-def test_a_part_of_very_many_rows_is_evaluated_as_they_are(
-    geared: Measured, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain = geared(load_chain("space6"), "position")
-    problem = through_kernels(plain, monkeypatch)
-    theta, own = values_of(plain), np.arange(len(plain.data)) % 3 == 0
-    few = replace(problem, data=problem.data.rows(own))
-    assert part_of(problem, own).many and not few.many
-    r, J = part_of(problem, own).linearize(theta)
-    A = np.column_stack([J, r])
-    assert_same_products(A.T @ A, few.linearize(theta))
 
 
 def test_what_is_set_aside_may_be_impossible(

@@ -66,7 +66,7 @@ from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.identifiability import Directions, half_covariance
 from calib_pin.estimation.problem import (
     Problem,
-    Station,
+    completed,
     current_units,
     known_values,
     measured_count,
@@ -285,11 +285,7 @@ def by_quantity(
     size, counts, current = half.shape[1] + 1, _counts(problem), current_units(problem)
     products, stations = np.zeros((len(counts), size, size)), problem.stations(theta)
     half = with_response(stations, half)
-    settled, station_of = np.zeros((len(half), 1)), dict[int, Station]()
-    settled = with_response(stations, settled)
-    for station in stations:
-        settled[station.own, 0] = station.settled
-        station_of |= dict.fromkeys(station.own.tolist(), station)
+    settled = completed(stations, np.zeros(len(half)))
     of_keys = problem.layout.of_keys.items()
     quantities = {key: list(dict.fromkeys(own.tolist())) for key, own in of_keys}
     for place in range(max(map(len, quantities.values()))):
@@ -307,9 +303,9 @@ def by_quantity(
             change = np.column_stack([half[term.index], settled[term.index]])
             rows = K @ np.vstack([change, np.eye(1, size, size - 1)])
             products[k] += rows.T @ rows
-            # What its station absorbs of measurements is no redundancy.
-            met = (station_of.get(position) for position in term.index.tolist())
-            for station in {id(s): s for s in met if s}.values():
+            station = stations.get(term.frames.station)
+            if station is not None:
+                # What its station absorbs of measurements is no redundancy.
                 mine = np.flatnonzero(np.isin(term.index, station.own))
                 root = station.root[np.searchsorted(station.own, term.index[mine])]
                 counts[k] -= float(np.sum((J[:, mine] @ root) ** 2))

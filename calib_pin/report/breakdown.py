@@ -1,4 +1,4 @@
-"""A calibration by its stations, tools, chains and blocks of measurements.
+"""A calibration by its stations, tools and chains.
 
 Where base, tools, stations and cameras are, the numbers that others need; what each of
 several is worth is shown only where there are several of them.

@@ -23,12 +23,10 @@ from calib_pin.estimation.formulation import (
 )
 from calib_pin.estimation.identifiability import (
     KINDS,
-    WEAK,
     Columns,
     Combination,
     Directions,
     Structure,
-    column_space,
     combinations,
     everett_count,
     geometric_columns,
@@ -36,13 +34,12 @@ from calib_pin.estimation.identifiability import (
     observability,
     practical_directions,
     robot_singular_values,
-    rounding,
     visible_nuisances,
 )
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, absorbed, distinct_values, known_count
 from calib_pin.estimation.statistics.variance_components import leverages
-from calib_pin.estimation.terms import FRAME, Block, Terms
+from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
@@ -55,7 +52,6 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.facts import still_joints
 from calib_pin.validation.model_errors import ModelErrors, quantity_errors
 from calib_pin.validation.result import (
-    BlockSummary,
     Breakdown,
     ChainSummary,
     Coefficient,
@@ -406,9 +402,6 @@ def _absorbed(
         yield RobotError(*error, status="absorbed", within=within)
 
 
-ROWS, ENOUGH = 10_000, 60
-"""Measurements that ranks look at: of all blocks, and least of each."""
-
 LIMITS = {"m": 0.01, "rad": 0.01, "px": 10.0}
 """Standard deviations up to which a value of a frame or an instrument is known."""
 
@@ -445,7 +438,6 @@ def breakdown(
         stations=tuple(told.frames(0)),
         tools=tuple(told.frames(1)),
         chains=tuple(told.chains()),
-        blocks=tuple(told.blocks()),
         coupled_frames=coupled_frames(model.fit, told.open),
         unknown=told.unknown(),
     )
@@ -502,25 +494,6 @@ class _Parts:
                 name, chain.base, chain.tip, chain.joints, count, errors, own
             )
 
-    def blocks(self) -> Iterator[BlockSummary]:
-        """The blocks."""
-        ranks = block_ranks(self.fit)
-        for block, (rank, added) in zip(self.problem.blocks, ranks, strict=True):
-            key, ((station, _), (tool, _)) = block.term.key, frames_of(block.term)
-            count, errors, noise = self._of([key])
-            yield BlockSummary(
-                key.model,
-                key.chain,
-                station.name,
-                tool.name,
-                measurements=count,
-                targets=tuple(filter(None, block.data.target.distinct)),
-                errors=errors,
-                noise=noise,
-                rank=rank,
-                added=added,
-            )
-
     def _of(
         self, keys: Collection[BlockKey]
     ) -> tuple[int, tuple[QuantityErrors, ...], tuple[VarianceComponent, ...]]:
@@ -558,55 +531,6 @@ class _Parts:
         # A thousandth of a motion that nothing shows.
         none = nothing > 1e-3 * np.linalg.norm(rows, axis=1)
         return np.asarray(none | (little > 1.0))
-
-
-def block_ranks(fitted: Fit) -> list[tuple[int, int]]:
-    """Numbers of errors of the robot that blocks tell, of each alone and added.
-
-    Those are added that the others do not tell without it. A direction counts as in a
-    fit: by its standard deviation, see `directions.WEAK`. What only one block has, such
-    as the frame of its station, it absorbs by itself; the rest of a block is a
-    triangular factor.
-    """
-    problem, robot = fitted.problem, fitted.directions.robot
-    if len(problem.blocks) == 1:
-        return [(robot.shape[1], robot.shape[1])]
-    parameters, further = problem.parameters, problem.further
-    known = further.jacobian(fitted.theta)[: len(further) - len(further.priors)]
-    indices = [np.unique(block.term.index) for block in problem.blocks]
-    used = np.bincount(np.concatenate(indices), minlength=len(parameters))
-    used[known.any(axis=0)] += 2
-    nuisances = parameters.free & parameters.nuisance
-    shared = np.eye(len(parameters))[:, nuisances & (used > 1)]
-    every = np.column_stack([shared, robot, fitted.directions.weak])
-    distances = known * parameters.scales @ every
-    sigma0 = fitted.sigma0 if np.isfinite(fitted.sigma0) else 0.0
-
-    def factor(block: Block) -> Floats:
-        """Triangular factor of a block without what it absorbs by itself, (k, k)."""
-        index, count = block.term.index, len(block.data)
-        few = min(max(ENOUGH, ROWS // len(problem.blocks)), count)
-        rows = np.linspace(0, count - 1, few).astype(np.int64)
-        sigma = block.table(problem.sigma)[rows]
-        J = block.term.jacobian(fitted.theta, block.data.rows(rows), sigma)
-        A = J.reshape(-1, len(index)) * parameters.scales[index] * (count / few) ** 0.5
-        U = column_space(A[:, (nuisances & (used == 1))[index]])
-        columns = A @ every[index]
-        return np.asarray(np.linalg.qr(columns - U @ (U.T @ columns), mode="r"))
-
-    def rank(parts: list[Floats]) -> int:
-        A = np.concatenate([*parts, distances])
-        U = column_space(A[:, : shared.shape[1]])
-        rest = A[:, shared.shape[1] :]
-        s = np.linalg.svd(rest - U @ (U.T @ rest), compute_uv=False)
-        return int((s > max(sigma0 / WEAK, rounding(A) * np.linalg.norm(A, 2))).sum())
-
-    factors = [*map(factor, problem.blocks)]
-    whole = rank(factors)
-    return [
-        (rank([own]), whole - rank([*factors[:k], *factors[k + 1 :]]))
-        for k, own in enumerate(factors)
-    ]
 
 
 def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:

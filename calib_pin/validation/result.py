@@ -673,35 +673,6 @@ class ChainSummary:
 
 
 @dataclass(frozen=True)
-class BlockSummary:
-    """A block of measurements, and the errors of the robot that it tells.
-
-    Attributes:
-        model: Name of the measurement model.
-        chain: Name of the chain; empty for the only one.
-        station: Name of the station among the parameters, see `FrameSummary.name`.
-        tool: Name of the tool.
-        measurements: Number of fitted measurements.
-        targets: Names of what was measured.
-        errors: Accuracy by quantity.
-        noise: Variance components.
-        rank: Errors of the robot that these measurements alone tell.
-        added: Errors of the robot that the others do not tell without these.
-    """
-
-    model: str
-    chain: str
-    station: str
-    tool: str
-    measurements: int
-    targets: tuple[str, ...]
-    errors: tuple[QuantityErrors, ...]
-    noise: tuple[VarianceComponent, ...]
-    rank: int
-    added: int
-
-
-@dataclass(frozen=True)
 class CoupledFrames:
     """Frames that measurements cannot tell apart, even if the robot were known.
 
@@ -726,7 +697,6 @@ class Breakdown:
         stations: The stations.
         tools: The tools.
         chains: The chains that were measured.
-        blocks: The blocks of measurements.
         coupled_frames: Frames that cannot be told apart.
         unknown: Names of parameters of frames and instruments whose values the
             measurements leave open; of a frame along its own axes.
@@ -738,7 +708,6 @@ class Breakdown:
     stations: tuple[FrameSummary, ...] = ()
     tools: tuple[FrameSummary, ...] = ()
     chains: tuple[ChainSummary, ...] = ()
-    blocks: tuple[BlockSummary, ...] = ()
     coupled_frames: tuple[CoupledFrames, ...] = ()
     unknown: tuple[str, ...] = ()
 

@@ -1,4 +1,4 @@
-"""The tables of stations, tools, chains and blocks."""
+"""The tables of stations, tools and chains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stations, tools, chains and blocks of a calibration, and what they have in common."""
+"""Stations, tools and chains of a calibration, and what they have in common."""
 
 from __future__ import annotations
 
@@ -9,13 +9,8 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.estimation.fit import fit_model
-from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.identifiability import WEAK, projected
-from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
-from calib_pin.validation.assessment import block_ranks
 
 
 @pytest.fixture(scope="module")
@@ -33,12 +28,6 @@ def test_numbers_and_names(result) -> None:
         (f"s{k}", result.model.chains[""].base, 30) for k in range(3)
     ]
     assert [(f.name, f.measurements) for f in result.tools] == [("t0", 45), ("t1", 45)]
-    assert [(b.station, b.tool, b.measurements) for b in result.blocks] == [
-        ("s0", "t0", 30),
-        ("s1", "t0", 15),
-        ("s1", "t1", 15),
-        ("s2", "t1", 30),
-    ]
     (chain,) = result.chains
     assert chain.measurements == 90 and chain.still == ()
     assert chain.errors == tuple(
@@ -125,39 +114,3 @@ def test_a_value_that_is_held_has_no_deviation(scara, calibrated_robot) -> None:
     (base,), (tool,) = found.stations, found.tools
     assert (base.unknown, tool.unknown, found.unknown) == ((), (), ())
     assert tool.sigma[2] == 0.0 and found.coupled_frames == ()
-
-
-def rank(fitted: Fit, kept: Observations) -> int:
-    """The rank of some blocks from all of their rows at once."""
-    problem = replace(fitted.problem, data=kept)
-    _, J = problem.linearize_rows(fitted.theta)
-    parameters = problem.parameters
-    A = J[: len(problem.sigma)] * parameters.scales
-    robot = np.column_stack([fitted.directions.robot, fitted.directions.weak])
-    s = np.linalg.svd(projected(A @ robot, A, parameters), compute_uv=False)
-    return int((s * WEAK > fitted.sigma0).sum())
-
-
-def test_ranks_are_those_of_all_rows_at_once(moved_job) -> None:
-    job = moved_job((30, 60), (45,), seed=0)
-    rng = np.random.default_rng(0)
-    blocks = []
-    for k, block in enumerate(job.named.blocks):
-        # Each block moves some joints only.
-        still = [joint for joint in range(6) if joint not in (k, k + 1, k + 2)]
-        q = block.q.copy()
-        q[:, still] = q[0, still]
-        at = replace(job.problem, data=Observations.of(replace(block, q=q)))
-        values = at.predict(job.theta, at.data.only)
-        values += 5e-5 * rng.normal(size=values.shape)
-        blocks.append(replace(block, q=q, values=values))
-    data = Observations.of(*blocks)
-    fitted = fit_model(job.chain, data, Setup(), 0).fit
-    found = block_ranks(fitted)
-    whole = rank(fitted, data)
-    for k, block in enumerate(blocks):
-        others = Observations.of(*blocks[:k], *blocks[k + 1 :])
-        assert found[k][0] == rank(fitted, Observations.of(block))
-        assert found[k][1] == whole - rank(fitted, others)
-    assert max(alone for alone, _ in found) < whole
-    assert max(added for _, added in found) > 0

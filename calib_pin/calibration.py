@@ -274,7 +274,6 @@ def _result(
             stated_sigma=states_sigmas(training),
             noise=fitted.noise,
             outliers=fitted.robust.outliers,
-            displaced=_displaced(judgement),
             gains=held_out.gains,
         ),
         **vars(breakdown(model, errors, accuracies)),
@@ -359,12 +358,6 @@ def _urdf(
         "" if own.verdict[0] == "good" else own.verdict[1],
         CalibratedModel.create(geometry.problem, geometry.theta),
     )
-
-
-def _displaced(judgement: Judgement) -> float | None:
-    """How far the tool would be off with what was set aside [m]; None without it."""
-    found = (finding.evidence.get("displaced") for finding in judgement.findings)
-    return next((float(moved) for moved in found if moved is not None), None)
 
 
 def _measured(

@@ -55,7 +55,6 @@ from calib_pin.validation.result import (
     Breakdown,
     ChainSummary,
     Coefficient,
-    Correlation,
     CoupledFrames,
     CoupledGroup,
     Frame,
@@ -68,9 +67,6 @@ from calib_pin.validation.result import (
     ToolAccuracy,
     frames_of,
 )
-
-CORRELATED = 0.95
-"""Absolute correlation above which two estimates are reported as a pair."""
 
 WEAK_PART = 0.1
 """Part of a sum in directions held at nominal from which it counts as weak."""
@@ -244,8 +240,8 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
         weak = max(len(fitted.structure.robot) - len(s), 0)
     s = s[s > 1e-12 * s.max(initial=0.0)]
     found = _ranks(problem, fitted.structure, s, len(problem.data))
-    found = replace(found, rank=rank, weak=weak, correlated=tuple(_correlated(fitted)))
-    return replace(found, revealed=fitted.directions.revealed)
+    revealed = fitted.directions.revealed
+    return replace(found, rank=rank, weak=weak, revealed=revealed)
 
 
 def _told(fitted: Fit) -> Floats:
@@ -281,23 +277,6 @@ def _ranks(
         observability=observability(s, configurations),
         scale_observable=structure.scaled,
     )
-
-
-def _correlated(fitted: Fit) -> Iterator[Correlation]:
-    """Pairs of identifiable sums of the robot whose estimates move together."""
-    parameters, every = fitted.problem.parameters, fitted.structure.combinations
-    own = [c for c in every if not parameters[c.terms[0][0]].nuisance]
-    own = [c for c in own if _estimate(c, parameters, fitted)[2]]
-    if not own or not np.isfinite(fitted.covariance).all():
-        return
-    names = [combination.expression(parameters.names) for combination in own]
-    C = np.array([combination.row(len(parameters)) for combination in own])
-    covariance = C @ fitted.covariance @ C.T
-    sigma = np.sqrt(np.diag(covariance))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = covariance / np.outer(sigma, sigma)
-    for i, j in np.argwhere(np.tril(np.abs(correlation) > CORRELATED, -1)).tolist():
-        yield Correlation(names[j], names[i], float(correlation[i, j]))
 
 
 def measurement_leverages(fitted: Fit) -> Floats:

@@ -418,9 +418,6 @@ class Statistics:
         stated_sigma: Whether the measurements state their standard deviations.
         noise: Variance components.
         outliers: Measurements with residuals too large to be chance, worst first.
-        displaced: How far the tool would be off from here, root mean square over the
-            workspace, with the rejected measurements fitted like the rest [m]; None
-            where none was rejected.
         gains: Paired tests on held-out configurations, the first of all quantities.
     """
 
@@ -430,7 +427,6 @@ class Statistics:
     stated_sigma: bool
     noise: tuple[VarianceComponent, ...] = ()
     outliers: tuple[Outlier, ...] = ()
-    displaced: float | None = None
     gains: tuple[Gain, ...] = ()
 
 
@@ -823,14 +819,6 @@ class RobotError:
     terms: tuple[Coefficient, ...] = ()
 
 
-class Correlation(NamedTuple):
-    """Two estimates that move together; a combination is named by its formula."""
-
-    first: str
-    second: str
-    correlation: float
-
-
 @dataclass(frozen=True)
 class FoundDistance:
     """A known distance beside what the calibration finds.
@@ -873,7 +861,6 @@ class Identifiability:
         weak: Number of structural directions that the measurements cannot tell.
         revealed: Number of directions that nominal geometry hides, estimated because
             the errors are so large that they show.
-        correlated: Pairs of estimates with a correlation above 0.95.
         scale_observable: Whether measurements tell how large the robot is.
     """
 
@@ -891,7 +878,6 @@ class Identifiability:
     observability: dict[str, float]
     weak: int = 0
     revealed: int = 0
-    correlated: tuple[Correlation, ...] = ()
     scale_observable: bool = True
 
 

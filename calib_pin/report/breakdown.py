@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from calib_pin.errors import counted
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.measurement_models.pinhole import INTRINSICS
-from calib_pin.report.blocks import Block, Cell, Names, Table, note, table
+from calib_pin.report.blocks import Block, Cell, Table, note, table
 from calib_pin.report.tables import UNIT, decimals, measures, significant
 from calib_pin.setup import CameraSetup
 from calib_pin.units import DISPLAY
@@ -60,24 +59,13 @@ def _plain(name: str) -> str:
     return name.partition(" (")[0]
 
 
-def told(found: Breakdown, *, details: bool = True) -> Iterator[Block]:
-    """Joints that never moved, and frames that cannot be told apart.
-
-    Args:
-        found: The breakdown.
-        details: Also the combinations of the frames.
-    """
+def told(found: Breakdown) -> Iterator[Block]:
+    """Joints that never moved."""
     for chain in found.chains:
         if chain.still:
             joints = f"joint{'s' * (len(chain.still) > 1)} {', '.join(chain.still)}"
             joints += f" of chain {chain.name}" * bool(chain.name)
             yield note(f"No measurement moves {joints}: held at nominal.")
-    coupled = [coupled.sentence for coupled in found.coupled_frames]
-    if details and coupled:
-        yield Names("Frames that cannot be told apart", coupled)
-    elif coupled:
-        said = counted(len(coupled), "combination")
-        yield note(f"Frames that cannot be told apart: {said}, see --details.")
 
 
 # --- where frames and cameras are ---------------------------------------------------

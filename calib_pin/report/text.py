@@ -115,7 +115,7 @@ def report(
     yield from accurate.beyond(result)
     yield from corrections(result)
     yield from frame_blocks(result)
-    yield from told(result, details=False)
+    yield from told(result)
     yield summary(result, () if alone else suggestions)
     if not alone:
         yield from held(result.robot_errors, details=False)

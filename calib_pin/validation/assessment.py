@@ -55,7 +55,6 @@ from calib_pin.validation.result import (
     Breakdown,
     ChainSummary,
     Coefficient,
-    CoupledFrames,
     CoupledGroup,
     Frame,
     FrameSummary,
@@ -387,18 +386,6 @@ LIMITS = {"m": 0.01, "rad": 0.01, "px": 10.0}
 FAR = 10.0
 """Times these from which a deviation says that nothing is known of its direction."""
 
-SHARE = 0.05
-"""Part of an unknown direction up to which a parameter hardly belongs to it."""
-
-UNKNOWNS = 400
-"""Most parameters of stations, tools and instruments that are looked at."""
-
-MOTIONS = {
-    **{axis: f"shift along {axis}" for axis in "xyz"},
-    **{f"r{axis}": f"turn about {axis}" for axis in "xyz"},
-}
-"""Parameters of a frame in words."""
-
 
 @serial_blas
 def breakdown(
@@ -417,7 +404,6 @@ def breakdown(
         stations=tuple(told.frames(0)),
         tools=tuple(told.frames(1)),
         chains=tuple(told.chains()),
-        coupled_frames=coupled_frames(model.fit, told.open),
         unknown=told.unknown(),
     )
 
@@ -540,53 +526,3 @@ def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
     little = np.zeros((len(parameters), int(far.sum())))
     nothing[free], little[index] = rest, V[:, far] * np.sqrt(squares[far])
     return nothing, little
-
-
-def coupled_frames(
-    fitted: Fit, unknown: tuple[Floats, Floats]
-) -> tuple[CoupledFrames, ...]:
-    """Frames that the measurements cannot tell apart.
-
-    Linear combinations of the parameters of stations, tools and instruments that are
-    known while their terms are not, as far as they are of several frames.
-
-    Args:
-        fitted: The fit.
-        unknown: The directions that are left open, see `left_open`.
-    """
-    problem, parameters = fitted.problem, fitted.problem.parameters
-    nothing, little = unknown
-    limits = np.array([LIMITS.get(p.unit, 0.0) for p in parameters])
-    scaled = little * (limits / parameters.scales)[:, None]
-    every = np.column_stack([nothing, scaled / np.linalg.norm(scaled, axis=0)])
-    nuisances = np.flatnonzero(np.abs(every).max(axis=1, initial=0.0) > SHARE)
-    if not 0 < len(nuisances) <= UNKNOWNS:
-        return ()
-    # Known are the sums along which nothing unknown lies.
-    count = every.shape[1]
-    Q, _ = np.linalg.qr(every[nuisances], mode="complete")
-    pivots, C = combinations(Q[:, count:].T, len(nuisances) - count)
-    frame_of = {
-        int(k): frame
-        for term in problem.terms.values()
-        for frame, index in frames_of(term)
-        for k in index
-    }
-    found = []
-    scales, names = parameters.scales[nuisances], parameters.names
-    for row, pivot in zip(C, pivots, strict=True):
-        coefficients = (row * scales[pivot] / scales).tolist()
-        pairs = zip(nuisances.tolist(), coefficients, strict=True)
-        terms = tuple((k, c) for k, c in pairs if abs(c) > 0.01)
-        moves = dict[Frame, list[str]]()
-        for k in (k for k, _ in terms if k in frame_of):
-            words = MOTIONS[names[k].rpartition(".")[2]]
-            moves.setdefault(frame_of[k], []).append(f"a {words}")
-        if len(moves) < 2:
-            continue
-        unit = parameters[int(nuisances[pivot])].unit
-        known = Combination(terms, unit).expression(names)
-        said = (f"{' and '.join(own)} of {at.label}" for at, own in moves.items())
-        sentence = f"{' cannot be told from '.join(said)}; only {known} is known"
-        found.append(CoupledFrames(tuple(f.name for f in moves), known, sentence))
-    return tuple(found)

@@ -668,21 +668,6 @@ class ChainSummary:
     still: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class CoupledFrames:
-    """Frames that measurements cannot tell apart, even if the robot were known.
-
-    Attributes:
-        frames: Their names, see `FrameSummary.name`.
-        expression: The linear combination of their parameters that is known.
-        sentence: The same in words.
-    """
-
-    frames: tuple[str, ...]
-    expression: str
-    sentence: str
-
-
 @dataclass(frozen=True, kw_only=True)
 class Breakdown:
     """The findings of a calibration, part by part.
@@ -693,7 +678,6 @@ class Breakdown:
         stations: The stations.
         tools: The tools.
         chains: The chains that were measured.
-        coupled_frames: Frames that cannot be told apart.
         unknown: Names of parameters of frames and instruments whose values the
             measurements leave open; of a frame along its own axes.
     """
@@ -704,7 +688,6 @@ class Breakdown:
     stations: tuple[FrameSummary, ...] = ()
     tools: tuple[FrameSummary, ...] = ()
     chains: tuple[ChainSummary, ...] = ()
-    coupled_frames: tuple[CoupledFrames, ...] = ()
     unknown: tuple[str, ...] = ()
 
     def unknown_of(self, kind: str, name: str) -> tuple[str, ...]:

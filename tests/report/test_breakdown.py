@@ -6,14 +6,13 @@ import math
 from typing import Any
 
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.report.blocks import Block, Line, Names, Table
+from calib_pin.report.blocks import Block, Line, Table
 from calib_pin.report.breakdown import parts, told
 from calib_pin.report.terminal import plain_text
 from calib_pin.validation.result import (
     Accuracy,
     Breakdown,
     ChainSummary,
-    CoupledFrames,
     FrameSummary,
     QuantityErrors,
 )
@@ -84,9 +83,3 @@ def test_stations_and_tools():
     )
     (line,) = told(Breakdown(chains=chains))
     assert isinstance(line, Line) and "c, d" in line.text
-
-
-def test_frames_that_cannot_be_told_apart():
-    coupled = CoupledFrames(("day1", "probe"), "", "day1 and probe turn together")
-    blocks = list(told(Breakdown(coupled_frames=(coupled,))))
-    assert blocks == [Names("Frames that cannot be told apart", [coupled.sentence])]

@@ -112,8 +112,7 @@ def places(
                 continue
             found.append(Place(link, child, pose))
     if not known:
-        sums = [f"only {sums.expression} is known" for sums in result.coupled_frames]
-        remarks.append("; ".join([REMEDY, *sums]))
+        remarks.append(REMEDY)
     return found, tuple(remarks)
 
 

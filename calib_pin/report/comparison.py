@@ -128,13 +128,6 @@ def _origin(record: CalibrationResult) -> str:
     return f"{file}: {how}, {kinds}{created and f'; {created[:10]}'}"
 
 
-INSIGNIFICANT = 0.01
-"""Probability by chance from which a displacement is none."""
-
-FAR = 0.01
-"""Distance between the tools from which it matters which of them is compared [m]."""
-
-
 def tip_differences(found: compared.Comparison) -> Iterator[Block]:
     """The distance of the tool points, its maximum, and what is no drift."""
     rows = []
@@ -152,7 +145,6 @@ def tip_differences(found: compared.Comparison) -> Iterator[Block]:
     yield note(" ".join(_how(found)))
     if not found.identical:
         yield _farthest(found)
-    yield from _frames(found)
 
 
 def _how(found: compared.Comparison) -> Iterator[str]:
@@ -163,11 +155,6 @@ def _how(found: compared.Comparison) -> Iterator[str]:
     yield f"{of}fit: it is no drift." if absorbed else "Base and tool are known."
     if not found.drift.oriented:
         yield "The measurements contain no orientations."
-    if any(d.of_tool and d.shift > FAR for d in found.displacements):
-        yield (
-            "The tool point of A is compared; that of B was elsewhere, and B may be "
-            "less certain at A's."
-        )
     if found.drift.explained is None:
         return
     ends = "" if len(absorbed) == 2 else ", base and tool included"
@@ -189,31 +176,8 @@ def _farthest(found: compared.Comparison) -> Facts:
     return Facts(f"Largest difference{_where(found)}: {largest}", [*facts.items()])
 
 
-def _frames(found: compared.Comparison) -> Iterator[Facts]:
-    """The displacements of base and tool, which are no drift of the robot."""
-    entries = [(d.frame, _displaced(d)) for d in found.displacements]
-    if entries:
-        yield Facts("Displaced in B, which is no drift of the robot", entries)
-
-
-def _displaced(moved: compared.Displacement) -> str:
-    """The displacement of a frame in words, with its uncertainty where it is known."""
-    both = [(moved.shift, "m", moved.sigma[0])]
-    if moved.turn is not None:
-        both.append((moved.turn, "rad", moved.sigma[1]))
-    words = " and ".join(
-        tables.amount(size, unit)
-        + (f" +- {tables.amount(sigma, unit)}" if math.isfinite(sigma) else "")
-        for size, unit, sigma in both
-    )
-    words += f", relative to the {'tip link' if moved.of_tool else 'instrument'}"
-    if math.isfinite(moved.motion):
-        words += f"; it moves the tool points by {tables.amount(moved.motion, 'm')}"
-    return words + ("; no more than noise" if moved.chance > INSIGNIFICANT else "")
-
-
 def parameter_changes(found: compared.Comparison) -> Iterator[Block]:
-    """The differences beyond their uncertainty, and what only one calibration has."""
+    """The differences beyond their uncertainty."""
     if not found.same_nominal:
         return
     if found.moved:
@@ -227,8 +191,6 @@ def parameter_changes(found: compared.Comparison) -> Iterator[Block]:
         titles = ("", "B - A", "std. dev.", "ratio", tables.UNIT)
         yield table(title, titles, rows)
     yield note(" ".join(_counted(found)))
-    for label, names in zip("AB", found.alone, strict=True):
-        yield from tables.listed(f"identifiable in {label} only", names)
 
 
 def _counted(found: compared.Comparison) -> Iterator[str]:
@@ -244,10 +206,6 @@ def _counted(found: compared.Comparison) -> Iterator[str]:
         yield "No parameter and no combination of the robot is identified by both."
     if found.moved and found.drifted is False:
         yield "The differences move the tool point by no more than noise does."
-    if any(found.sums_alone):
-        first, second = found.sums_alone
-        only = counted(first, "combination")
-        yield f"Identified in A only: {only}; in B only: {second}."
     both = found.first, found.second
     if any(len(one.groups) > len(compared.robot_groups(one)) for one in both):
         yield "Combinations with terms of base, tool or instrument are left out."

@@ -9,34 +9,28 @@ frame can absorb: with another base, another first joint is the same robot.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import product
 
 import numpy as np
-import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.estimation.evidence import Finding, PoseErrors, rms
-from calib_pin.estimation.statistics.population_prior import chance_of
-from calib_pin.estimation.terms import FRAME, Term
-from calib_pin.estimation.tip_accuracy import frame_motions
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats, invert
-from calib_pin.observations import BlockKey
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.findings.calibrations import different_robots
 from calib_pin.validation.result import (
     CalibrationResult,
     Coefficient,
     CoupledGroup,
-    Frame,
     Printed,
     ToolAccuracy,
     frames_of,
 )
-from calib_pin.validation.tip_drift import NEGLIGIBLE, TipDrift, absorbed, tip_drift
+from calib_pin.validation.tip_drift import NEGLIGIBLE, TipDrift, tip_drift
 
 BOUND = 3.0
 """Standard deviations within which estimates agree; one in 370 lies beyond by chance.
@@ -61,18 +55,12 @@ DESCRIBED = 1.2
 ORIENTED = ("orientation", "pixel")
 """Quantities that depend on how the tool is turned, whatever point of it is seen."""
 
-SAMPLES = 300
-"""Configurations at which displacements of frames are found."""
-
 SAME = 1e-9
-"""Largest difference between places of one nominal robot, or of a frame [m, rad], and
+"""Largest difference between places of one nominal robot [m, rad], and
 least standard deviation of a difference [SI]: of noise-free data only rounding."""
 
 ENDS = ("chain starts at", "chain ends at", "joints are")
 """Properties by which a chain is the same one, in words."""
-
-UNKNOWN = PoseErrors(math.nan, math.nan)
-"""Sizes that nobody knows."""
 
 
 @dataclass(frozen=True)
@@ -106,34 +94,6 @@ class Difference:
         return abs(self.change) / self.sigma
 
 
-@dataclass(frozen=True)
-class Displacement:
-    """How far a frame stands from where it stood.
-
-    Attributes:
-        frame: `base`, seen from the measurement frame, or `tool`, seen from the tip; of
-            several the name of the station or the tool.
-        shift: Distance between both origins [m].
-        turn: Angle between both orientations [rad]; None where rows do not tell.
-        of_tool: Whether it is that of a tool.
-        sigma: Standard deviation of a component of the shift [m] and of the turn [rad],
-            by the noise of both calibrations and by a drift of the robot that looks
-            like it; NaN where it is not known.
-        chance: Probability that these alone displace it as far; NaN where that is not
-            known.
-        motion: How far that moves the tool points, root mean square over the workspace
-            [m].
-    """
-
-    frame: str = field(metadata={"key": None})
-    shift: float = field(metadata={"key": "position"})
-    turn: float | None = field(metadata={"key": "orientation"})
-    of_tool: bool = field(default=False, metadata={"key": None})
-    sigma: PoseErrors = UNKNOWN
-    chance: float = math.nan
-    motion: float = field(default=math.nan, metadata={"key": "tool_point"})
-
-
 @dataclass(frozen=True, repr=False)
 class Comparison(Printed):
     """Two calibrations of one robot.
@@ -145,12 +105,6 @@ class Comparison(Printed):
             deviate from different robots and are not compared.
         differences: Differences of robot parameters known to both, the most significant
             first.
-        alone: Names of the robot's parameters that have a standard deviation of their
-            own in the first calibration only, and in the second only.
-        sums_alone: Number of sums of the robot's parameters that only the first, and
-            only the second, knows.
-        displacements: How far base and tool stand from where they stood, where they
-            are not the same.
         drifts: How far the tips are apart, by the name of the chain in the first.
     """
 
@@ -158,9 +112,6 @@ class Comparison(Printed):
     second: CalibrationResult
     same_nominal: bool
     differences: tuple[Difference, ...]
-    alone: tuple[tuple[str, ...], tuple[str, ...]]
-    sums_alone: tuple[int, int]
-    displacements: tuple[Displacement, ...]
     drifts: Mapping[str, TipDrift]
 
     @property
@@ -245,7 +196,7 @@ def compare(
     for name, other in chains.items():
         pair = (first, name), (second, other)
         known = [
-            _free(record, term, instrument=True)
+            _free(record, term)
             for record, chain in pair
             for term in record.model.terms.values()
             if term.key.chain == chain
@@ -270,15 +221,8 @@ def compare(
             terms = a.terms if len(a.terms) > 1 else ()
             values = a.value, b.value, sigma
             differences.append(Difference(a.expression, a.unit, *values, terms))
-    left = [[own[key] for key in own if key not in shared] for own in (here, there)]
-    mine, theirs = (
-        tuple(one.expression for one in own if len(one.terms) == 1) for own in left
-    )
     ordered = tuple(sorted(differences, key=lambda d: -d.significance))
-    sums = len(left[0]) - len(mine), len(left[1]) - len(theirs)
-    alone = mine, theirs
-    found = Comparison(first, second, same, ordered, alone, sums, (), drifts)
-    return replace(found, displacements=tuple(_displacements(found, seed)))
+    return Comparison(first, second, same, ordered, drifts)
 
 
 def faults(found: Comparison) -> tuple[Finding, ...]:
@@ -382,91 +326,13 @@ def _places(of: CalibratedChain) -> Floats:
     return np.vstack([chain.axes, *(pose.homogeneous[:3].T for pose in poses)])
 
 
-def _free(record: CalibrationResult, term: Term, *, instrument: bool) -> list[bool]:
-    """Whether anything at base and tool of a part was estimated.
-
-    Args:
-        record: The calibration.
-        term: The part.
-        instrument: Whether what the instrument has there counts as well.
-    """
+def _free(record: CalibrationResult, term: Term) -> list[bool]:
+    """Whether anything at base and tool of a part or its instrument was estimated."""
     free = np.array([p.status != "fixed" for p in record.parameters])
-    own = term.parameters[len(term.error.screws) :] if instrument else ()
+    own = term.parameters[len(term.error.screws) :]
     ends = [p.outer for p, of in zip(own, free[term.of_instrument], strict=False) if of]
     frames = (free[index].any() for _, index in frames_of(term))
     return [
         bool(frame) or outer in ends
         for frame, outer in zip(frames, (True, False), strict=True)
     ]
-
-
-def _displacements(found: Comparison, seed: int) -> list[Displacement]:
-    """How far the frames that two calibrations have stand from where they stood."""
-    first, second = found.first.model, found.second.model
-    chains, moved = partners(first, second), dict[Frame, Displacement]()
-    for term, other in product(first.terms.values(), second.terms.values()):
-        chain, pair = term.key.chain, (frames_of(term), frames_of(other))
-        mine, theirs = ([frame for frame, _ in frames] for frames in pair)
-        new = {*mine} & {*theirs} - moved.keys()
-        same = chains.get(chain, chain) == other.key.chain
-        if same and term.error.chain.joints and new:
-            both = zip(mine, _moved(found, term.key, other.key, seed), strict=True)
-            moved |= {frame: one for frame, one in both if frame in new}
-    far = (d for d in moved.values() if max(d.shift, d.turn or 0.0) > SAME)
-    return sorted(far, key=lambda d: (d.of_tool, d.frame))
-
-
-def _moved(
-    found: Comparison, mine: BlockKey, theirs: BlockKey, seed: int
-) -> Iterator[Displacement]:
-    """The displacements of base and tool of a part of each calibration."""
-    records, drift = ((found.first, mine), (found.second, theirs)), found.drift
-    here, there = (record.model.of(key) for record, key in records)
-    terms = [(record, record.model.terms[key]) for record, key in records]
-    free = np.any([_free(*one, instrument=False) for one in terms], axis=0)
-    q = here.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
-    A, B = here.poses(q), there.poses(q)
-    _, L, R = absorbed(A, B, left=free[0], right=free[1])
-    stood, tool_of = here.error.base.homogeneous, here.tool.homogeneous
-    left = invert(L) if free[0] else there.error.base.homogeneous @ invert(stood)
-    right = invert(R) if free[1] else invert(tool_of) @ there.tool.homogeneous
-    C = np.full((12, 12), np.nan)
-    if free.any():
-        # As many times more of a drift beyond noise may look like a displacement.
-        known = drift.explained is not None and not found.identical
-        blurred = max(drift.ratio, 1.0) if known else 1.0
-        C = blurred**2 * np.sum([_covariance(*one, q) for one in records], axis=0)
-    motions = (invert(stood) @ left @ stood, left @ A), (right, A @ right)
-    ends = zip(frames_of(terms[0][1]), motions, strict=True)
-    for k, ((frame, _), (motion, tools)) in enumerate(ends):
-        twist, told = pin.log6(pin.SE3(motion)).vector, drift.oriented or k == 0
-        own = C[FRAME * k : FRAME * (k + 1), FRAME * k : FRAME * (k + 1)]
-        seen, squares = slice(0, 6 if told else 3), np.diag(own).reshape(2, 3)
-        yield Displacement(
-            frame=frame.name,
-            shift=float(np.linalg.norm(motion[:3, 3])),
-            turn=float(np.linalg.norm(twist[3:])) if told else None,
-            of_tool=k == 1,
-            sigma=PoseErrors(*np.sqrt(squares.mean(axis=1)).tolist()),
-            chance=_chance(twist[seen], own[seen, seen]),
-            motion=rms(np.linalg.norm((tools - A)[:, :3, 3], axis=1)),
-        )
-
-
-def _covariance(result: CalibrationResult, key: BlockKey, q: Floats) -> Floats:
-    """Covariance of the motions of base and tool that noise looks like, (12, 12).
-
-    NaN where the calibration does not know its own.
-    """
-    _, J, C = result.linearized(result.reference.terms[key], q)
-    motions = frame_motions(J, J)
-    return np.asarray(motions @ C @ motions.T)
-
-
-def _chance(twist: Floats, C: Floats) -> float:
-    """Probability that noise of a covariance alone brings as large a twist."""
-    if not np.isfinite(C).all():
-        return float("nan")
-    # A millionth of the largest deviation; below, nothing is known of a direction.
-    least = 1e-12 * float(np.linalg.norm(C, 2))
-    return chance_of(twist, C, least) if least else float(not twist.any())

@@ -40,7 +40,6 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
-    chi_square_tail,
     student_quantile,
 )
 from calib_pin.estimation.statistics.variance_components import (
@@ -59,9 +58,6 @@ LEAST = 5
 
 SMALLEST = 1e-6
 """Least variance, in squared scales or expected sizes: a spread of a micrometer."""
-
-TOLD = 0.01
-"""Part of a spread that the measurements of a robot must tell to count."""
 
 
 @dataclass(frozen=True)
@@ -130,20 +126,6 @@ def prior_of_type(evidences: Sequence[RobotEvidence]) -> PopulationPrior:
         covariance=tuple(map(tuple, (covariance * np.outer(scales, scales)).tolist())),
         noise=_median_noise(evidences),
     )
-
-
-def chance_of(u: Floats, covariance: Floats, least: float = TOLD) -> float:
-    """Probability of so large deviations, along what is known of them.
-
-    Args:
-        u: The deviations, shape (n,).
-        covariance: Their covariance, shape (n, n).
-        least: Variance below which nothing is known of a direction.
-    """
-    values, vectors = np.linalg.eigh(covariance)
-    told = values > least
-    square = float(np.sum((vectors[:, told].T @ u) ** 2 / values[told]))
-    return chi_square_tail(square, int(told.sum())) if told.any() else 1.0
 
 
 def _median_noise(evidences: Sequence[RobotEvidence]) -> Mapping[str, float]:

@@ -305,7 +305,7 @@ SOLID = ("srdf", "clearance")
 
 @dataclass(frozen=True, kw_only=True)
 class Plan(
-    options.Untouched,
+    options.QuietAnswer,
     options.InDegrees,
     options.Shared,
     options.OfChain,
@@ -331,6 +331,8 @@ class Plan(
         tests: Configurations where the robot is to be accurate; by default everywhere.
         accept: Plan an acceptance test instead: five poses of a cube, and its schedule.
         cycles: Visits of each pose of an acceptance test.
+        srdf: SRDF file of the pairs of links that need no collision check.
+        clearance: Least distance from obstacles and between links [m]; default 0.01.
         ignore_collisions: Check no collisions.
         output: File of configurations to write.
     """
@@ -346,6 +348,8 @@ class Plan(
     tests: Annotated[Path | None, Told("CSV", "Plan")] = None
     accept: Annotated[bool, Told("", "Plan", excludes=SELECTED)] = False
     cycles: Annotated[int, Told("N", "Plan", (3, 1000), needs="accept")] = 30
+    srdf: Annotated[Path | None, Told("FILE", "Constraints")] = None
+    clearance: Annotated[float, Told("S", "Constraints", (0, 1))] = 0.01
     ignore_collisions: Annotated[bool, Told("", "Constraints", excludes=SOLID)] = False
     output: Annotated[Path, Told("CSV", "Output")]
 
@@ -358,15 +362,15 @@ FRAME, POINT = known("frame", "", *FRAMES), known("point", "", *POINTS)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compensate(options.Untouched, options.InDegrees, options.OfChain):
+class Compensate(options.QuietAnswer, options.InDegrees, options.OfChain):
     """Find joint commands that reach targets on the real robot.
 
     Commands for targets have a column 'row', the line of the target. A motion keeps its
     other columns; its commands bring the tip link to where that of the nominal robot
     would be in the base link (with fewer than six joints: its position), as exactly as
-    base and tool are known. Exit status 2: a target cannot be reached (only the others
-    are written, of a motion none), a straight move to it collides or the calibration
-    must not be trusted (no command is written).
+    base and tool are known. Collisions are not checked. Exit status 2: a target cannot
+    be reached (only the others are written, of a motion none), or the calibration must
+    not be trusted (no command is written).
 
     Attributes:
         calibration: A calibration.
@@ -383,8 +387,6 @@ class Compensate(options.Untouched, options.InDegrees, options.OfChain):
         station: Station in whose measurement frame the targets are; default the first.
         tool: Tool to bring there; default the first.
         position: Reach positions only, with any orientation.
-        avoid_collisions: Touch neither the robot itself nor the obstacles of the setup
-            at targets, and check the straight moves between them.
         format: csv (default); urscript, a program of moves; joint-trajectory, a message
             of ROS (YAML).
         speed: Part of the URDF's joint speeds at which commands follow one another: of
@@ -401,7 +403,6 @@ class Compensate(options.Untouched, options.InDegrees, options.OfChain):
     station: Annotated[str | None, Told("NAME", "Targets")] = None
     tool: Annotated[str | None, Told("NAME", "Targets")] = None
     position: Annotated[bool, Told("", "Targets")] = False
-    avoid_collisions: Annotated[bool, Told("", "Constraints")] = False
     format: Annotated[str, Told("NAME", "Output", PROGRAM)] = "csv"
     speed: Annotated[float | None, Told("PART", "Output", (1e-3, 1))] = None
 

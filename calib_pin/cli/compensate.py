@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +26,6 @@ from calib_pin.io.exchange.motions import PROGRAMS, moving_times, paced, speed_l
 from calib_pin.io.results import document_file, read_result, written_before
 from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.observations import BlockKey, Indices
@@ -39,14 +36,12 @@ from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain
 from calib_pin.validation.result import CalibrationResult
 
-FAULTS = UNREACHED, COLLIDING, BLOCKED, HASTY, TORN = (
+FAULTS = UNREACHED, HASTY, TORN = (
     "out of reach",
-    "in collision",
-    "no free move to",
     "faster than the URDF allows",
     "discontinuity in joint space",
 )
-"""Faults of targets; a motion is whole, other targets of the first two are left out."""
+"""Faults of targets; a motion is whole, other targets of the first are left out."""
 
 Accuracy = Mapping[str, Mapping[str, object]]
 """Errors of the calibration itself by quantity, see `model_errors`."""
@@ -87,22 +82,17 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
         doubt = f"{file} must not be trusted: {result.reason}"
     key = block_of(result.model, asked.chain, asked.station, asked.tool)
     model = with_payload(result.model.of(key), asked.payload, file)
-    chain, robot = model.chain, model.chain.robot.file
+    robot = model.chain.robot.file
     own: list[str | Path] = [robot, file.parent / robot, *written_before(file)]
     files.check_outputs([output], own, asked.force)
     targets, timed = read(asked, model, stated)
     for remark in _remarks(asked, result, key, targets):
         asked.tell(remark)
-    collisions = None
-    if asked.avoid_collisions:
-        obstacles = stated.obstacles or model.setup.obstacles
-        solid = asked.collisions(chain, obstacles, stated.file or str(file))
-        collisions = solids_of("--avoid-collisions", chain, solid)
-    done = commanded(asked, model, targets, timed, collisions)
+    done = commanded(asked, model, targets, timed)
     missed = {fault: lines for fault, lines in done.faults.items() if lines}
-    apart = targets.T is not None and missed.keys() <= {UNREACHED, COLLIDING}
+    apart = targets.T is not None and missed.keys() <= {UNREACHED}
     contents = {}
-    if not doubt and (not missed or (apart and done.found.good.any())):
+    if not doubt and (not missed or (apart and done.found.reached.any())):
         comments = [f"commands of: {printing.told_command(words)}"]
         contents[output] = encoded(asked, done, comments)
     asked.give(
@@ -126,8 +116,6 @@ def _report(
         yield from (trust.judged(doubt), blocks.Line(""))
     about = {"motion": motion, "file": str(asked.targets), "lines": lines}
     yield from texts.compensation_report(done.found, done.chain, **about)
-    if asked.avoid_collisions:
-        yield from texts.ways_report(done.faults[COLLIDING], done.faults[BLOCKED])
     yield from texts.hasty_lines(done.faults[HASTY])
     yield from texts.accuracy_lines(accuracy)
 
@@ -157,10 +145,9 @@ def checked(asked: Compensate) -> Setup:
     """The setup, of options that go together and files that may be written."""
     if asked.format != "csv" and asked.degrees:
         raise OptionError("--degrees is for --format csv")
-    stated, avoided = files.open_setup(asked.setup), asked.avoid_collisions
-    files.require_folders(asked.package_dir or [])
-    files.require_joints_only(asked.setup, stated, *["obstacles"] * avoided)
-    inputs = (document_file(asked.calibration), asked.targets, asked.setup, asked.srdf)
+    stated = files.open_setup(asked.setup)
+    files.require_joints_only(asked.setup, stated)
+    inputs = (document_file(asked.calibration), asked.targets, asked.setup)
     files.check_outputs([asked.output], inputs, asked.force)
     return stated
 
@@ -196,14 +183,11 @@ def commanded(
     model: CalibratedChain,
     targets: Targets,
     timed: Floats | None,
-    collisions: Collisions | None,
 ) -> Commanded:
     """Commands for targets that are reached by times (N,) [s], and what is wrong."""
     motion, lines = targets.T is None, targets.table.lines
-    free = None if collisions is None else collisions.free
     with printing.progress_bar(quiet=asked.quiet) as bar:
-        about: dict[str, Any] = {"free": free}
-        about["progress"] = printing.stage(bar, "compensate")
+        about: dict[str, Any] = {"progress": printing.stage(bar, "compensate")}
         if targets.T is not None:
             about["orientation"] = targets.oriented and not asked.position
             about["frame"] = asked.frame or FRAMES[0]
@@ -213,16 +197,12 @@ def commanded(
             assert targets.q is not None
             turned = not asked.position and len(targets.columns.tells) >= 6
             found = compensation.follow(model, targets.q, orientation=turned, **about)
-    (rows,) = np.nonzero(found.good)
-    q, times, hasty, blocked = found.q[rows], None, rows[:0], list[int]()
-    if collisions is not None:
-        moves = enumerate(pairwise(q), 1)
-        blocked = [k for k, move in moves if not collisions.move_is_free(*move)]
+    (rows,) = np.nonzero(found.reached)
+    times, hasty = None, rows[:0]
     if timed is not None and len(rows):
-        times, hasty = paced(model.chain, q, rows, timed)
-    torn = motion and found.complete
-    at = (~found.reached, found.collides, rows[blocked], hasty)
-    faults = zip(FAULTS, (*at, found.jumps & torn), strict=True)
+        times, hasty = paced(model.chain, found.q[rows], rows, timed)
+    torn = found.jumps & (motion and found.complete)
+    faults = zip(FAULTS, (~found.reached, hasty, torn), strict=True)
     named = {fault: lines[of].tolist() for fault, of in faults}
     return Commanded(model.chain, targets, found, rows, times, named)
 
@@ -242,21 +222,3 @@ def encoded(asked: Compensate, done: Commanded, comments: Sequence[str]) -> byte
     return encode_commands(
         targets, q, done.rows, degrees=asked.degrees, times=times, comments=comments
     )
-
-
-def solids_of(option: str, chain: Chain, collisions: Collisions | None) -> Collisions:
-    """The collisions of a chain.
-
-    Raises:
-        OptionError: If its URDF describes no solids, which an option needs, or a joint
-            follows one elsewhere.
-    """
-    chains = Chains.of(chain)
-    if len(chains.joints) > len(chain.joints):
-        reason = f"{option} needs the joints that others mimic in the chain"
-        raise OptionError(reason, value=chains.joints[-1])
-    if collisions is None:
-        reason = f"{option} needs the solids of the robot, and the URDF has none"
-        file, allowed = chain.robot.file, "<collision> in its links"
-        raise OptionError(reason, file=file, allowed=allowed)
-    return collisions

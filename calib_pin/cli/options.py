@@ -24,12 +24,10 @@ from calib_pin.errors import OptionError, require_known
 from calib_pin.units import as_number
 
 if TYPE_CHECKING:
-    from calib_pin.kinematics.chain import Chain
     from calib_pin.kinematics.chains import Chains
-    from calib_pin.kinematics.collision import Collisions
     from calib_pin.observations import BlockKey, Observations
     from calib_pin.report.blocks import Block
-    from calib_pin.setup import Obstacle, Setup
+    from calib_pin.setup import Setup
     from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.workers import Workers
 
@@ -233,9 +231,7 @@ class OfPackages:
             repeated.
     """
 
-    package_dir: Annotated[
-        list[Path] | None, Told("DIR", "Robot", needs="avoid_collisions")
-    ] = None
+    package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -585,36 +581,3 @@ def asked_workers(
 
     with LocalProcesses(count, PATIENCE if patience is None else patience) as local:
         yield local
-
-
-@dataclass(frozen=True, kw_only=True)
-class Untouched(QuietAnswer, OfPackages):
-    """The collisions that a command looks after, as they are asked for.
-
-    Attributes:
-        srdf: SRDF file of the pairs of links that need no collision check.
-        clearance: Least distance from obstacles and between links [m]; default 0.01.
-    """
-
-    srdf: Annotated[
-        Path | None, Told("FILE", "Constraints", needs="avoid_collisions")
-    ] = None
-    clearance: Annotated[
-        float | None, Told("S", "Constraints", (0, 1), needs="avoid_collisions")
-    ] = None
-
-    def collisions(
-        self, chain: Chain | Chains, obstacles: Sequence[Obstacle], file: str
-    ) -> Collisions | None:
-        """The collisions of a robot; none if its URDF describes no solids."""
-        from calib_pin.io.collision import CLEARANCE, load_collisions
-
-        return load_collisions(
-            chain,
-            obstacles,
-            srdf=self.srdf,
-            package_dirs=self.package_dir or [],
-            clearance=CLEARANCE if self.clearance is None else self.clearance,
-            notice=None if self.quiet else notice,
-            file=file,
-        )

@@ -10,11 +10,11 @@ import numpy as np
 
 from calib_pin.cli import files, options, printing
 from calib_pin.cli.asked import Plan
-from calib_pin.cli.compensate import solids_of
 from calib_pin.control.acceptance_poses import acceptance_poses
 from calib_pin.errors import CalibPinError, OptionError, counted, enumerated
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import measurements
+from calib_pin.io.collision import load_collisions
 from calib_pin.io.exchange.motions import speed_limits
 from calib_pin.io.measured_columns import shown_columns
 from calib_pin.io.measurements import encode_configurations, encode_table
@@ -43,7 +43,15 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     chains, keys, rows, stated = _opened(asked, stated, older)
     collisions, command, poses = None, printing.told_command(words), None
     if not asked.ignore_collisions:
-        collisions = asked.collisions(chains, stated.obstacles, stated.file)
+        collisions = load_collisions(
+            chains,
+            stated.obstacles,
+            srdf=asked.srdf,
+            package_dirs=asked.package_dir or [],
+            clearance=asked.clearance,
+            notice=None if asked.quiet else printing.notice,
+            file=stated.file,
+        )
     if asked.accept:
         return _acceptance(asked, chains, keys, stated, collisions, command)
     if asked.tests is not None:
@@ -135,8 +143,9 @@ def _acceptance(
     chain = chains[chains.names[0]]
     problem, count = nominal_problem(chains, keys, setup), len(chain.joints)
     lower, upper = joint_limits(problem)
-    if collisions is not None:
-        collisions = solids_of("--accept", chain, collisions)
+    if collisions is not None and len(chains.joints) > len(chain.joints):
+        reason = "--accept needs the joints that others mimic in the chain"
+        raise OptionError(reason, value=chains.joints[-1])
     (term,) = problem.terms.values()
     found = acceptance_poses(
         chain,

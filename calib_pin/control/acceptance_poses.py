@@ -15,10 +15,11 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.control.joints import Joints, Kinematics
-from calib_pin.control.reaching import Free, Task, reach, search
+from calib_pin.control.reaching import Task, reach, search
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
+from calib_pin.observations import Booleans
 from calib_pin.setup import Region
 
 EDGES = (1.0, 0.63, 0.4, 0.25)
@@ -41,6 +42,9 @@ CENTERS = 16
 
 TURNS = 12
 """Orientations of random configurations that are tried after the usual ones."""
+
+Free = Callable[[Floats], Booleans]
+"""Joint positions of a chain, (N, n), to whether nothing touches there, (N,)."""
 
 Moves = Callable[[Floats, Floats], bool]
 """Whether the straight move between two configurations, (n,) each, is free."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.control.calibrated import Frame, Point, has_sides, kinematics
 from calib_pin.control.joints import Joints, Solutions
-from calib_pin.control.reaching import Free, Task, free_solutions, reach, search
+from calib_pin.control.reaching import Task, reach, search
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Signs, approached
 from calib_pin.progress import Progress
@@ -41,8 +41,6 @@ class Compensation(Brief, Solutions):
         at_limit: Whether a joint stands at its limit, shape (N,).
         outside: Whether the command is outside the region in which the learned
             correction was trained, shape (N,); False where nothing was learned.
-        collides: Whether something touches at the command, shape (N,); False where
-            that is not looked at.
         sides: Sign of the last motion of each joint that the command reckons with,
             shape (N, n); 0 where it is not known, or makes no difference.
         oriented: Whether orientations count.
@@ -53,7 +51,6 @@ class Compensation(Brief, Solutions):
     orientation_before: Floats
     at_limit: NDArray[np.bool_]
     outside: NDArray[np.bool_]
-    collides: NDArray[np.bool_]
     sides: Signs
     oriented: bool
 
@@ -64,14 +61,9 @@ class Compensation(Brief, Solutions):
         return np.asarray(found[np.isfinite(found).all(axis=1)])
 
     @property
-    def good(self) -> NDArray[np.bool_]:
-        """Whether the target is reached, and nothing touches there, shape (N,)."""
-        return np.asarray(self.reached & ~self.collides)
-
-    @property
     def complete(self) -> bool:
-        """Whether all targets are."""
-        return bool(self.good.all())
+        """Whether all targets are reached."""
+        return bool(self.reached.all())
 
     @property
     def jumps(self) -> NDArray[np.bool_]:
@@ -92,7 +84,6 @@ def compensate(
     frame: Frame = "measuring",
     point: Point = "tool",
     orientation: bool = True,
-    free: Free | None = None,
     before: Floats | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
@@ -110,7 +101,6 @@ def compensate(
         frame: Frame of the targets, see `kinematics`.
         point: The point that shall reach them.
         orientation: Whether orientations count; else only positions do.
-        free: Where nothing touches; where something does, other solutions are sought.
         before: Where the robot stands before the first command, shape (n,) [rad, m].
         progress: Told the part that is done, 0 to 1.
 
@@ -133,15 +123,8 @@ def compensate(
     before = before if before is None else as_array("before", before, count)
     task = Task.of(real, targets, joints, start, orientation)
     found = _in_parts(search, task, progress)
-    collides = np.zeros(len(targets), bool)
-    if free is not None:
-        (touching,) = np.nonzero(found.reached & ~free(found.q))
-        others = free_solutions(task.rows(touching), found.rows(touching), free)
-        good = others.reached
-        collides[touching] = ~good
-        found = found.replaced(touching[good], others.rows(good))
     if start is None:
-        kept = np.flatnonzero(found.reached & ~collides)
+        kept = np.flatnonzero(found.reached)
         driven = joints.driven(found.q[kept])
         unwound = joints.unwound(driven)
         turned = (unwound != driven).any(axis=1)
@@ -152,7 +135,7 @@ def compensate(
     imagined = kinematics(model, frame=frame, point=point, nominal=True)
     nominal = reach(Task.of(imagined, targets, joints, found.q, orientation))
     plain = np.where(nominal.reached[:, None], nominal.q, np.nan)
-    result = replace(_compensation(model, task, found, plain), collides=collides)
+    result = _compensation(model, task, found, plain)
     return _from_sides(model, targets, result, before, frame, point)
 
 
@@ -162,7 +145,6 @@ def follow(
     q: Floats,
     *,
     orientation: bool = True,
-    free: Free | None = None,
     before: Floats | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
@@ -175,7 +157,6 @@ def follow(
         model: The calibrated chain.
         q: Commands meant for the nominal robot, shape (N, n) [rad, m].
         orientation: Whether orientations count; else only positions do.
-        free: Where nothing touches; the commands are only told of it.
         before: As for `compensate`.
         progress: Told the part that is done, 0 to 1.
     """
@@ -183,8 +164,7 @@ def follow(
     real = kinematics(model, frame="base", point="tip")
     task = Task.of(real, targets, Joints.of(model.chain), q, orientation)
     found = _compensation(model, task, _in_parts(reach, task, progress), q)
-    found = _from_sides(model, targets, found, before, "base", "tip")
-    return found if free is None else replace(found, collides=~free(found.q))
+    return _from_sides(model, targets, found, before, "base", "tip")
 
 
 def _from_sides(
@@ -203,7 +183,7 @@ def _from_sides(
     """
     if not has_sides(model):
         return found
-    joints, (kept,) = Joints.of(model.chain), np.nonzero(found.good)
+    joints, (kept,) = Joints.of(model.chain), np.nonzero(found.reached)
     for _ in range(ROUNDS):
         q = found.q[kept]
         ahead = q[:1] if before is None else before[None]
@@ -251,7 +231,6 @@ def _compensation(
         orientation_before=before[1],
         at_limit=np.asarray(joints.at_limit(joints.driven(found.q)).any(axis=1)),
         outside=model.outside(found.q),
-        collides=np.zeros(len(nominal), bool),
         sides=np.zeros(found.q.shape, np.int8),
         oriented=task.orientation,
     )

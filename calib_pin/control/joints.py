@@ -123,13 +123,6 @@ class Joints:
         """Whether joints stand at a limit, shape (N, n)."""
         return np.asarray((q <= self.lower) | (q >= self.upper))
 
-    def distances(self, q: Floats, other: Floats) -> Floats:
-        """Squared distances of joint positions, shape (..., n), whatever the turns."""
-        way = q - other
-        return np.asarray(
-            np.where(self.revolute, 2.0 - 2.0 * np.cos(way), way**2).sum(axis=-1)
-        )
-
     def samples(self, count: int) -> Floats:
         """Configurations that fill the joint space evenly, shape (count, n).
 

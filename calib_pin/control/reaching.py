@@ -1,4 +1,4 @@
-"""Inverse kinematics: from a start, from many, and where the robot touches nothing.
+"""Inverse kinematics: from a start, and from many.
 
 A descent is by damped least squares for many targets at once: the damping is in
 proportion to the squared error (Sugihara, IEEE Trans. Robotics 27(5), 2011), so that it
@@ -13,9 +13,7 @@ joint that a step would lead beyond a limit stops there, and the others go on.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -354,43 +352,3 @@ def _move(task: Task, rows: _Rows, sliding: Booleans) -> None:
     rows.q = np.where(taken[:, None], q, rows.q)
     rows.e = np.where(taken[:, None], e, rows.e)
     rows.J = np.where(taken[:, None, None], J, rows.J)
-
-
-# Solutions that collide with nothing.
-
-Free: TypeAlias = Callable[[Floats], Booleans]
-"""Joint positions of a chain, (N, n), to whether nothing touches there, (N,)."""
-
-STARTS = 48
-"""Configurations from which solutions for a target are sought."""
-
-BLOCK = 64
-"""Targets that are solved together: one at a time they take four times as long."""
-
-
-def free_solutions(task: Task, own: Solutions, free: Free) -> Solutions:
-    """Other solutions at which nothing touches; not reached where none was found.
-
-    Of all that are found from many starts the one nearest to given joint positions is
-    taken, without them that nearest to the solution that touches something.
-
-    Args:
-        task: The targets.
-        own: Solutions for them, without regard to collisions.
-        free: Where nothing touches.
-    """
-    joints, driven = task.joints, task.joints.driven(own.q)
-    if not task.given:
-        task = replace(task, start=driven)
-    found = [replace(own, q=driven).rows([])]
-    for first in range(0, len(driven), BLOCK):
-        some = task.rows(slice(first, first + BLOCK))
-        count = len(some.targets)
-        each = some.rows(np.repeat(np.arange(count), STARTS))
-        tries = _descended(each, np.tile(joints.samples(STARTS), (count, 1)), EXACT)
-        good = tries.reached & free(joints.positions(tries.q))
-        away = np.where(good, joints.distances(tries.q, each.start), np.inf)
-        nearest = away.reshape(count, STARTS).argmin(axis=1)
-        tries = replace(tries, reached=good)
-        found.append(tries.rows(STARTS * np.arange(count) + nearest))
-    return _commanded(Solutions.joined(found), joints)

@@ -70,21 +70,6 @@ def compensation_report(
         )
 
 
-def ways_report(colliding: Sequence[int], shut: Sequence[int]) -> Iterator[Line]:
-    """Lines at which something touches, and to which a straight move does."""
-    yield from _at(
-        colliding,
-        "Something touches there, and at all other solutions that were found: {}.",
-    )
-    yield from _at(
-        shut,
-        "The straight move from the command before collides to {}; add a target that "
-        "leads around.",
-    )
-    if not len(shut) and not len(colliding):
-        yield Line("Nothing touches at the commands and on straight ways between them.")
-
-
 def hasty_lines(lines: Sequence[int]) -> Iterator[Line]:
     """Lines to which a joint would move faster than it can."""
     yield from _at(

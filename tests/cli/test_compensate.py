@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import json
-import shutil
-from contextlib import chdir
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from calib_pin.cli import main
-from calib_pin.io.collision import load_collisions
 from calib_pin.io.results import read_calibration
 from calib_pin.io.urdf import load_chain
-from calib_pin.setup import Obstacle
-from tests.cli.files import document, numbers, table, undrawn, write
+from tests.cli.files import document, numbers, table, write
 
 DONE = "compensate done/calibration.json"
 RUN = f"{DONE} targets.csv -o commands.csv"
@@ -366,111 +360,3 @@ def test_times_that_cannot_be(here, fails):
     time[7] = time[6]
     write("targets.csv", ",".join([*JOINTS, "time"]), np.column_stack([q, time]))
     fails(RUN, "targets.csv:10", "'time'")
-
-
-# --- ways around obstacles --------------------------------------------------------
-
-
-BALL = Obstacle(sphere=0.12, xyz=(0.77, 0.0, 0.2))
-AROUND = np.array([[-0.6, 0.3, 0.2, 0.1], [0.6, 0.3, 0.2, 0.1], [0.7, -0.2, 0.5, 0.0]])
-
-CELL = "compensate solid/calibration.json targets.csv --setup ball.yaml -o commands.csv"
-AVOID = f"{CELL} --avoid-collisions"
-
-
-@pytest.fixture(scope="module")
-def cell(workshop, tmp_path_factory):
-    """A calibration of the small robot with solid links, and a ball in its way."""
-    folder = tmp_path_factory.mktemp("ways") / "work"
-    shutil.copytree(workshop, folder)
-    with chdir(folder), undrawn():
-        cell_made()
-    return folder
-
-
-@pytest.fixture
-def solid(cell, tmp_path, monkeypatch):
-    """A copy of it, as the working folder, and its model."""
-    folder = tmp_path / "cell"
-    shutil.copytree(cell, folder)
-    monkeypatch.chdir(folder)
-    return read_calibration("solid/calibration.json").of()
-
-
-def cell_made() -> None:
-    rod = '<link name="{}"><collision><origin xyz="{} 0 0"/><geometry><box size='
-    text = Path("arm.urdf").read_text()
-    for link, length in (("link2", 0.5), ("link3", 0.4), ("link4", 0.16)):
-        box = f'"{length - 0.1} 0.06 0.06"/></geometry></collision></link>'
-        body = rod.format(link, length / 2) + box
-        text = text.replace(f'<link name="{link}"/>', body)
-    Path("solid.urdf").write_text(text)
-    words = "calibrate solid.urdf rows.csv --setup setup.yaml -o solid --quiet"
-    assert main(words.split()) == 0
-    ball = {"obstacles": [{"sphere": 0.12, "xyz": [*BALL.xyz]}]}
-    Path("ball.yaml").write_text(yaml.safe_dump(ball))
-    model = read_calibration("solid/calibration.json").of()
-    write("targets.csv", "x,y,z", model.poses(AROUND)[:, :3, 3])
-
-
-def touches(model, q: np.ndarray) -> bool:
-    """Whether anything touches on straight ways that are cut very finely."""
-    bare = load_collisions(model.chain, [BALL], clearance=0.0)
-    parts = np.linspace(0.0, 1.0, 1000)[:, None]
-    ways = pairwise(q)
-    return not all(bare.free(a + parts * (b - a)).all() for a, b in ways)
-
-
-def ways_taken() -> tuple[np.ndarray, list[str]]:
-    header, rows, _ = table("commands.csv")
-    assert header == [*JOINTS, "row"]
-    return np.array([row[:4] for row in rows], float), [row[4] for row in rows]
-
-
-def targets_at(model, *q: np.ndarray) -> None:
-    write("targets.csv", "x,y,z", model.poses(np.array(q))[:, :3, 3])
-
-
-def test_a_move_that_collides_is_named(solid, run, withholds):
-    straight = run(CELL.replace("--setup ball.yaml ", ""))
-    assert straight.status == 0
-    assert touches(solid, ways_taken()[0])
-    Path("commands.csv").unlink()
-    assert "collides to line 4" in " ".join(withholds(AVOID).out.split())
-
-
-def test_nothing_touches_where_a_target_leads_around(solid, run):
-    targets_at(solid, AROUND[1], AROUND[2])
-    assert "Nothing touches" in run(AVOID).out
-    assert not touches(solid, ways_taken()[0])
-
-
-def test_a_target_in_an_obstacle_is_left_out(solid, run):
-    targets = solid.poses(AROUND[1:])[:, :3, 3]
-    write("targets.csv", "x,y,z", [*targets, BALL.xyz])
-    result = run(AVOID)
-    assert result.status == 2
-    assert [row for row in ways_taken()[1] if row] == ["3", "4"]
-    assert run(f"{AVOID} --force --quiet").err.endswith("targets.csv, line 5\n")
-
-
-def test_a_motion_is_checked_and_stays(solid, run, withholds):
-    part = np.linspace(0.0, 1.0, 15)[:, None]
-    write("targets.csv", ",".join(JOINTS), AROUND[0] + part * (AROUND[1] - AROUND[0]))
-    withholds(AVOID)
-    write("targets.csv", ",".join(JOINTS), AROUND[1] + part * (AROUND[2] - AROUND[1]))
-    assert run(AVOID).status == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (CELL, "ball.yaml"),
-        (f"{CELL.replace('--setup ball.yaml', '')} --clearance 0.1", "--clearance"),
-        (f"{AVOID} --clearance 2", "0 to 1 m"),
-        (f"{AVOID} --srdf none.srdf", "none.srdf"),
-        (AVOID.replace("solid/", "done/"), "URDF"),
-    ],
-)
-def test_wrong_ways_to_ask(solid, fails, words, named):
-    fails(words, named)

@@ -65,24 +65,6 @@ def test_targets(model, q):
     assert np.flatnonzero(found.at_limit).tolist() == [3]
 
 
-def test_another_solution_where_something_touches(model, q):
-    targets = model.poses(q)
-    plain = compensate(model, targets)
-    half, elbow = np.median(plain.q[:, 0]), np.sign(plain.q[0, 2])
-
-    def free(q: np.ndarray) -> np.ndarray:
-        return np.asarray((q[:, 0] < half) | (np.sign(q[:, 2]) != elbow))
-
-    found = compensate(model, targets, free=free)
-    kept = free(plain.q)
-    assert 0 < kept.sum() < len(q)
-    np.testing.assert_array_equal(found.q[kept], plain.q[kept])
-    others = found.good & ~kept
-    assert others.any() and free(found.q[found.good]).all()
-    assert found.position[others].max() < 1e-9
-    assert (found.collides == (found.reached & ~free(found.q))).all()
-
-
 def test_a_motion(model, q):
     found = follow(model, q)
     assert found.reached.all()

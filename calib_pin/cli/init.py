@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,15 +24,11 @@ SIGMA = 1e-5
 """Standard deviation of a distance between sockets [m]: they are gauged."""
 
 
-Ask = Callable[[str], str]
-"""The answer of a user to a question."""
-
-
 def init(asked: Init, words: Sequence[str]) -> int:
     """Do what `Init` asks for."""
     files = asked.measurements
     check_outputs([asked.output], [asked.robot, *files, asked.setup], asked.force)
-    robot, look = looked_at(asked, _choose, _ask)
+    robot, look = looked_at(asked, _choose)
     text = draft(robot, look, printing.told_command(words))
     written, contents = list[str](), dict[Path, bytes]()
     if asked.output is not None:
@@ -43,13 +39,12 @@ def init(asked: Init, words: Sequence[str]) -> int:
     return 0
 
 
-def looked_at(asked: Init, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
+def looked_at(asked: Init, choose: Choose) -> tuple[Robot, Look]:
     """A robot and the reading of measurement files that fits it best.
 
     Args:
         asked: What is known.
         choose: Called where only a user can tell readings apart.
-        ask: Called for a length that only a user knows.
 
     Raises:
         CalibPinError: If one of the files cannot be used.
@@ -71,7 +66,7 @@ def looked_at(asked: Init, choose: Choose, ask: Ask) -> tuple[Robot, Look]:
         reason = "--board and --setup are for a camera, and there are no columns u, v"
         raise OptionError(reason)
     if look.data is not None and "fixed-point" in look.data.models:
-        look = _with_distances(look, asked.distance, ask)
+        look = _with_distances(look, asked.distance)
     elif asked.distance is not None:
         raise OptionError("--distance is that of sockets (fixed-point)")
     for remark in look.remarks:
@@ -93,32 +88,23 @@ def _choose(question: str, choices: Sequence[str], option: str) -> str:
     return choices[0]
 
 
-def _ask(_: str) -> str:
-    """Nobody is asked.
-
-    Raises:
-        OptionError: Always; names the option that says it.
-    """
-    raise OptionError(
-        "sockets tell no size: state how far the two of a place are apart",
-        allowed="--distance '50 mm'",
-    )
-
-
-def _with_distances(look: Look, stated: str | None, ask: Ask) -> Look:
+def _with_distances(look: Look, stated: str | None) -> Look:
     """The reading with the known distance of the sockets of each place."""
     assert look.data is not None
     places = dict[str, list[str]]()
     for name in dict.fromkeys(k.rpartition("@")[2] for k in look.data.target.distinct):
         places.setdefault(name.rpartition("/")[0], []).append(name)
     pairs = [names for names in places.values() if len(names) == 2]
-    if not pairs and stated is not None:
-        raise OptionError("no place has two sockets, called PLACE/0 and PLACE/1")
-    if pairs and stated is None:
-        stated = ask(f"how far apart are {' and '.join(pairs[0])} (such as 50 mm)")
-    if not pairs:
+    if stated is None:
+        if pairs:
+            printing.notice(
+                f"sockets tell no size: say how far apart {' and '.join(pairs[0])} are "
+                "by --distance '50 mm', or by 'distances' in the setup file"
+            )
         return look
-    (length,), _ = reading(stated or "", {"--distance": LENGTH}, "m")
+    if not pairs:
+        raise OptionError("no place has two sockets, called PLACE/0 and PLACE/1")
+    (length,), _ = reading(stated, {"--distance": LENGTH}, "m")
     if length <= 0.0:
         raise OptionError("--distance is no length", value=stated)
     known = tuple(DistanceSetup((a, b), length, SIGMA) for a, b in pairs)

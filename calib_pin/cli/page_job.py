@@ -24,7 +24,7 @@ from calib_pin.cli.options import Request, same
 from calib_pin.cli.printing import complaint, notice, stage, taken_notices
 from calib_pin.cli.requests import Opened, calibrated, opened
 from calib_pin.cli.watch import watched
-from calib_pin.errors import CalibPinError, OptionError
+from calib_pin.errors import CalibPinError
 from calib_pin.guidance import Event, Watch
 from calib_pin.io.columns import ANGLE, LENGTH, Column
 from calib_pin.io.first_look import draft
@@ -84,7 +84,6 @@ class Read:
         text: The setup file.
         keys: Its keys.
         columns: Columns of the first file.
-        question: A question that only a person can answer; empty for none.
         opened: The input of `calibrate`; None as long as it cannot be used.
     """
 
@@ -94,7 +93,6 @@ class Read:
     text: str = ""
     keys: Mapping[str, Any] = field(default_factory=dict)
     columns: Mapping[str, Column] = field(default_factory=dict)
-    question: str = ""
     opened: Opened | None = None
 
 
@@ -257,13 +255,9 @@ class Job:
                 notice(f"{question}? {choices[0]} is taken; change it below if need be")
             return choices[0]
 
-        def ask(question: str) -> str:
-            self.read.question = question
-            raise OptionError(question)
-
         changes, read = self.chosen.changes, self.read
         known: Any = {key: changes.get(key) for key in ("base", "tip", "model")}
-        robot, look = looked_at(replace(self.chosen, **known), choose, ask)
+        robot, look = looked_at(replace(self.chosen, **known), choose)
         read.tips, read.text = look.tips, draft(robot, look, "calib-pin app")
         # It begins with comments on the whole.
         told = read.text.partition("\n\n")[0].replace("\n#   ", " ")
@@ -327,9 +321,6 @@ class Job:
             return
         if self.problem:
             yield words(self.problem, "error")
-        if asked := read.question:
-            do = partial(self._take, "distance")
-            yield Widget("entry", "take this length", choices=(asked,), do=do)
         for remark in self._remarks:
             yield words(remark, "note")
         if self.problem and read.columns and read.opened is None:
@@ -431,13 +422,12 @@ class Job:
 
     def _lines(self) -> Iterator[Widget]:
         if self.chosen.measurements:
-            do = partial(self._take, "text")
-            yield Widget("lines", "use these lines", self.read.text, do=do)
+            yield Widget("lines", "use these lines", self.read.text, do=self._take)
             yield self._links({SETUP.name: SETUP.name})
 
-    def _take(self, key: str, text: str) -> None:
-        changes = {} if key == "text" else self.chosen.changes
-        self.choose(**{key: text.strip() and text}, changes=changes)
+    def _take(self, text: str) -> None:
+        """Take the lines of a person; where they are empty they are drafted."""
+        self.choose(text=text.strip() and text, changes={})
 
     def _links(self, names: Mapping[str, str], tone: str = "plain") -> Widget:
         """Links to those of the files that are there, by what stands on them."""

@@ -173,7 +173,7 @@ def test_a_camera_and_its_board(count):
     assert (both.board, both.camera) == (given.board, given.camera)
 
 
-def test_sockets(fails):
+def test_sockets(run, fails):
     Path("sockets.yaml").write_text(
         "tip: tool\nmodel: fixed-point\n"
         "targets: {ball: {xyz: [0.02, 0.03, 0.1], estimate: true}}\n"
@@ -182,6 +182,8 @@ def test_sockets(fails):
     )
     words = "simulate space6 --setup sockets.yaml --count 80 --noise 1e-4 --seed 3"
     assert main(f"{words} -o a.csv".split()) == 0
+    result = run("init space6 a.csv")
+    assert result.status == 0 and "front/0 and front/1" in result.err
     found = calibrated("space6", "a.csv", "--distance", "80 mm")
     assert found["setup"]["distances"][0]["value"] == 0.08
     before, after = held_out(found)

@@ -11,7 +11,7 @@ from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Accept
 from calib_pin.cli.results import dated
 from calib_pin.errors import enumerated, stated_in
-from calib_pin.io import json_text, measurements, results
+from calib_pin.io import json_text, measurements
 from calib_pin.io.json_text import Json, format_keys
 from calib_pin.io.table import read_table
 from calib_pin.report import acceptance_text, figures, html
@@ -30,22 +30,22 @@ NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
 def accept(asked: Accept) -> int:
     """Do what `Accept` asks for."""
     rows_in, output, path = asked.measurements, asked.output, asked.path
-    doubts = list[str]()
-    calibrated, chains, used = asked.subject(doubts.append, None, "limit", "report")
+    calibrated, chains, used = asked.subject(None, "limit", "report")
     limit, entries = used.limit, used.report
-    if calibrated is not None and entries is calibrated.setup.report:
+    if calibrated is not None and entries is calibrated.model.setup.report:
         # These of the calibration are not those of the test.
         entries = replace(entries, date=None, temperature=None, load="", speed="")
     made = [output / name for name in NAMES] if output is not None else []
     without = [] if can_write_pdf() else made[-1:]
     made = [file for file in made if file not in without]
     file = asked.calibration
+    doubts = [doubt] if (doubt := files.doubt_of(calibrated, file)) else []
     files.check_outputs(made, [file or asked.robot, asked.setup, *rows_in], asked.force)
     with printing.progress_bar(quiet=asked.quiet) as bar:
         measured, rows = asked.read(rows_in, chains, used, bar=bar)
         with stated_in(str(rows_in[0])):
             found = acceptance.tested(
-                results.read_result(file) if file else measured,
+                calibrated or measured,
                 rows,
                 used,
                 registration=asked.register,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from calib_pin.control.calibrated import (
 )
 from calib_pin.control.compensation import Compensation
 from calib_pin.errors import OptionError
-from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.exchange.motions import PROGRAMS, moving_times, paced, speed_limits
 from calib_pin.io.results import document_file, read_result, written_before
 from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
@@ -42,9 +40,6 @@ FAULTS = UNREACHED, HASTY, TORN = (
     "discontinuity in joint space",
 )
 """Faults of targets; a motion is whole, other targets of the first are left out."""
-
-Accuracy = Mapping[str, Mapping[str, object]]
-"""Errors of the calibration itself by quantity, see `model_errors`."""
 
 SPEED = 0.25
 """Part of the joint speeds at which programs move."""
@@ -74,17 +69,19 @@ class Commanded:
 
 def compensate(asked: Compensate, words: Sequence[str]) -> int:
     """Do what `Compensate` asks for."""
-    stated, output = checked(asked), asked.output
+    if asked.format != "csv" and asked.degrees:
+        raise OptionError("--degrees is for --format csv")
+    stated, output = files.open_setup(asked.setup), asked.output
+    files.require_joints_only(asked.setup, stated)
     file = document_file(asked.calibration)
     result = read_result(file)
-    doubt = ""
-    if result.verdict not in TRUSTED:
-        doubt = f"{file} must not be trusted: {result.reason}"
+    doubt = files.doubt_of(result, file)
     key = block_of(result.model, asked.chain, asked.station, asked.tool)
     model = with_payload(result.model.of(key), asked.payload, file)
     robot = model.chain.robot.file
-    own: list[str | Path] = [robot, file.parent / robot, *written_before(file)]
-    files.check_outputs([output], own, asked.force)
+    own = robot, str(file.parent / robot), *map(str, written_before(file))
+    inputs = [*own, file, asked.targets, asked.setup]
+    files.check_outputs([output], inputs, asked.force)
     targets, timed = read(asked, model, stated)
     for remark in _remarks(asked, result, key, targets):
         asked.tell(remark)
@@ -97,27 +94,27 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
         contents[output] = encoded(asked, done, comments)
     asked.give(
         contents,
-        _report(asked, done, doubt, model_errors(result)),
+        _report(asked, done, result, doubt),
         [f"wrote {output if contents else 'nothing'}"],
     )
     if asked.quiet:
         where = [(f, f"{asked.targets}, {line_list(n)}") for f, n in missed.items()]
-        for cause, told in [("untrusted", doubt)] if doubt else where:
+        for cause, told in [(result.verdict, doubt)] if doubt else where:
             printing.notice(f"{cause}: {told}")
     return 2 if doubt or missed else 0
 
 
 def _report(
-    asked: Compensate, done: Commanded, doubt: str, accuracy: Accuracy
+    asked: Compensate, done: Commanded, result: CalibrationResult, doubt: str
 ) -> Iterator[Block]:
     """The report that is printed."""
     lines, motion = done.targets.table.lines.tolist(), done.targets.T is None
     if doubt:
-        yield from (trust.judged(doubt), blocks.Line(""))
+        yield from (trust.judged(doubt, result.verdict), blocks.Line(""))
     about = {"motion": motion, "file": str(asked.targets), "lines": lines}
     yield from texts.compensation_report(done.found, done.chain, **about)
     yield from texts.hasty_lines(done.faults[HASTY])
-    yield from texts.accuracy_lines(accuracy)
+    yield from texts.accuracy_lines(model_errors(result))
 
 
 def _remarks(
@@ -139,17 +136,6 @@ def _remarks(
         result, key, *(("base", "tip") if targets.T is None else ends)
     ):
         yield known
-
-
-def checked(asked: Compensate) -> Setup:
-    """The setup, of options that go together and files that may be written."""
-    if asked.format != "csv" and asked.degrees:
-        raise OptionError("--degrees is for --format csv")
-    stated = files.open_setup(asked.setup)
-    files.require_joints_only(asked.setup, stated)
-    inputs = (document_file(asked.calibration), asked.targets, asked.setup)
-    files.check_outputs([asked.output], inputs, asked.force)
-    return stated
 
 
 def read(

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 from calib_pin.cli.asked import Evaluate
+from calib_pin.cli.files import doubt_of
 from calib_pin.cli.printing import notice, progress_bar, stage
 from calib_pin.io.json_text import Json, format_keys, plain
 from calib_pin.io.results import used_files
@@ -17,19 +18,22 @@ from calib_pin.validation.result import Evaluation
 
 def evaluate(asked: Evaluate) -> int:
     """Do what `Evaluate` asks for."""
-    doubts, rows_in, sockets = list[str](), asked.measurements, list[str]()
-    calibrated, chains, stated = asked.subject(doubts.append, asked.chain)
+    rows_in, sockets = asked.measurements, list[str]()
+    calibrated, chains, stated = asked.subject(asked.chain)
+    doubt = doubt_of(calibrated, asked.calibration)
     if calibrated is not None and asked.calibration is not None:
-        sockets = [reference.name for reference in calibrated.references.values()]
+        references = calibrated.model.references.values()
+        sockets = [reference.name for reference in references]
         for file in used_files(asked.calibration, rows_in):
             notice(f"{file}: the calibration has used it already, to fit or to check")
     with progress_bar() as bar:
         measured, rows = asked.read(rows_in, chains, stated, sockets=sockets, bar=bar)
         stage(bar, "evaluate")
-        subject, others = calibrated or measured, partial(other_robots, chains, stated)
+        subject = measured if calibrated is None else calibrated.model
+        others = partial(other_robots, chains, stated)
         found = run(subject, rows, stated, registration=asked.register, others=others)
-    if doubts:
-        found = replace(found, verdict="untrusted", reason=doubts[0])
+    if calibrated is not None and doubt:
+        found = replace(found, verdict=calibrated.verdict, reason=doubt)
     asked.show(lambda: evaluation_document(found), evaluated(found))
     return 0 if found.verdict == "good" else 2
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from itertools import compress, product
 from pathlib import Path
@@ -18,6 +18,7 @@ from calib_pin.errors import (
     require_known,
     stated_in,
 )
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.measured_columns import asked_models
 from calib_pin.io.measurements import read_measurements
 from calib_pin.io.urdf import load_chains, locate_robot
@@ -28,7 +29,6 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import WORLD, Setup
 
 if TYPE_CHECKING:
-    from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.validation.result import CalibrationResult
 
 exists = os.path.exists  # False also where that cannot be determined.
@@ -151,21 +151,20 @@ def open_calibration(
     path: Path,
     file: Path | None,
     setup: Setup,
-    doubted: Callable[[str], None],
     *also: str,
-) -> tuple[CalibratedModel, Setup]:
+) -> tuple[CalibrationResult, Setup]:
     """A calibration, and the setup with which measurements are read for it.
 
-    Why a calibration must not be trusted is told to `doubted`; `also` are further keys
-    that the setup may state.
+    That setup may state the further keys `also`.
 
     Raises:
         InputError: If it cannot be used.
         OptionError: If something is stated that a calibration has of its own.
     """
-    from calib_pin.io.results import model_name, read_calibration
+    from calib_pin.io.results import model_name, read_result
 
-    model = read_calibration(path, notice=doubted)
+    found = read_result(path)
+    model = found.model
     chain, models = model.of().chain, model_name(model)
     known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
     require_joints_only(file, setup, *also, known=known)
@@ -175,7 +174,14 @@ def open_calibration(
     plain = vars(type(setup)())
     given = {key: getattr(setup, key) for key in ("columns", "joints", *also)}
     taken = {key: value for key, value in given.items() if value != plain[key]}
-    return model, replace(own, **taken)
+    return found, replace(own, **taken)
+
+
+def doubt_of(found: CalibrationResult | None, file: Path | None) -> str:
+    """Why a calibration must not be trusted, in a sentence; empty where it may be."""
+    if found is None or found.verdict in TRUSTED:
+        return ""
+    return f"{file} must not be trusted: {found.reason}"
 
 
 def require_joints_only(

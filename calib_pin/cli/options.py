@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from calib_pin.observations import BlockKey, Observations
     from calib_pin.report.blocks import Block
     from calib_pin.setup import Setup
-    from calib_pin.validation.calibrated_model import CalibratedModel
+    from calib_pin.validation.result import CalibrationResult
     from calib_pin.workers import Workers
 
 PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
@@ -338,8 +338,8 @@ class OfCalibration(OfRobot):
         return Path(self.robot) if self.robot.endswith(".json") else None
 
     def subject(
-        self, doubted: Callable[[str], None], chain: str | None = None, *also: str
-    ) -> tuple[CalibratedModel | None, Chains, Setup]:
+        self, chain: str | None = None, *also: str
+    ) -> tuple[CalibrationResult | None, Chains, Setup]:
         """The calibration, its chains or those of the robot, and the setup to read by.
 
         The rest as for `open_calibration`.
@@ -349,10 +349,10 @@ class OfCalibration(OfRobot):
         stated, file = self.stated(), self.calibration
         if file is None:
             return None, self.chains(stated, chain), stated
-        found, stated = files.open_calibration(file, self.setup, stated, doubted, *also)
+        found, stated = files.open_calibration(file, self.setup, stated, *also)
         if chain is not None:
-            require_known("chain", chain, found.measured_chains)
-        return found, found.chains, stated
+            require_known("chain", chain, found.model.measured_chains)
+        return found, found.model.chains, stated
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,12 +24,14 @@ def view(asked: View) -> int:
 
     folders = asked.package_dir or []
     files.require_folders(folders)
-    calibrated, chains, stated = asked.subject(printing.notice, asked.chain)
+    calibrated, chains, stated = asked.subject(asked.chain)
+    if doubt := files.doubt_of(calibrated, asked.calibration):
+        printing.notice(doubt)
     with printing.progress_bar() as bar:
         read = partial(asked.read, asked.measurements or [], bar=bar)
         scene = make_scene(
             chains,
-            calibrated,
+            None if calibrated is None else calibrated.model,
             stated,
             read if asked.measurements else None,
             asked.plan,

@@ -224,7 +224,8 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
 def evaluated(evaluation: Evaluation) -> Iterator[Block]:
     """Accuracy on measurements that were not fitted."""
     if evaluation.verdict != "good":
-        yield judged(below(evaluation.reason, evaluation.findings))
+        told = below(evaluation.reason, evaluation.findings)
+        yield judged(told, evaluation.verdict)
     yield from findings(evaluation.findings, evaluation.reason)
     counts = evaluation.counts or (evaluation.rows,) * len(evaluation.errors)
     rows = [

@@ -279,7 +279,7 @@ def test_what_a_verdict_leaves(here, run, judged, verdict, status, first, urdf):
 
     evaluated = run("evaluate out/calibration.json new.csv")
     assert evaluated.status == status
-    doubted = evaluated.out.startswith("UNTRUSTED: out/calibration.json ")
+    doubted = evaluated.out.startswith(f"{first}: out/calibration.json ")
     assert doubted == (status == 2)
     compared = run("compare out/calibration.json done/calibration.json")
     assert compared.status == status

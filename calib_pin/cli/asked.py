@@ -187,8 +187,6 @@ class Simulate(options.Answer, options.OfParameters):
         noise: Standard deviation of every component [m, rad]; by default that of the
             setup file, or 0.1 mm and 0.1 mrad.
         repeats: Readings per configuration.
-        all_targets: Measure all targets that the instrument sees at each configuration,
-            as the corners of a board in an image.
         truth: Write the robot with its true errors.
     """
 
@@ -199,7 +197,6 @@ class Simulate(options.Answer, options.OfParameters):
     seed: Annotated[int, Told("N", "Simulation", SEED)] = 0
     noise: Annotated[float | None, Told("S", "Simulation", (0, 1))] = None
     repeats: Annotated[int, Told("K", "Simulation", MANY)] = 1
-    all_targets: Annotated[bool, Told("", "Simulation")] = False
     truth: Annotated[Path | None, Told("URDF", "Output")] = None
 
 

@@ -10,7 +10,6 @@ from calib_pin.cli.asked import Report
 from calib_pin.cli.results import draw_calibration
 from calib_pin.io.measurement_errors import MEASUREMENTS
 from calib_pin.io.results import REPORT, document_file, read_written
-from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.report.cover import calibration_cover
 from calib_pin.report.html import html_report, provenance_blocks
 from calib_pin.report.pdf import pdf_report, require_pdf
@@ -19,10 +18,10 @@ from calib_pin.report.text import report as blocks
 
 def report(asked: Report) -> int:
     """Do what `Report` asks for."""
-    pdf, folders = asked.pdf, asked.package_dir or []
+    pdf = asked.pdf
     if pdf is not None:
         require_pdf()
-    files.require_folders(folders)
+    files.require_folders(asked.package_dir or [])
     file = document_file(asked.calibration)
     result, document, suggestions = read_written(file)
     robot, there = result.model.chains.robot, document.get("files", {})
@@ -37,7 +36,7 @@ def report(asked: Report) -> int:
             f"{file} has no {MEASUREMENTS}: nothing is known of single measurements"
         )
     with printing.progress_bar(quiet=asked.quiet) as bar:
-        drawn = draw_calibration(result, bar, robot_shapes(robot, folders).parts)
+        drawn = draw_calibration(result, bar, asked.package_dir)
         text = html_report(result, document, figures=drawn, suggestions=suggestions)
         contents = {page: text}
         if pdf is not None:

@@ -149,10 +149,7 @@ def calibrated(
     )
     drawn = []
     if shown:
-        from calib_pin.io.robot_shapes import robot_shapes
-
-        shapes = robot_shapes(opened.chains.robot, request.package_dir or ()).parts
-        drawn = draw_calibration(result, bar, shapes)
+        drawn = draw_calibration(result, bar, request.package_dir)
     contents = results.figure_contents(drawn, pictures)
     if folder is not None:
         created = datetime.now(UTC).isoformat(timespec="seconds")

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING
 
 from calib_pin.cli.files import check_outputs, exists
 from calib_pin.cli.options import Pictured
-from calib_pin.cli.printing import Bar, notice
+from calib_pin.cli.printing import Bar, notice, stage
 from calib_pin.errors import counted
 from calib_pin.io import json_text, measurement_errors, results, urdf
 from calib_pin.io.files import listed, sha256, write_files
 from calib_pin.io.measurement_errors import MEASUREMENTS
 from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name, written_before
 from calib_pin.kinematics.robot import Robot
-from calib_pin.kinematics.shapes import Shape
 from calib_pin.setup import ReportSetup
 from calib_pin.validation.result import CalibrationResult, Provenance, Suggestion
 
@@ -150,17 +149,15 @@ def figure_files(asked: Pictured) -> list[Path]:
 
 
 def draw_calibration(
-    subject: CalibrationResult, bar: Bar | None, shapes: Sequence[Shape]
+    subject: CalibrationResult, bar: Bar | None, packages: Sequence[Path] | None
 ) -> list[Drawn]:
-    """The figures of a calibration, with the shapes of its links."""
-    from calib_pin.report.figures import NAMES, drawn
+    """The figures of a calibration, with the meshes of these packages."""
+    from calib_pin.io.robot_shapes import robot_shapes
+    from calib_pin.report.figures import drawn
 
-    result: list[Drawn] = []
-    for figure in drawn("calibration", subject, shapes=shapes):
-        result.append(figure)
-        if bar is not None:
-            bar("figures", len(result) / len(NAMES["calibration"]))
-    return result
+    stage(bar, "figures")
+    shapes = robot_shapes(subject.model.chains.robot, packages or ()).parts
+    return [*drawn("calibration", subject, shapes=shapes)]
 
 
 def figure_contents(drawn: Sequence[Drawn], files: Sequence[Path]) -> dict[Path, bytes]:

@@ -55,7 +55,7 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
         noise=asked.noise,
         repeats=asked.repeats,
         # An image shows all corners of a board.
-        per_configuration=asked.all_targets or stated.board is not None,
+        per_configuration=stated.board is not None,
     )
     with progress_bar() as bar:
         stage(bar, "measure")

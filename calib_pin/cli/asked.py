@@ -304,7 +304,6 @@ SOLID = ("srdf", "clearance")
 class Plan(
     options.QuietAnswer,
     options.InDegrees,
-    options.Shared,
     options.OfChain,
     options.OfParameters,
 ):

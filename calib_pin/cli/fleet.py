@@ -78,19 +78,12 @@ def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
     rows: dict[str, FleetRow] = {}
     evidences: dict[str, RobotEvidence | None] = {}
     for wave in _waves(every):
-        done = workers.map(jobs.calibrate_job, orders, wave, jobs.lost_job)
+        fitted = {name for name, row in rows.items() if row.fitted}
+        known = [j if j.before in fitted else replace(j, before="") for j in wave]
+        done = workers.map(jobs.calibrate_job, orders, known, jobs.lost_job)
         for row, evidence in done:
             rows[row.job], evidences[row.job] = row, evidence
             tell(f"{len(rows)} of {len(every)}", len(rows) / len(every))
-    pairs = []
-    for job in (job for job in every if rows[job.name].fitted):
-        if job.previous:
-            pairs.append((rows[job.name], job.previous, str(job.previous)))
-        elif job.before and rows[job.before].fitted:
-            pairs.append((rows[job.name], output / job.before, job.before))
-    for k, row in enumerate(workers.map(jobs.compare_job, orders, pairs), 1):
-        rows[row.job] = row
-        tell("drift", k / len(pairs))
     tell("types", None)
     populations = types_of(every, evidences)
     urgent = by_urgency([rows[job.name] for job in every])
@@ -114,11 +107,11 @@ def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
 
 
 def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
-    """The jobs; one with a start comes behind that before of its serial number."""
+    """The jobs; each comes behind that before of its serial number."""
     left = list(jobs)
     while left:
         names = {job.name for job in left}
-        waiting = [job for job in left if job.start and job.before in names]
+        waiting = [job for job in left if job.before in names]
         yield [job for job in left if job not in waiting]
         left = waiting
 

@@ -157,7 +157,7 @@ def read_jobs(
     return tuple(replace(j, before=before.get(j.name, "")) for j in jobs.values())
 
 
-Row = tuple[dict[str, int], dict[str, list[str]]]
+Row = tuple[dict[str, int], dict[str, str]]
 """Lines and texts of a job by its keys; its own line is that of the empty one."""
 
 
@@ -173,19 +173,18 @@ def _of_yaml(path: str | Path) -> Iterator[Row]:
     for number, own in enumerate(listed):
         if not isinstance(own, dict):
             raise tree.error("a job is a mapping of keys to values", (JOBS, number))
-        lines: dict[str, int] = {"": tree.line((JOBS, number))}
-        texts: dict[str, list[str]] = {}
+        lines, texts = {"": tree.line((JOBS, number))}, dict[str, str]()
         for key, value in {**tree.data, **own}.items():
-            place = (JOBS, number, key) if key in own else (key,)
-            lines[key], several = tree.line(place), isinstance(value, list)
             if key == JOBS or value is None:
                 continue
+            place = (JOBS, number, key) if key in own else (key,)
+            lines[key], several = tree.line(place), isinstance(value, list)
             cells = value if several else [value]
             if any(isinstance(cell, dict | list) for cell in cells):
                 reason = f"'{key}' cannot have this value"
                 raise tree.error(reason, place, allowed="a single value, or a list")
             places = [(*place, k) for k in range(len(cells))] if several else [place]
-            texts[key] = [str(tree.written(at)) for at in places]
+            texts[key] = CHAINED.join(str(tree.written(at)) for at in places)
         yield lines, texts
 
 
@@ -203,14 +202,12 @@ def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Row]:
         notice(remark)
     texts = table.texts(KEYS)
     for row, line in enumerate(table.lines.tolist()):
-        cells = {key: [own[row]] for key, own in texts.items() if own[row]}
+        cells = {key: own[row] for key, own in texts.items() if own[row]}
         if cells:  # Spreadsheets write empty lines at the end.
             yield {"": line}, cells
 
 
-def _job(
-    path: str | Path, lines: Mapping[str, int], given: Mapping[str, list[str]]
-) -> Job:
+def _job(path: str | Path, lines: Mapping[str, int], given: Mapping[str, str]) -> Job:
     """A job by its cells.
 
     Raises:
@@ -218,17 +215,16 @@ def _job(
     """
     line, folder = lines[""], Path(path).parent
     found: dict[str, Any] = {"line": line}
-    for key, texts in given.items():
+    for key, text in given.items():
         where: dict[str, Any] = {"file": path, "line": lines.get(key, line)}
         if key not in KEYS:
             reason = f"unknown key '{key}'{nearest(key, KEYS)}"
             raise InputError(reason, **where, allowed=", ".join(KEYS))
         try:
-            found[key] = _value(key, texts, folder)
+            found[key] = _value(key, text, folder)
         except OptionError as wrong:
-            reason, value = f"'{key}' cannot have this value", "; ".join(texts)
-            where |= {"value": value, "allowed": wrong.allowed}
-            raise InputError(reason, **where) from None
+            reason, where = f"'{key}' cannot have this value", where | {"value": text}
+            raise InputError(reason, **where, allowed=wrong.allowed) from None
     for key in ("robot", "measurements"):
         if key not in found:
             raise InputError(f"'{key}' is missing", file=path, line=line)
@@ -238,7 +234,7 @@ def _job(
     return Job(**found)
 
 
-def _value(key: str, texts: Sequence[str], folder: Path) -> Any:
+def _value(key: str, text: str, folder: Path) -> Any:
     """The value of a key as a command line takes it, files as from this folder.
 
     Raises:
@@ -247,17 +243,15 @@ def _value(key: str, texts: Sequence[str], folder: Path) -> Any:
     hint, told = get_args(KEYS[key])
     kind = get_args(hint)[0] if NoneType in get_args(hint) else hint
     if kind == list[Path]:
-        found = [f.strip() for text in texts for f in text.split(CHAINED) if f.strip()]
+        found = [name.strip() for name in text.split(CHAINED) if name.strip()]
         if not found or len(set(found)) < len(found):
             raise OptionError("", allowed="files, each at most once")
         return [folder / file for file in found]
-    if len(texts) != 1 or (kind is bool and texts[0].lower() not in FLAGS):
-        allowed = "true, false" if kind is bool else "one value"
-        raise OptionError("", allowed=allowed)
-    (text,) = texts
     if kind is Path:
         return PREVIOUS if (key, text) == ("start", "previous") else folder / text
     if kind is bool:
+        if text.lower() not in FLAGS:
+            raise OptionError("", allowed="true, false")
         return FLAGS[text.lower()]
     return (told.parser(key, kind) or kind)(text)
 
@@ -332,7 +326,7 @@ def calibrate_job(orders: Orders, job: Job) -> Outcome:
             # As the folder has it, so that who goes on later has the same bytes.
             result = read_result(folder)
         row = fleet_row(job.name, result, job.serial_number, job.date)
-        return Outcome(row, _evidence(result))
+        return Outcome(_drifted(row, orders, job, result), _evidence(result))
     except Exception as error:  # One broken job stops nothing.
         return failed(job, one_line(complaint(error)))
     finally:
@@ -357,19 +351,16 @@ def _evidence(result: CalibrationResult) -> RobotEvidence | None:
         return None
 
 
-@serial_blas
-def compare_job(orders: Orders, pair: tuple[FleetRow, Path, str]) -> FleetRow:
-    """The row of a calibration with its drift.
-
-    Args:
-        orders: The orders.
-        pair: Its row, the folder or file of the earlier calibration, and its name.
-    """
-    row, file, name = pair
+def _drifted(
+    row: FleetRow, orders: Orders, job: Job, own: CalibrationResult
+) -> FleetRow:
+    """The row of a calibration with its drift since the one before, if there is one."""
+    name = str(job.previous or job.before)
+    if not name:
+        return row
     try:
-        orders.enter()
-        own = read_result(orders.output / row.job)
-        return with_drift(row, compare(read_result(file), own), name)
+        before = read_result(job.previous or orders.output / name)
+        return with_drift(row, compare(before, own), name)
     except CalibPinError as error:
         said = f"no drift from {name}: {error}"
         reason = one_line(f"{row.reason}; {said}" if row.reason else said)

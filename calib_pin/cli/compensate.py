@@ -72,7 +72,7 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     if asked.format != "csv" and asked.degrees:
         raise OptionError("--degrees is for --format csv")
     stated, output = files.open_setup(asked.setup), asked.output
-    files.require_joints_only(asked.setup, stated)
+    files.require_joints_only(stated)
     file = document_file(asked.calibration)
     result = read_result(file)
     doubt = files.doubt_of(result, file)

@@ -148,10 +148,7 @@ def tell_limits(chains: Chains) -> None:
 
 
 def open_calibration(
-    path: Path,
-    file: Path | None,
-    setup: Setup,
-    *also: str,
+    path: Path, setup: Setup, *also: str
 ) -> tuple[CalibrationResult, Setup]:
     """A calibration, and the setup with which measurements are read for it.
 
@@ -167,7 +164,7 @@ def open_calibration(
     model = found.model
     chain, models = model.of().chain, model_name(model)
     known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
-    require_joints_only(file, setup, *also, known=known)
+    require_joints_only(setup, *also, known=known)
     # Of poses, positions alone may be measured now.
     read = f"{models}+position" if models == "pose" else models
     own = replace(model.setup, model=read, reading=setup.reading)
@@ -184,13 +181,10 @@ def doubt_of(found: CalibrationResult | None, file: Path | None) -> str:
     return f"{file} must not be trusted: {found.reason}"
 
 
-def require_joints_only(
-    file: Path | None, setup: Setup, *also: str, known: Setup | None = None
-) -> None:
+def require_joints_only(setup: Setup, *also: str, known: Setup | None = None) -> None:
     """Refuse what a setup states otherwise than the calibration, which has its own.
 
     Args:
-        file: The setup file.
         setup: The setup.
         also: Further keys that it may state.
         known: The setup of the calibration; None to refuse what it says as well.
@@ -207,7 +201,7 @@ def require_joints_only(
     )
     if other:
         reason = f"a calibration has its own {enumerated(other)}"
-        raise OptionError(reason, file=file, allowed=", ".join(keys))
+        raise OptionError(reason, file=setup.file or None, allowed=", ".join(keys))
 
 
 PLANNED = (

@@ -349,7 +349,7 @@ class OfCalibration(OfRobot):
         stated, file = self.stated(), self.calibration
         if file is None:
             return None, self.chains(stated, chain), stated
-        found, stated = files.open_calibration(file, self.setup, stated, *also)
+        found, stated = files.open_calibration(file, stated, *also)
         if chain is not None:
             require_known("chain", chain, found.model.measured_chains)
         return found, found.model.chains, stated

@@ -375,13 +375,11 @@ def _measured(
     else:
         there = registered(problem, theta, rows)
         problem, theta = there.problem, there.theta
-    points, rotations = [], []
-    points_of = tool_points(problem, theta)
+    points, points_of = [], tool_points(problem, theta)
     for (term, *_), found in zip(problem.blocks, points_of, strict=True):
         error, of_robot = term.error, term.values(theta)[0]
         to_base = (error.base * error.corrections(of_robot)[0]).inverse()
         points.append(found @ to_base.rotation.T + to_base.translation)
-        rotations.append(to_base.rotation)
     return MeasurementErrors(
         rows=rows,
         quantities=problem.layout.quantities,
@@ -389,6 +387,5 @@ def _measured(
         after=errors.after,
         sigma=problem.layout.table(problem.sigma, len(rows)),
         points=np.concatenate(points),
-        to_base=np.array(rotations),
         leverage=np.full(len(rows), np.nan) if leverage is None else leverage,
     )

@@ -157,7 +157,7 @@ def told_otherwise(file: Path, rng: np.random.Generator) -> None:
 def differs(first: CalibrationResult, second: CalibrationResult) -> float:
     """How far two robots put the tool apart, base and tool fitted away, rms [m]."""
     A, B = (result.model.of().poses(AT) for result in (first, second))
-    apart = A[:, :3, 3] - absorbed(A, B)[0][:, :3, 3]
+    apart = A[:, :3, 3] - absorbed(A, B)[:, :3, 3]
     return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
 

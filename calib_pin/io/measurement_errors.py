@@ -7,7 +7,7 @@ nominal and the calibrated robot are off. Numbers come back exactly.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -69,15 +69,13 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
 
 
 def decode_errors(
-    data: bytes, model: CalibratedModel, to_base: Mapping[str, Floats]
+    data: bytes, model: CalibratedModel
 ) -> tuple[MeasurementErrors, MeasurementErrors | None]:
     """The errors of the fitted and of the validation measurements.
 
     Args:
         data: Bytes of the file.
         model: The calibrated robot.
-        to_base: By set, rotations from the measurement frame of each block to its base
-            link, shape (B, 3, 3).
 
     Raises:
         KeyError: If a column is missing.
@@ -124,13 +122,12 @@ def decode_errors(
     if not sets[SETS[0]]:
         raise ValueError("there are no measurements")
     parts, stages = list[MeasurementErrors](), ("before", "after", "sigma")
-    for name, blocks in ((name, own) for name, own in sets.items() if own):
+    for blocks in (own for own in sets.values() if own):
         rows = [row for chosen in blocks.values() for row in chosen]
         part: Any = {n: numbers(f"{{}}.{n}", unknown.components, rows) for n in stages}
         part |= {
             "rows": Observations(tuple(block(*found) for found in blocks.items())),
             "points": numbers("tool.{}", AXES, rows),
-            "to_base": np.broadcast_to(to_base[name], (len(blocks), 3, 3)),
             "leverage": cells["leverage"].numbers[rows],
         }
         parts.append(replace(unknown, **part))

@@ -45,7 +45,6 @@ from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import frame_pose
@@ -180,8 +179,6 @@ class Document:
         manifest: SHA-256 of the files that were written with it, by name; None for
             those that are known by the id.
         reference: Where the fit began, from which its parameters deviate.
-        rotations: By set, rotations from the measurement frame of each block to the
-            base link, shape (B, 3, 3).
         suggestions: Suggested measurements.
     """
 
@@ -197,7 +194,6 @@ class Document:
     validation: int = field(metadata={"key": "measurements.validation"})
     model: ModelRecord = field(metadata={"key": ""})
     reference: Mapping[str, Any]
-    rotations: Mapping[str, Floats] = field(metadata={"key": "rotations_to_base"})
     residual_model: LearnedRecord | None
     urdf_model: ModelRecord | None
     suggestions: tuple[Suggestion, ...] = field(
@@ -232,7 +228,6 @@ def calibration_document(
     chains, setup = model.chains, model.setup.file
     ends = {name: Ends(chains[name].base, chains[name].tip) for name in chains.names}
     chain = model.of_chain().error.chain
-    parts = zip(measurement_errors.SETS, (result.fitted, result.held_out), strict=True)
     files = map(Source, result.files, made.hashes)
     record = Document(
         robot=RobotRecord(
@@ -247,7 +242,6 @@ def calibration_document(
         validation=result.validation.count,
         model=model_record(model),
         reference=places_of(result.reference),
-        rotations={name: part.to_base for name, part in parts if part is not None},
         residual_model=learned_record(model),
         urdf_model=None if urdf is None else model_record(urdf),
         suggestions=tuple(suggestions),
@@ -337,8 +331,8 @@ def read_written(
             fitted = MeasurementErrors.unknown(model, record.training)
             held_out, errors = None, file.parent / measurement_errors.MEASUREMENTS
             if measured and errors.is_file():
-                given = read_bytes(errors), model, record.rotations
-                fitted, held_out = measurement_errors.decode_errors(*given)
+                data = read_bytes(errors)
+                fitted, held_out = measurement_errors.decode_errors(data, model)
             urdf, alone, names = document["urdf"], record.urdf_model, model.given.names
             geometry = alone and model_of(alone, chains)
             hashes = tuple(source.sha256 for source in record.files)

@@ -214,8 +214,8 @@ def _compared(
     errors = true.values(theta)[0]
     A, nominal = (true.error.poses(q, values) for values in (errors, 0.0 * errors))
     calibrated = term.error.poses(q, term.values(model.theta)[0])
-    before, _ = apart(A, absorbed(A, nominal)[0])
-    position, orientation = apart(A, absorbed(A, calibrated)[0])
+    before, _ = apart(A, absorbed(A, nominal))
+    position, orientation = apart(A, absorbed(A, calibrated))
     expected = bound = np.nan
     if fitted.noise:
         found = expected_accuracy(fitted, term, model.theta, q, rng)

@@ -111,7 +111,7 @@ class MeasurementErrors:
     """Errors of N measurements, predicted minus measured.
 
     Attributes:
-        rows: The measurements, in B blocks.
+        rows: The measurements.
         quantities: Quantities of the D error columns, those of all models side by side.
         before: With base, tool and instrument fitted and the robot nominal, shape
             (N, D); NaN for what one does not have, infinite where nothing can be
@@ -121,8 +121,6 @@ class MeasurementErrors:
             what is set aside.
         points: Where the calibrated robot has its tool, in the base link of the chain,
             shape (N, 3) [m].
-        to_base: Rotation from the measurement frame of each block to the base link of
-            its chain, shape (B, 3, 3).
         leverage: Leverage in the fit, 0 to d, shape (N,); NaN where it was not fitted.
     """
 
@@ -132,7 +130,6 @@ class MeasurementErrors:
     after: Floats
     sigma: Floats
     points: Floats
-    to_base: Floats
     leverage: Floats
 
     @staticmethod
@@ -156,7 +153,6 @@ class MeasurementErrors:
             after=errors,
             sigma=errors,
             points=points,
-            to_base=np.full((1, 3, 3), np.nan),
             leverage=points[:, 0],
         )
 
@@ -235,26 +231,6 @@ class MeasurementErrors:
             for errors in (self.before, self.after)
         )
         return before, after
-
-    @property
-    def displacements(self) -> tuple[Floats, Floats] | None:
-        """Errors of position in the base links before and after, shape (N, 3) [m].
-
-        NaN for rows that have none, or cannot be predicted; None where no row has,
-        since it was measured otherwise.
-        """
-        lengths = [q.columns for q in self.quantities if q.unit == "m"]
-        places = [of for of in lengths if of.stop - of.start == 3]
-        if not places:
-            return None
-        R, found = self.to_base[self.rows.block_of], list[Floats]()
-        for errors in (self.before, self.after):
-            known = np.where(np.isfinite(errors), errors, np.nan)
-            own = [np.einsum("nij,nj->ni", R, known[:, columns]) for columns in places]
-            # Each measurement has one of the positions.
-            none = np.isnan(own).all(axis=0)
-            found.append(np.where(none, np.nan, np.nansum(own, axis=0)))
-        return found[0], found[1]
 
 
 REMEDY = (

@@ -110,15 +110,13 @@ def tip_drift(
         return np.asarray(invert(base) @ loaded.poses(q) @ exchanged)
 
     A, B = tools(first), tools(second)
-    distances, turns = apart(A, absorbed(A, B, left=base, right=tool)[0])
+    distances, turns = apart(A, absorbed(A, B, left=base, right=tool))
     ends = (("base", base), ("tool", tool))
     frames = tuple(name for name, free in ends if free)
     return TipDrift(q, A[:, :3, 3], distances, turns, frames)
 
 
-def absorbed(
-    A: Floats, B: Floats, *, left: bool = True, right: bool = True
-) -> tuple[Floats, Floats, Floats]:
+def absorbed(A: Floats, B: Floats, *, left: bool = True, right: bool = True) -> Floats:
     """Move poses onto others by one displacement on the left and one on the right.
 
     `L B R` is brought to `A` by least squares (Gauss-Newton), see `frame_motions`. Of
@@ -131,19 +129,18 @@ def absorbed(
         right: Whether there is an R.
 
     Returns:
-        The moved poses, shape (N, 4, 4), L and R, shape (4, 4).
+        The moved poses, shape (N, 4, 4).
     """
-    L, R, J = np.eye(4), np.eye(4), np.zeros((len(B), 6, 12))
+    J = np.zeros((len(B), 6, 12))
     for _ in range(50 if left or right else 0):  # A few are enough.
         J[:, :, :6], J[:, :, 6:] = left * adjoint(invert(B)), right * np.eye(6)
         M = invert(B) @ A
         missing = np.hstack([M[:, :3, 3], so3_log(M[:, :3, :3])])
         step = frame_motions(missing[:, :, None], J)[:, 0]
-        by_left, by_right = se3_exp(step[:6]), se3_exp(step[6:])
-        B, L, R = by_left @ B @ by_right, by_left @ L, R @ by_right
+        B = se3_exp(step[:6]) @ B @ se3_exp(step[6:])
         if np.abs(step).max() < 1e-10:
             break
-    return B, L, R
+    return B
 
 
 def apart(A: Floats, B: Floats) -> tuple[Floats, Floats]:

@@ -299,7 +299,7 @@ def _measured(
 def _error(truth: Truth, result: calib_pin.CalibrationResult, q: Floats) -> float:
     """True error of the tool over the workspace, rms, base and tool fitted [m]."""
     A = truth.poses(q)
-    B, *_ = absorbed(A, result.model.of().poses(q))
+    B = absorbed(A, result.model.of().poses(q))
     return float(np.sqrt(np.mean(np.sum((A - B)[:, :3, 3] ** 2, axis=1))))
 
 

@@ -48,7 +48,7 @@ def test_it_is_the_error_that_fits_have() -> None:
         true = problem.only.error.poses(tip.q, problem.only.values(truth)[0])
         found = result.model.of().poses(tip.q)
         turned = so3_log(np.swapaxes(true[:, :3, :3], 1, 2) @ found[:, :3, :3])
-        moved, *_ = absorbed(true, found)
+        moved = absorbed(true, found)
         off = [T[:, :3, 3] - true[:, :3, 3] for T in (found, moved)]
         squares.append([np.sum(v**2, axis=1).mean() for v in (*off, turned)])
         predicted.append([tip.rms[0], tip.of_robot[0], tip.rms[1]])

@@ -257,8 +257,7 @@ def with_stations(result: CalibrationResult, count: int) -> CalibrationResult:
         replace(block.rows(own), station=f"day{k}") for k, own in enumerate(shares)
     ]
     rows = Observations(tuple(parts))
-    turned = np.repeat(result.fitted.to_base, count, axis=0)
-    fitted = replace(result.fitted, rows=rows, to_base=turned)
+    fitted = replace(result.fitted, rows=rows)
     return replace(result, fitted=fitted, held_out=None)
 
 

@@ -68,8 +68,7 @@ def test_conditions_come_back(calibrated_robot):
     result = lost_motion(calibrated_robot)
     assert "approach-by-order" in {f.code for f in result.findings}
     data = encode_errors(result, "1")
-    to_base = {"train": np.eye(3), "validate": np.eye(3)}
-    fitted, held_out = decode_errors(data, result.model, to_base)
+    fitted, held_out = decode_errors(data, result.model)
     for found, there in ((fitted, result.fitted), (held_out, result.held_out)):
         assert found is not None and there is not None
         held, stated = found.rows.conditions, there.rows.conditions

@@ -24,7 +24,6 @@ from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
-from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
 from calib_pin.simulation import exact_problem
 from calib_pin.validation.held_out import (
@@ -613,8 +612,8 @@ def test_a_station_that_is_known_is_not_registered() -> None:
     new = from_station("door", 15, 3)
     result = calib_pin.calibrate(CHAIN, two_stations(), setup, validation=new)
     assert result.validation.located == () and result.held_out is not None
-    known = frame_pose(STATIONS["door"]).rotation
-    np.testing.assert_allclose(result.held_out.to_base, [known.T], atol=1e-12)
+    # It stands where it is said to, by 0.7 mm wrongly.
+    assert np.abs(result.held_out.after).max() > 5e-4
 
 
 def test_only_the_station_that_was_moved_is_registered_anew() -> None:

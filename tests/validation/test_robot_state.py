@@ -170,7 +170,7 @@ class Bench:
         q = self.chain.random_configurations(200, np.random.default_rng(5))
         part = self.problem.only
         A = part.error.poses(q, self.changed(changes))
-        B, *_ = absorbed(A, result.model.of().poses(q))
+        B = absorbed(A, result.model.of().poses(q))
         squares = np.sum((B[:, :3, 3] - A[:, :3, 3]) ** 2, axis=1)
         return float(np.sqrt(squares.mean()))
 

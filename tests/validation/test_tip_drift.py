@@ -45,11 +45,11 @@ def model_of(theta_of=lambda names: {}, setup=None, chain=None) -> CalibratedCha
 )
 def test_displacements_are_found(L, R, left, right, poses):
     moved = invert(L) @ poses @ invert(R)
-    found, *_ = absorbed(poses, moved, left=left, right=right)
+    found = absorbed(poses, moved, left=left, right=right)
     np.testing.assert_allclose(found, poses, atol=1e-10)
     # What is known is not absorbed.
     if left and not right:
-        by_tool, *_ = absorbed(poses, moved, left=False)
+        by_tool = absorbed(poses, moved, left=False)
         assert np.linalg.norm((by_tool - poses)[:, :3, 3], axis=1).max() > 0.1
 
 
@@ -58,7 +58,7 @@ def test_a_single_joint_leaves_frames_that_do_alike(kind):
     joint = {"name": "j", "type": kind, "parent": "a", "child": "b"}
     chain = chain_of(urdf_of(joint))
     T = chain.poses(np.linspace(-1.0, 1.0, 20)[:, None])
-    found, *_ = absorbed(T, LEFT @ T @ RIGHT)
+    found = absorbed(T, LEFT @ T @ RIGHT)
     np.testing.assert_allclose(found, T, atol=1e-9)
 
 

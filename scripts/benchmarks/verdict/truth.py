@@ -172,6 +172,6 @@ def position_error(
         # A wrong tip leaves joints out.
         joints = [job.chain.joints.index(name) for name in own.error.chain.joints]
         B = own.poses(read(q)[:, joints])
-    B, *_ = absorbed(A, B)
+    B = absorbed(A, B)
     squares = np.sum((B[:, :3, 3] - A[:, :3, 3]) ** 2, axis=1)
     return float(np.sqrt(squares.mean()))

@@ -29,7 +29,7 @@ NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
 
 def accept(asked: Accept) -> int:
     """Do what `Accept` asks for."""
-    rows_in, output, path = asked.measurements, asked.output, asked.path
+    rows_in, output = asked.measurements, asked.output
     calibrated, chains, used = asked.subject(None, "limit", "report")
     limit, entries = used.limit, used.report
     if calibrated is not None and entries is calibrated.model.setup.report:
@@ -55,14 +55,12 @@ def accept(asked: Accept) -> int:
     for doubt in doubts:
         printing.notice(doubt)
     tests = found.tests
-    blocks = [*acceptance_text.acceptance_report(tests, limit, found.about, path=path)]
+    blocks = [*acceptance_text.acceptance_report(tests, limit, found.about)]
     contents = {}
     if made:
-        figure = next(figures.drawn("acceptance", tests, limit, path))
+        figure = next(figures.drawn("acceptance", tests, limit))
         about = dated(entries), found.about
-        cover = acceptance_cover(
-            tests, limit, chains.robot, *about, path=path, figure=figure
-        )
+        cover = acceptance_cover(tests, limit, chains.robot, *about, figure=figure)
         data = (
             json_text.encode(acceptance_document(tests, limit)),
             measurements.encode_table(found.table(), [found.about]),

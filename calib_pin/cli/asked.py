@@ -155,13 +155,11 @@ class Accept(options.QuietAnswer, options.OfCalibration):
         output: Folder for acceptance.json, .csv, .html and .pdf; without it the test is
             only printed.
         register: Fit the station of a calibration anew, never its tool.
-        path: The poses are points of a path, measured in every cycle: AT, RT.
     """
 
     measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
     output: Annotated[Path | None, Told("DIR", "Output")] = None
     register: Annotated[bool, Told("", "Robot")] = False
-    path: Annotated[bool, Told("", "Robot")] = False
 
 
 MANY = (1, 1e6)

@@ -19,9 +19,6 @@ from calib_pin.setup import LimitSetup
 
 TONES: Mapping[str, Tone] = {"pass": "good", "fail": "bad", "undecided": "strong"}
 
-PATH = {"AP": "AT", "RP": "RT"}
-"""Names of the worst pose's values along a path."""
-
 REMEDY = "Base and tool must be of a calibration, of the setup, or of other poses."
 """Advice where they were fitted to the visits."""
 
@@ -33,8 +30,6 @@ def acceptance_report(
     found: Mapping[str, tested.Acceptance],
     limit: LimitSetup,
     about: str,
-    *,
-    path: bool = False,
 ) -> Iterator[Block]:
     """The test of a robot, or of it as it was and is.
 
@@ -42,23 +37,11 @@ def acceptance_report(
         found: The test by the robot that the commanded poses are of.
         limit: What must be reached.
         about: The robot, the poses and the frame, in a sentence.
-        path: Whether the poses are points of a path: AT and RT are their worst.
     """
     *_, last = found.values()
-    yield from limit_lines(last, limit, path=path)
+    yield from limit_lines(last, limit)
     yield from doubt_lines(last)
     yield Line(about)
-    if path:
-        rows = []
-        for name, test in found.items():
-            worsts = (tested.worst(tested.measured(test)[key][0]) for key in PATH)
-            rows.append((name, str(len(test.poses)), *worsts))
-        yield _table("Path", ("", "points", "AT", "95 %", "RT", "95 %"), rows)
-        yield note(
-            "AT and RT: AP and RP of the worst point; the 95 % intervals are those of "
-            "this point alone."
-        )
-        return
     for name, test in found.items():
         title = f"Poses, {name}" if len(found) > 1 else "Poses"
         visited = [
@@ -114,12 +97,10 @@ def _table(
     return table(title, (*titles, UNIT), lines, grouped=1)
 
 
-def limit_lines(
-    test: tested.Acceptance, limit: LimitSetup, *, path: bool = False
-) -> Iterator[Line]:
+def limit_lines(test: tested.Acceptance, limit: LimitSetup) -> Iterator[Line]:
     """Whether each limit is met, by how much, in a sentence each."""
     for name, status, interval, allowed, unit in tested.judged(test, limit):
-        tone, name = TONES[status], PATH.get(name, name) if path else name
+        tone = TONES[status]
         said = f"{amount(interval.value, unit)} ({ends(interval, unit)})"
         if not isfinite(interval.high):
             least = f", at least {amount(interval.low, unit)}" * (interval.low > 0.0)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.kinematics.robot import Robot
-from calib_pin.report.acceptance_text import PATH, TONES, doubt_lines, ends, limit_lines
+from calib_pin.report.acceptance_text import TONES, doubt_lines, ends, limit_lines
 from calib_pin.report.accuracy import degrees
 from calib_pin.report.blocks import Cell, Line, Table, Tone, note, table
 from calib_pin.report.figures import Drawn
@@ -37,8 +37,6 @@ SAID: Mapping[str, str] = {
 QUANTITIES = {
     "AP": "pose accuracy AP, worst pose",
     "RP": "pose repeatability RP, worst pose",
-    "AT": "path accuracy AT",
-    "RT": "path repeatability RT",
     "AD": "distance accuracy AD, worst pair",
     "orientation": "orientation accuracy, worst axis",
 }
@@ -87,8 +85,6 @@ def acceptance_cover(
     robot: Robot,
     entries: ReportSetup,
     about: str,
-    *,
-    path: bool = False,
     figure: Drawn | None = None,
 ) -> Cover:
     """The first page of an acceptance test.
@@ -99,16 +95,14 @@ def acceptance_cover(
         robot: The robot.
         entries: What the user stated, with a date.
         about: The robot, the poses and the frame, in a sentence.
-        path: Whether the poses are points of a path.
         figure: The picture.
     """
     *_, last = found.values()
     results = {name: status for name, status, *_ in judged(last, limit)}
     status = next((s for s in SAID if s in results.values()), "")
-    said, doubts = [*limit_lines(last, limit, path=path)], [*doubt_lines(last)]
+    said, doubts = [*limit_lines(last, limit)], [*doubt_lines(last)]
     if not doubts or status == "fail":
         said.insert(0, Line(SAID[status]))
-    names = PATH if path else {}
     rows, stated = [], limits(limit)
     # The worst of each quantity by robot, with its limit.
     for key, (intervals, unit) in measured(last).items():
@@ -117,7 +111,7 @@ def acceptance_cover(
         *cells, most, shown = measures(unit, *worsts, allowed)
         cells += [Cell(ends(worst(intervals), unit)), most, shown]
         status_of = results.get(key, "").upper()
-        rows.append((QUANTITIES[names.get(key, key)], *cells, status_of))
+        rows.append((QUANTITIES[key], *cells, status_of))
     robots = (ROBOTS.get(name, "found") for name in found)
     titles = ("", *robots, "95 %", "limit", UNIT, "status|word")
     # The standard asks for them.
@@ -129,7 +123,7 @@ def acceptance_cover(
         said=[*said, *doubts],
         robot=robot.name,
         facts=[
-            *_facts(robot, entries, limit, names),
+            *_facts(robot, entries, limit),
             *((name, words or "not stated") for name, words in conditions.items()),
         ],
         figures=[] if figure is None else [figure],
@@ -158,7 +152,7 @@ def calibration_cover(
         tone=line.tone,
         said=said,
         robot=robot.name,
-        facts=[*_facts(robot, entries, limit, {}), *_conditions(entries).items()],
+        facts=[*_facts(robot, entries, limit), *_conditions(entries).items()],
         figures=[figures[name] for name in PICTURES if name in figures],
         entries=entries,
         headline=[*tiles(result)],
@@ -166,12 +160,11 @@ def calibration_cover(
 
 
 def _facts(
-    robot: Robot, entries: ReportSetup, limit: LimitSetup, names: Mapping[str, str]
+    robot: Robot, entries: ReportSetup, limit: LimitSetup
 ) -> list[tuple[str, str]]:
-    """The facts; quantities of the limits of a test may have other names."""
+    """The facts."""
     stated = (
-        f"{names.get(name, name)} {amount(most, unit)}"
-        for name, (most, unit) in limits(limit).items()
+        f"{name} {amount(most, unit)}" for name, (most, unit) in limits(limit).items()
     )
     return [
         ("robot", robot.name),

@@ -248,17 +248,6 @@ def test_faulty_and_missing_visits_pass_nothing(visits, run, change, told):
         assert words in said(result)
 
 
-def test_a_path_is_its_worst_point(visits, run, without_typst):
-    result = run(f"{ACCEPT} --path -o out")
-    assert result.out.startswith("FAIL: AT ") and "\nPASS: RT " in result.out
-    poses = document("out/acceptance.json")["tests"]["robot"]["poses"]
-    row = next(line for line in result.out.splitlines() if line.startswith("robot "))
-    assert row.split()[1] == "5"
-    for at, key in ((2, "accuracy"), (6, "repeatability")):
-        worst = max(pose[key]["value"] for pose in poses)
-        assert float(row.split()[at]) == pytest.approx(1e3 * worst, rel=1e-3)
-
-
 @pytest.mark.needs("pdf")
 def test_it_is_written_for_a_customer(visits, run):
     Path("limits.yaml").write_text(LIMITS + FRAMES + REPORT)

@@ -38,32 +38,27 @@ ROBOTS = {
 """Name and sign of each robot of a test."""
 
 
-def poses_tested(
-    tests: Mapping[str, Acceptance], limit: LimitSetup, path: bool = False
-) -> Drawn | None:
+def poses_tested(tests: Mapping[str, Acceptance], limit: LimitSetup) -> Drawn | None:
     """AP and RP by pose with their intervals, of each robot, and the limits.
 
     Args:
         tests: The test by the robot that the commanded poses are of.
         limit: What must be reached.
-        path: Whether the poses are points of a path.
     """
     figure, (row,) = panels(1, 2, 2.5, gap=0.8)
     unit = unit_of("m")[0]
-    place = "point of the path" if path else "pose"
     limits = {"accuracy": limit.position, "repeatability": limit.repeatability}
     for axes, name, of in zip(row, ("AP", "RP"), limits, strict=True):
         _poses(axes, tests, of, limits[of])
-        axes.set(xlabel=place, ylabel=f"{name} [{unit}]")
+        axes.set(xlabel="pose", ylabel=f"{name} [{unit}]")
     entries = dict(ROBOTS[name] for name in tests)
     if limit.position is not None or limit.repeatability is not None:
         entries["limit"] = LIMIT
     key(figure, entries)
-    worst = "; the worst are AT and RT" if path else ""
-    said = f"AP and RP of every {place} with 95 % intervals{worst}."
+    said = "AP and RP of every pose with 95 % intervals."
     if "limit" in entries:
         said += " A limit is met where all of an interval lies below it."
-    return Drawn(f"Accuracy and repeatability by {place}", said, figure)
+    return Drawn("Accuracy and repeatability by pose", said, figure)
 
 
 def _poses(

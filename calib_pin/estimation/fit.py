@@ -313,7 +313,7 @@ def _drift_sizes(fitted: Fit, still: Problem, moving: Problem) -> dict[str, floa
     if groups is None:
         return {}
     chosen, _ = groups.selected(KINDS.values(), SIGNIFICANT, always)
-    return {kind: USUAL * variance**0.5 for kind, variance in chosen.items()}
+    return {k: USUAL * chosen[k] ** 0.5 for k in KINDS.values() if k in chosen}
 
 
 # Corrections that residual models learn from what a fit leaves.

@@ -291,11 +291,13 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
         expected += f" (95 %: below {shown(bound, 'm', 3)})"
     expected += f" instead of {shown(nominal, 'm', 3)} are expected"
     expected = f"over the workspace{chain} {expected}"
+    unsure = f"the corrected robot is better where it was measured, but {expected}, "
+    unsure += f"better with a probability of only {100.0 * workspace.better:.0f} %; "
+    unsure += "measure configurations that differ more"
     if workspace.better >= SURE:
-        if better and bound >= nominal:
+        if better and workspace.better < LIKELY and bound >= nominal:
             # A robot that errs little, measured in a small region.
-            gain += f" on {held}, but {expected}, which is no sure gain"
-            yield "no-gain", f"{gain}; measure configurations that differ more"
+            yield "no-gain", unsure
         if better:
             condition = _if_noise(grounds, calibrated)
             yield "good", f"{gain} on {held}; {expected}{condition}"
@@ -304,12 +306,7 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
             yield "unchecked", f"{reason}; measure more configurations"
     if chance or not better:
         yield from _no_gain(grounds)
-    yield (
-        "untrusted",
-        f"the corrected robot is better where it was measured, but {expected}, better "
-        f"with a probability of only {100.0 * workspace.better:.0f} %; measure "
-        "configurations that differ more",
-    )
+    yield "untrusted", unsure
 
 
 def _distrust(grounds: Judgement) -> Iterator[str]:

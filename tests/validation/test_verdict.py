@@ -100,7 +100,7 @@ def test_a_gain_in_a_region_that_may_be_none_elsewhere_is_not_good(unsought) -> 
     """A robot 0.18 mm off, of which 41 positions in a region show 0.03 mm."""
     outcome = away.run(8800088)
     assert outcome.actual > outcome.nominal
-    assert outcome.verdict == "no-gain" and "no sure gain" in outcome.reason
+    assert outcome.verdict == "no-gain" and "of only 90 %" in outcome.reason
 
 
 def test_noise_is_known_where_instruments_are_mixed(unsought) -> None:
@@ -108,7 +108,7 @@ def test_noise_is_known_where_instruments_are_mixed(unsought) -> None:
     chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(4)
     keys = BlockKey("position"), BlockKey("pose")
     problem = nominal_problem(chain, keys, Setup(parameters=("placement",)))
-    truth = 8.0 * calib_pin.draw_errors(problem.parameters, rng)
+    truth = 6.0 * calib_pin.draw_errors(problem.parameters, rng)
     rows = calib_pin.simulate(problem, truth, rng, count=26, noise=1e-4)
     result = calib_pin.calibrate(chain, rows, Setup(parameters=("joint-offset",)))
     assert [errors.name for errors in result.errors][:2] == [

@@ -202,9 +202,9 @@ class Groups:
             always: Kinds that act whether they do or not.
 
         Returns:
-            The variances of those that are chosen, and the model with them.
+            The variances of those that act or are chosen, and the model with them.
         """
-        left = [kind for kind in kinds if kind in self.kind_of]
+        left = [k for k in kinds if k in self.kind_of and k not in always]
         chosen, best = [*always], self.estimated(always)
         while left:
             tried = {kind: self.estimated([*chosen, kind]) for kind in left}
@@ -214,8 +214,8 @@ class Groups:
             chosen.append(kind)
             left.remove(kind)
             best = tried[kind]
-        variances = dict(zip(chosen, best.values[len(self.counts) :], strict=True))
-        return {k: float(v) for k, v in variances.items() if k not in always}, best
+        variances = best.values[len(self.counts) :].tolist()
+        return dict(zip(chosen, variances, strict=True)), best
 
 
 def variance_components(
@@ -601,7 +601,9 @@ def systematic(
     groups = rows_with_effects(sample, theta, directions.basis, X, effects.kinds)
     if groups is None:
         return None
-    chosen, found = groups.selected(PARAMETERIZATIONS, SIGNIFICANT)
+    # No robot has its joints where its URDF has them: chance does not explain that.
+    sure = [kind for kind in (Placement.name,) if kind in effects.kinds]
+    chosen, found = groups.selected(PARAMETERIZATIONS, SIGNIFICANT, sure)
     if not chosen:
         return None
     noise = found.values[: len(groups.counts)] / groups.current
@@ -627,7 +629,7 @@ def _share(groups: Groups, noise: Floats, variances: Floats) -> float:
     X = np.vstack([*(groups.rows / sizes[:, None, None])])[:, -1 - len(variances) : -1]
     predicted = variances @ (np.sum(X**2, axis=0) - np.sum((U.T @ X) ** 2, axis=0))
     found = float(e @ e - noise @ fitted.redundancies)
-    return max(found, 0.0) / float(predicted)
+    return max(found, 0.0) / max(float(predicted), 1e-300)
 
 
 def variances(problem: Problem, effects: Systematic | None) -> Floats:

@@ -67,6 +67,7 @@ from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations, states_sigmas
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import LOSSES
 
 Flags: TypeAlias = NDArray[np.bool_]
@@ -166,7 +167,7 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     found = _studentized_about(squared, np.ones(int(failing(problem).max()) + 1, bool))
     scale = found.robust_scale()
     plain = RobustDecision(_outliers(squared, found, scale))
-    if loss == "squared" or (loss == "auto" and not _suspicious(found, scale)):
+    if loss == "squared" or (loss == "auto" and not _suspicious(squared, found, scale)):
         return replace(squared, robust=plain)
     accepted = _selected(*_sought(problem, squared.rank, solver.rng))
     fitted = squared
@@ -414,13 +415,23 @@ def _scale(found: Studentized, accepted: Flags) -> Floats:
     return np.minimum(found.scale(accepted), found.robust_scale())
 
 
-def _suspicious(found: Studentized, scale: Floats) -> bool:
+def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
     """Whether a least-squares fit may have been corrupted by some configurations.
 
-    A few stand out against the median, or carry the most of chi-square together.
+    A few stand out against the median, or carry the most of chi-square together, or so
+    much is left that they may hide.
     """
     carried = found.scale(np.ones(len(found.whole), bool)) > OPTIONS.carried * scale
-    return not _passed(found, scale).all() or bool(carried.any())
+    if not _passed(found, scale).all() or carried.any():
+        return True
+    sigma, layout = fitted.problem.sigma, fitted.problem.layout
+    for size, rows, component in zip(
+        scale, layout.of_components, layout.components, strict=True
+    ):
+        own = sigma[rows][np.isfinite(sigma[rows])]
+        if len(own) and size * np.median(own) > expected_size(component.quantity.unit):
+            return True
+    return False
 
 
 def _sought(

@@ -138,7 +138,7 @@ class Change(NamedTuple):
 
     @property
     def what(self) -> tuple[Kind, frozenset[BlockKey], int]:
-        """What changes, whenever it does."""
+        """Kind, blocks and joint: all but the row and the size."""
         return self.kind, self.keys, self.joint
 
 

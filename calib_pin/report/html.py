@@ -30,7 +30,7 @@ from calib_pin.report.figures import Drawn, drawn
 from calib_pin.report.tables import STATUS, parameter_overview
 from calib_pin.report.text import Section, sections
 from calib_pin.report.tiles import tiles
-from calib_pin.report.trust import FIRST, next_step, opening
+from calib_pin.report.trust import FIRST, findings, next_step, opening, serious
 from calib_pin.validation.result import CalibrationResult, Provenance, Suggestion
 
 if TYPE_CHECKING:
@@ -55,9 +55,11 @@ def html_report(
     named = {figure.name: figure for figure in figures}
     # A line leads to its figure, if that is there. Lines to copy stand in the section.
     found = [b for b in found if getattr(b, "figure", "") in ("", *named)]
-    tones, doubtful = ("bad", "strong"), result.verdict not in TRUSTED
-    urgent = [b for b in found if isinstance(b, Line) and b.tone in tones][:FIRST]
-    codes = [b for b in found if isinstance(b, Code) and doubtful]
+    urgent = [b for b in found if isinstance(b, Line) and b.tone in ("bad", "strong")]
+    grave = (
+        () if result.verdict in TRUSTED else findings(serious(result), result.reason)
+    )
+    codes = [b for b in grave if isinstance(b, Code)]
     others = found or [note("There are no findings.")]
     told = [
         replace(s, blocks=[*others, *s.blocks]) if s.key == "findings" else s
@@ -70,7 +72,7 @@ def html_report(
         title=f"Calibration of {result.model.chains.robot.name}",
         subject=subject(result).text,
         verdict=verdict,
-        urgent=[*urgent, *codes, *next_step(result)],
+        urgent=[*urgent[:FIRST], *codes, *next_step(result)],
         tiles=list(tiles(result)),
         front=[named[name] for name in FRONT if name in named],
         sections=told,

@@ -75,13 +75,19 @@ def next_step(result: CalibrationResult) -> Iterator[Line]:
     """The next step with a result that must not be trusted."""
     if result.verdict in TRUSTED:
         return
-    ordered = _ordered(result.findings)
-    said = NEXT[result.verdict]
-    if any(finding.setup for finding in ordered):
+    grave, said = serious(result), NEXT[result.verdict]
+    if any(finding.setup for finding in grave):
         said = "put the lines above into the setup file, and calibrate again"
-    elif remedies := [finding.remedy for finding in ordered if finding.remedy]:
+    elif remedies := [finding.remedy for finding in grave if finding.remedy]:
         said = remedies[0]
     yield Line(f"Next: {said.rstrip('.')}.", "strong")
+
+
+def serious(result: CalibrationResult) -> list[Finding]:
+    """The errors and warnings, the worst first: remarks lead to no better result."""
+    return [
+        finding for finding in _ordered(result.findings) if finding.severity != "info"
+    ]
 
 
 def findings(

@@ -100,7 +100,9 @@ def test_three_findings_and_how_many_more(result):
     assert "2 more findings: see the page, or --details." in text
     assert "Next: " not in text and "more finding" not in full_report(result)
     lines = replace(found, setup={"tip": "tool0"})
-    for some, said in (((), "calib-pin plan"), ((lines,), "the lines above")):
+    remark = replace(lines, severity="info")
+    steps = [((), "calib-pin plan"), ((remark,), "calib-pin plan")]
+    for some, said in (*steps, ((lines,), "the lines above")):
         bad = changed(result, findings=some, verdict="untrusted", reason="it is")
         *_, last = format_report(bad).split("Next: ")
         assert said in " ".join(last.split())

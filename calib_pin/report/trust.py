@@ -84,10 +84,9 @@ def next_step(result: CalibrationResult) -> Iterator[Line]:
 
 
 def serious(result: CalibrationResult) -> list[Finding]:
-    """The errors and warnings, the worst first: remarks lead to no better result."""
-    return [
-        finding for finding in _ordered(result.findings) if finding.severity != "info"
-    ]
+    """Errors, warnings and what the reason says, the worst first, but no remarks."""
+    ordered, reason = _ordered(result.findings), result.reason
+    return [f for f in ordered if f.severity != "info" or f.message in reason]
 
 
 def findings(

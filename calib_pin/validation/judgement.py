@@ -293,7 +293,7 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
     expected = f"over the workspace{chain} {expected}"
     unsure = f"the corrected robot is better where it was measured, but {expected}, "
     unsure += f"better with a probability of only {100.0 * workspace.better:.0f} %; "
-    unsure += "measure configurations that differ more"
+    unsure += _advice(grounds, "measure configurations that differ more")
     if workspace.better >= SURE:
         if better and workspace.better < LIKELY and bound >= nominal:
             # A robot that errs little, measured in a small region.
@@ -351,14 +351,18 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         return ""
     times = "" if noise is None else f", {after / noise:.2g} times the noise"
     state = "" if known else ", state the 'noise' if the instrument is so coarse"
-    lacks = (f for f in grounds.findings if f.code == "model-lacks")
-    advice = f"measure at rest{state}, and {CHECK}"
-    advice = next((f"{f.message}; {f.remedy}" for f in lacks), advice)
+    advice = _advice(grounds, f"measure at rest{state}, and {CHECK}")
     first, last = (shown(errors, quantity.unit, 3) for errors in (before, after))
     return (
         f"{quantity.name} errors of {last} rms remain (nominal robot: {first}){times}: "
         f"nothing that was estimated explains them; {advice}"
     )
+
+
+def _advice(grounds: Judgement, otherwise: str) -> str:
+    """What the model lacks, and how to estimate it, where that is known."""
+    lacks = (f for f in grounds.findings if f.code == "model-lacks")
+    return next((f"{f.message}; {f.remedy}" for f in lacks), otherwise)
 
 
 def _if_noise(grounds: Judgement, promised: float) -> str:

@@ -87,11 +87,11 @@ def fit(
 
 
 @serial_blas
-def with_effects(fitted: Fit) -> Fit:
-    """A fit that knows what gears and compliance left in its residuals."""
+def with_effects(fitted: Fit, whole: Sequence[str] = ()) -> Fit:
+    """A fit that knows what gears, compliance and more left in its residuals."""
     if not fitted.noise:
         return fitted
-    effects = systematic(fitted.problem, fitted.theta, fitted.directions)
+    effects = systematic(fitted.problem, fitted.theta, fitted.directions, whole)
     return replace(fitted, effects=effects)
 
 
@@ -313,7 +313,7 @@ def _drift_sizes(fitted: Fit, still: Problem, moving: Problem) -> dict[str, floa
     if groups is None:
         return {}
     chosen, _ = groups.selected(KINDS.values(), SIGNIFICANT, always)
-    return {k: USUAL * chosen[k] ** 0.5 for k in KINDS.values() if k in chosen}
+    return {kind: USUAL * variance**0.5 for kind, variance in chosen.items()}
 
 
 # Corrections that residual models learn from what a fit leaves.

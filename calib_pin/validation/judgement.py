@@ -15,10 +15,11 @@ from math import erf
 import numpy as np
 
 from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, Gain, PoseErrors
-from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.fit import FittedModel, with_effects
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import distinct_values, known_count, known_values
 from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
+from calib_pin.estimation.statistics.variance_components import unplaced
 from calib_pin.estimation.terms import Term
 from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chain import Chain
@@ -212,8 +213,12 @@ def judge(
     fitted, data = model.fit, model.fit.problem.data
     counting = data.rows(data.weight > 0.0)
     quantities = model.problem.layout.quantities
+    promising = model
+    if missing := unplaced(fitted.problem.setup):
+        # They err elsewhere as well. Of two calibrations both have them in common.
+        promising = replace(model, fit=with_effects(fitted, missing))
     accuracies = {
-        name: tool_accuracy(model, term, counting, np.random.default_rng(seed))
+        name: tool_accuracy(promising, term, counting, np.random.default_rng(seed))
         for name, term in model.problem.by_chain.items()
     }
     case = Case.of(fitted, Chains.of(chains), progress, others, accuracies)
@@ -360,7 +365,7 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
 
 
 def _advice(grounds: Judgement, otherwise: str) -> str:
-    """What the model lacks, and how to estimate it, where that is known."""
+    """Families that the model lacks, and how to estimate them, if that is known."""
     lacks = (f for f in grounds.findings if f.code == "model-lacks")
     return next((f"{f.message}; {f.remedy}" for f in lacks), otherwise)
 

@@ -202,9 +202,9 @@ class Groups:
             always: Kinds that act whether they do or not.
 
         Returns:
-            The variances of those that act or are chosen, and the model with them.
+            The variances of those that are chosen, and the model with them.
         """
-        left = [k for k in kinds if k in self.kind_of and k not in always]
+        left = [kind for kind in kinds if kind in self.kind_of]
         chosen, best = [*always], self.estimated(always)
         while left:
             tried = {kind: self.estimated([*chosen, kind]) for kind in left}
@@ -214,8 +214,8 @@ class Groups:
             chosen.append(kind)
             left.remove(kind)
             best = tried[kind]
-        variances = best.values[len(self.counts) :].tolist()
-        return dict(zip(chosen, variances, strict=True)), best
+        variances = dict(zip(chosen, best.values[len(self.counts) :], strict=True))
+        return {k: float(v) for k, v in variances.items() if k not in always}, best
 
 
 def variance_components(
@@ -577,7 +577,7 @@ def rows_with_effects(
 
 
 def systematic(
-    problem: Problem, theta: Floats, directions: Directions
+    problem: Problem, theta: Floats, directions: Directions, whole: Sequence[str] = ()
 ) -> Systematic | None:
     """Estimate the sizes of what gears and compliance leave in the residuals.
 
@@ -585,12 +585,13 @@ def systematic(
         problem: The problem in the units of its solution.
         theta: The solution, shape (P,).
         directions: The directions that were moved.
+        whole: Further parameterizations, see `candidates`.
 
     Returns:
         The effects, or None where nothing shows, all of them are estimated, or the
         nominal robot is where nothing can be measured.
     """
-    effects = candidates(problem)
+    effects = candidates(problem, whole)
     spare = known_values(problem) - directions.count
     if effects is None or spare < SPARE:
         return None
@@ -601,9 +602,7 @@ def systematic(
     groups = rows_with_effects(sample, theta, directions.basis, X, effects.kinds)
     if groups is None:
         return None
-    # No robot has its joints where its URDF has them: chance does not explain that.
-    sure = [kind for kind in (Placement.name,) if kind in effects.kinds]
-    chosen, found = groups.selected(PARAMETERIZATIONS, SIGNIFICANT, sure)
+    chosen, found = groups.selected(PARAMETERIZATIONS, SIGNIFICANT)
     if not chosen:
         return None
     noise = found.values[: len(groups.counts)] / groups.current
@@ -629,7 +628,7 @@ def _share(groups: Groups, noise: Floats, variances: Floats) -> float:
     X = np.vstack([*(groups.rows / sizes[:, None, None])])[:, -1 - len(variances) : -1]
     predicted = variances @ (np.sum(X**2, axis=0) - np.sum((U.T @ X) ** 2, axis=0))
     found = float(e @ e - noise @ fitted.redundancies)
-    return max(found, 0.0) / max(float(predicted), 1e-300)
+    return max(found, 0.0) / float(predicted)
 
 
 def variances(problem: Problem, effects: Systematic | None) -> Floats:
@@ -646,6 +645,13 @@ def sampled(problem: Problem, count: int = ROWS) -> Observations:
     return data.sample(count)
 
 
+def unplaced(setup: Setup) -> list[str]:
+    """The places of joints, where none of the parameters moves them."""
+    families = [PARAMETERIZATIONS[name] for name in setup.parameters]
+    placed = any(f.geometric and f.name != JointOffset.name for f in families)
+    return [Placement.name] if families and not placed else []
+
+
 def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None:
     """All effects that are not estimated already, in their expected sizes.
 
@@ -654,10 +660,6 @@ def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None
         whole: Further parameterizations, all of whose parameters are tried.
     """
     setup, chains = problem.setup, problem.chains
-    families = [PARAMETERIZATIONS[name] for name in setup.parameters]
-    placed = any(f.geometric and f.name != JointOffset.name for f in families)
-    # What joint offsets alone leave is of the places of the joints first of all.
-    whole = [*whole, Placement.name] if families and not placed else whole
     kinds = dict.fromkeys(whole, ("",)) | {
         name: member.effects.components
         for name, member in PARAMETERIZATIONS.items()

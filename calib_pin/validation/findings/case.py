@@ -22,7 +22,7 @@ from calib_pin.estimation.nominal import registered
 from calib_pin.estimation.problem import EXACT, Problem, error_table, measured_count
 from calib_pin.estimation.solve import refine
 from calib_pin.estimation.statistics.distributions import f_tail
-from calib_pin.estimation.statistics.variance_components import candidates
+from calib_pin.estimation.statistics.variance_components import candidates, unplaced
 from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
@@ -653,8 +653,10 @@ class Case:
             return (), 1.0
         if not self.errors_left <= FOREIGN:
             return (), 1.0  # No gear and no link is so far off.
-        others = (n for n, f in PARAMETERIZATIONS.items() if f.effects)
-        effects = candidates(fit.problem, [n for n in others if n not in names])
+        others = [
+            n for n, f in PARAMETERIZATIONS.items() if f.effects and n not in names
+        ]
+        effects = candidates(fit.problem, others + unplaced(self.setup))
         if effects is None:
             return (), 1.0
         X, kinds = effects.rows(fit.problem, fit.theta), np.array(effects.kinds)

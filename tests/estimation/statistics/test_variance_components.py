@@ -23,6 +23,7 @@ from calib_pin.estimation.statistics.variance_components import (
     Variances,
     candidates,
     estimate_variances,
+    unplaced,
 )
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Conditions, Observations
@@ -226,15 +227,17 @@ def test_what_is_estimated_is_no_random_effect() -> None:
     assert {name.split(".")[1] for name in names(problem_of("pa10", gears))} == {
         "compliance"
     }
-    every = replace(Setup(), parameters=("placement", "transmission", "compliance"))
-    assert names(problem_of("pa10", every)) == []
+    both = replace(Setup(), parameters=("transmission", "compliance"))
+    assert names(problem_of("pa10", both)) == []
 
 
-def test_places_that_are_not_estimated_are_random_effects() -> None:
-    offsets = replace(Setup(), parameters=("joint-offset",))
-    assert any(".placement." in name for name in names(problem_of("pa10", offsets)))
-    links = replace(Setup(), parameters=("link-transform",))
-    assert not any(".placement." in name for name in names(problem_of("pa10", links)))
+def test_places_of_joints_are_missing_beside_offsets_alone() -> None:
+    for names_of, missing in (
+        (("joint-offset",), 1),
+        (("link-transform",), 0),
+        ((), 0),
+    ):
+        assert len(unplaced(replace(Setup(), parameters=names_of))) == missing
 
 
 def test_what_has_no_mass_does_not_give() -> None:

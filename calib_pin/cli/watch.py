@@ -149,7 +149,7 @@ def follow(
     """
     with suppress(KeyboardInterrupt, EOFError):
         while True:
-            for event in job.look():
+            for event in job.look(last=before is None):
                 tell(event)
             if before is None:
                 return

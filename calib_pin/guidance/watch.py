@@ -91,13 +91,17 @@ class Watch:
         """Number of measurements that have been read."""
         return len(self._known)
 
-    def look(self) -> Iterator[Event]:
-        """The events since the last look; none where no file changed."""
+    def look(self, last: bool = False) -> Iterator[Event]:
+        """The events since the last look; none where no file changed.
+
+        Args:
+            last: Whether no other look follows, so that nothing waits for it.
+        """
         stamp, unfinished = _stamp(self._files)
         if stamp == self._stamp:
             return
         newest = max((one[0] for one in stamp if one), default=0)
-        new = time.time() - 1e-9 * newest < SETTLED
+        new = not last and time.time() - 1e-9 * newest < SETTLED
         if new and unfinished:
             return  # A half-written line waits.
         try:

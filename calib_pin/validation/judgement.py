@@ -291,6 +291,7 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
         yield "good", f"{gain} on {held}"
         return
     nominal, calibrated = workspace.nominal.position, workspace.calibrated.position
+    usual = expected_size("m")
     expected = shown(calibrated, "m", 3)
     if (bound := workspace.bound.position) > UNCERTAIN * calibrated:
         expected += f" (95 %: below {shown(bound, 'm', 3)})"
@@ -299,10 +300,10 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
     unsure = f"the corrected robot is better where it was measured, but {expected}, "
     unsure += f"better with a probability of only {100.0 * workspace.better:.0f} %; "
     unsure += _advice(grounds, "measure configurations that differ more")
+    if better and workspace.better < LIKELY and nominal <= min(bound, usual):
+        # As good as robots are, and perhaps no better where it was not measured.
+        yield "no-gain", unsure
     if workspace.better >= SURE:
-        if better and workspace.better < LIKELY and bound >= nominal:
-            # A robot that errs little, measured in a small region.
-            yield "no-gain", unsure
         if better:
             condition = _if_noise(grounds, calibrated)
             yield "good", f"{gain} on {held}; {expected}{condition}"

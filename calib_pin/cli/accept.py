@@ -11,7 +11,7 @@ from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Accept
 from calib_pin.cli.results import dated
 from calib_pin.errors import enumerated, stated_in
-from calib_pin.io import json_text, measurements
+from calib_pin.io import json_text, measurements, results
 from calib_pin.io.json_text import Json, format_keys
 from calib_pin.io.table import read_table
 from calib_pin.report import acceptance_text, figures, html
@@ -39,7 +39,7 @@ def accept(asked: Accept) -> int:
     without = [] if can_write_pdf() else made[-1:]
     made = [file for file in made if file not in without]
     file = asked.calibration
-    doubts = [doubt] if (doubt := files.doubt_of(calibrated, file)) else []
+    doubts = [doubt] if (doubt := results.doubt_of(calibrated, file)) else []
     files.check_outputs(made, [file or asked.robot, asked.setup, *rows_in], asked.force)
     with printing.progress_bar(quiet=asked.quiet) as bar:
         measured, rows = asked.read(rows_in, chains, used, bar=bar)

@@ -21,7 +21,12 @@ from calib_pin.control.calibrated import (
 from calib_pin.control.compensation import Compensation
 from calib_pin.errors import OptionError
 from calib_pin.io.exchange.motions import PROGRAMS, moving_times, paced, speed_limits
-from calib_pin.io.results import document_file, read_result, written_before
+from calib_pin.io.results import (
+    document_file,
+    doubt_of,
+    read_result,
+    written_before,
+)
 from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -75,7 +80,7 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     files.require_joints_only(stated)
     file = document_file(asked.calibration)
     result = read_result(file)
-    doubt = files.doubt_of(result, file)
+    doubt = doubt_of(result, file)
     key = block_of(result.model, asked.chain, asked.station, asked.tool)
     model = with_payload(result.model.of(key), asked.payload, file)
     robot = model.chain.robot.file

@@ -6,10 +6,9 @@ from dataclasses import replace
 from functools import partial
 
 from calib_pin.cli.asked import Evaluate
-from calib_pin.cli.files import doubt_of
 from calib_pin.cli.printing import notice, progress_bar, stage
 from calib_pin.io.json_text import Json, format_keys, plain
-from calib_pin.io.results import used_files
+from calib_pin.io.results import doubt_of, used_files
 from calib_pin.io.urdf import other_robots
 from calib_pin.report.accuracy import evaluated
 from calib_pin.validation.evaluation import evaluate as run

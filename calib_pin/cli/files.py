@@ -18,7 +18,6 @@ from calib_pin.errors import (
     require_known,
     stated_in,
 )
-from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.measured_columns import asked_models
 from calib_pin.io.measurements import read_measurements
 from calib_pin.io.urdf import load_chains, locate_robot
@@ -152,15 +151,16 @@ def open_calibration(
 ) -> tuple[CalibrationResult, Setup]:
     """A calibration, and the setup with which measurements are read for it.
 
-    That setup may state the further keys `also`.
+    It is without the errors of its own measurements, of which there may be many. The
+    setup may state the further keys `also`.
 
     Raises:
         InputError: If it cannot be used.
         OptionError: If something is stated that a calibration has of its own.
     """
-    from calib_pin.io.results import model_name, read_result
+    from calib_pin.io.results import model_name, read_written
 
-    found = read_result(path)
+    found, *_ = read_written(path, measured=False)
     model = found.model
     chain, models = model.of().chain, model_name(model)
     known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
@@ -172,13 +172,6 @@ def open_calibration(
     given = {key: getattr(setup, key) for key in ("columns", "joints", *also)}
     taken = {key: value for key, value in given.items() if value != plain[key]}
     return found, replace(own, **taken)
-
-
-def doubt_of(found: CalibrationResult | None, file: Path | None) -> str:
-    """Why a calibration must not be trusted, in a sentence; empty where it may be."""
-    if found is None or found.verdict in TRUSTED:
-        return ""
-    return f"{file} must not be trusted: {found.reason}"
 
 
 def require_joints_only(setup: Setup, *also: str, known: Setup | None = None) -> None:

@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 def view(asked: View) -> int:
     """Do what `View` asks for."""
     require_viser()
+    from calib_pin.io.results import doubt_of
     from calib_pin.viewer.scene import make_scene
     from calib_pin.viewer.server import Window
 
     folders = asked.package_dir or []
     files.require_folders(folders)
     calibrated, chains, stated = asked.subject(asked.chain)
-    if doubt := files.doubt_of(calibrated, asked.calibration):
+    if doubt := doubt_of(calibrated, asked.calibration):
         printing.notice(doubt)
     with printing.progress_bar() as bar:
         read = partial(asked.read, asked.measurements or [], bar=bar)

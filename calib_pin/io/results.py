@@ -302,9 +302,16 @@ def read_calibration(
         InputError, OutputError, RobotError: As `read_result`.
     """
     result, *_ = read_written(path, measured=False)
-    if notice is not None and result.verdict not in TRUSTED:
-        notice(f"{path} must not be trusted: {result.reason}")
+    if notice is not None and (doubt := doubt_of(result, path)):
+        notice(doubt)
     return result.model
+
+
+def doubt_of(result: CalibrationResult | None, path: str | Path | None) -> str:
+    """Why a calibration must not be trusted, in a sentence; empty where it may be."""
+    if result is None or result.verdict in TRUSTED:
+        return ""
+    return f"{path} must not be trusted: {result.reason}"
 
 
 @serial_blas

@@ -319,8 +319,10 @@ def _distrust(grounds: Judgement) -> Iterator[str]:
     """The reasons to distrust a fit whatever a check says, empty ones among them."""
     fitted, status = grounds.fitted, grounds.fitted.result.status
     advice = KNOWN_LENGTH[bool(fitted.problem.setup.distances)]
+    unknown = unexplained(fitted, grounds.left)
     yield told(grounds.causes)
-    yield "" if fitted.structure.scaled else f"{SCALE}; {advice}"
+    # Errors that nothing explains hide the scale as well.
+    yield "" if unknown or fitted.structure.scaled else f"{SCALE}; {advice}"
     yield "" if status.success else status.advice
     yield told([f for f in grounds.findings if f.severity == "error"][:1])
     if grounds.aside > BREAKDOWN:
@@ -328,8 +330,7 @@ def _distrust(grounds: Judgement) -> Iterator[str]:
             f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
             f"{100.0 * BREAKDOWN:.0f} % they cannot be told from the others; {CHECK}"
         )
-    if reason := unexplained(fitted, grounds.left):
-        yield f"{reason}; {CHECK}"
+    yield f"{unknown}; {CHECK}" if unknown else ""
     yield _unaccounted(grounds, COARSE)
 
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import calib_pin
@@ -128,6 +129,23 @@ def test_copies_are_no_repetitions_that_tell_the_noise(unsought) -> None:
     setup = Setup(parameters=("joint-offset",))
     result = calib_pin.calibrate(chain, twice, setup)
     assert "times the noise" not in result.reason
+
+
+@pytest.mark.parametrize("mishap", ["sorted", "two frames"])
+def test_what_nothing_explains_is_no_matter_of_scale(mishap: str, unsought) -> None:
+    """Positions are sorted, or stand in another frame than their orientations."""
+    job = tracked(2, model="position" if mishap == "sorted" else "pose")
+    rows = job.measured(stream(2, 1))
+    values = rows.values.copy()
+    if mishap == "sorted":
+        values = values[np.argsort(values[:, 0])]
+    else:
+        values[:, :3] = values[:, :3] @ pin.rpy.rpyToMatrix(0.1, 0.2, 0.8)
+    wrong = replace(rows, values=values)
+    result = calib_pin.calibrate(job.chain, wrong, job.setup, validate=False)
+    assert result.verdict == "untrusted"
+    assert result.reason.split()[0] in ("position", "the"), result.reason
+    assert not {"scale", "lengths"} & set(result.reason.split()), result.reason
 
 
 @pytest.mark.parametrize("sought", [False, pytest.param(True, marks=pytest.mark.slow)])

@@ -77,8 +77,8 @@ PICTURES = (".png", ".pdf", ".svg")
 SECTIONS = ("targets", "planes", "sockets", "spheres", "anchors", "cameras")
 """Keys of reference objects: sections of a setup, which knows a single camera."""
 
-LARGEST = 1e6
-"""Largest number that a value, a position or an offset can be [m, rad, px]."""
+LARGEST = 1e12
+"""Largest value, position or offset [m, rad, px]; a fit that is lost ends far off."""
 
 AGREEMENT = 1e-9
 """Largest difference of forward kinematics between model and written URDF [m, rad]."""

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import CalibPinError
+from calib_pin.errors import CalibPinError, OptionError
 from calib_pin.estimation.formulation import nominal_problem, restricted
 from calib_pin.estimation.terms import BASE
 from calib_pin.kinematics.chain import Chain
@@ -47,9 +47,7 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
     for term in model.terms.values():
         for reference in term.measurement.references:
             if isinstance(reference, Camera):
-                # With a wrong mount a fit may end at what is no lens.
-                sane = (reference.intrinsics[:2] >= 1.0).all()
-                camera = reference.stated() if sane else camera
+                camera = reference.stated()
             else:
                 named = sections.setdefault(reference.section, {})
                 named[reference.name] = reference.stated()
@@ -63,16 +61,15 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
             base = frame
         else:
             tool = frame
-    return replace(
-        setup,
-        base_frame=base,
-        tool_frame=tool,
-        stations=stations,
-        tools=tools,
-        camera=camera,
-        board=None,  # Its points stand among the targets.
-        **sections,
-    )
+    found = {"base_frame": base, "tool_frame": tool, "camera": camera} | sections
+    # The points of a board stand among the targets.
+    found |= {"stations": stations, "tools": tools, "board": None}
+    try:
+        return replace(setup, **found)
+    except OptionError:
+        return (
+            setup  # A fit to what was read wrong may end farther off than anything is.
+        )
 
 
 @serial_blas

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+import pinocchio as pin
 import pytest
 
 import calib_pin
@@ -81,6 +83,11 @@ def test_a_fit_is_taken_as_it_found_things() -> None:
     assert base.estimate and base.xyz == pytest.approx(term.error.base.translation)
     changes = [r.change for r in suggestions(chain, rows.keys, stood, result)]
     assert any("(targets)" in change for change in changes)
+
+    # Of images that were read wrong a fit may end thousands of kilometers away.
+    far = term.error.with_frames(pin.SE3(np.eye(3), np.full(3, 4e6)), term.error.tool)
+    lost = {key: replace(term, error=far) for key in result.model.terms}
+    assert calibrated_setup(replace(result.model, terms=lost)) == result.model.setup
 
 
 def test_what_becomes_identifiable() -> None:

@@ -30,7 +30,7 @@ from calib_pin.validation.findings import (
     plausibility,
     readings,
 )
-from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
+from calib_pin.validation.findings.case import DOUBTFUL, FOREIGN, Case, Others
 from calib_pin.validation.findings.explanations import Explanation, explain, finding
 
 _Fault = TypeVar("_Fault")
@@ -88,6 +88,9 @@ def find(case: Case, seek: bool = True) -> Found:
     sought = _sought(case) if seek else ()
     causes = tuple(found for found in sought if found.severity == "error")
     kinds = SHOWN if causes else CONSEQUENCES + SHOWN
+    if not causes and not case.errors_left <= FOREIGN:
+        # Of what no robot has a fit tells nothing but where it stands.
+        kinds = (plausibility.outliers, *SHOWN)
     others = [] if causes else [*sought]
     others += [found for kind in kinds for found in _told(kind, case)]
     told = {found.code for found in others if found.severity != "info"}

@@ -484,7 +484,8 @@ class _Search:
         """
         if self.contact or not faults:
             return None
-        return self._decided(faults, self._fitted(faults), most, fitted=True)
+        left = self._fitted(faults, thorough=True)
+        return self._decided(faults, left, most, fitted=True)
 
     def _decided(
         self, faults: tuple[Hypothesis, ...], after: float, part: float, *, fitted: bool

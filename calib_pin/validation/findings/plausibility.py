@@ -51,7 +51,6 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.case import (
     CHANCE,
-    FOREIGN,
     IMPLAUSIBLE,
     Case,
     mean_squares,
@@ -311,9 +310,6 @@ def plausibility(case: Case) -> Iterator[Finding]:
     # One wrong distance among several stretches the robot; where nothing tells its
     # scale, or it has grown, there are large corrections everywhere.
     if wrong or not fitted.structure.scaled:
-        return
-    # A fit that leaves what no robot does tells nothing of its lengths and origins.
-    if not case.errors_left <= FOREIGN:
         return
     yield from [*_scale(case, fitted)] or _corrections(case, fitted)
 

@@ -88,6 +88,9 @@ ABSORBED = 4.0
 """Factor by which six numbers of a frame make errors of a robot smaller: they are half
 as large on six joints, and less than a third on three."""
 
+PIXEL = ("u", "v")
+"""Column and row of a point in an image."""
+
 FARTHEST = 10
 """Most lines by which joint positions may stand elsewhere."""
 
@@ -481,6 +484,17 @@ def robots(case: Case) -> Iterator[Hypothesis]:
             setup={"camera": replace(camera, mount=mount)},
             stated={"camera": {"mount": mount}},
         )
+        if not camera.estimate:
+            yield Hypothesis(
+                "camera-intrinsics",
+                "the camera has other focal lengths or another center than stated",
+                "the camera",
+                setup={"camera": replace(camera, estimate=True)},
+                stated={"camera": {"estimate": True}},
+            )
+        words, advice = "u and v are exchanged", "exchange the names of these columns"
+        found = Hypothesis("image-axes", words, "the camera", change=_turned)
+        yield replace(found, advice=advice)
     if case.chains.names == ("",):
         yield from _ends(case.chains[""], case)
     robot = case.chains.robot
@@ -489,6 +503,14 @@ def robots(case: Case) -> Iterator[Hypothesis]:
         words = f"the robot is '{file}', not '{robot.name}'"
         advice = f"use '{file}' in place of '{robot.file}'"
         yield Hypothesis("robot", words, "the chain", chains=other, advice=advice)
+
+
+def _turned(data: Observations) -> Observations:
+    """Measurements with the rows and columns of their images exchanged."""
+    images = [b for b in data.blocks if declared(b.model).components == PIXEL]
+    others = [b for b in data.blocks if b not in images]
+    turned = (replace(b, values=b.values[:, ::-1]) for b in images)
+    return Observations((*turned, *others))
 
 
 def turned_by_base(case: Case) -> str:

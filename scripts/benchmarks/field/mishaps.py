@@ -200,6 +200,25 @@ def _mount(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
     return replace(given(job, rows, _says("mount")), setup=setup)
 
 
+def _lens(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
+    """Focal lengths and center are those of an image of another size."""
+    assert job.setup.camera is not None
+    factor = rng.choice([0.5, 0.75, 1.25, 2.0])
+    focal, center = (
+        tuple(factor * number for number in numbers)
+        for numbers in (job.setup.camera.focal, job.setup.camera.center)
+    )
+    camera = replace(job.setup.camera, focal=focal, center=center)
+    setup = replace(job.setup, camera=camera)
+    return replace(given(job, rows, _says("focal")), setup=setup)
+
+
+def _transposed(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
+    """The column of a corner stands where its row should."""
+    wrong = replace(rows, values=rows.values[:, ::-1])
+    return given(job, wrong, _says("exchanged"))
+
+
 def _computed(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
     """The controller's own tool point, in hundredths of a millimeter."""
     values = rows.values.copy()
@@ -417,6 +436,8 @@ MISHAPS: Mapping[str, Mishap] = {
     "wrong mount": Mishap(
         ("camera",), ("camera-mount", "mount", "refused"), _mount, words=("mount",)
     ),
+    "wrong lens": Mishap(("camera",), ("camera-intrinsics", "refused"), _lens),
+    "rows for columns": Mishap(("camera",), ("image-axes", "refused"), _transposed),
     # Where it was measured.
     "stuck joint": Mishap(
         FREE,

@@ -426,7 +426,8 @@ def test_a_clean_job_is_not_accused(job: str) -> None:
 ELSEWHERE = {
     "test_explanations": "joint-coupled joint-degrees",
     "test_readings": "joint-columns target targets-exchanged target-frames robot "
-    "tip-link base-link tool-frame base-frame camera-mount",
+    "tip-link base-link tool-frame base-frame camera-mount camera-intrinsics "
+    "image-axes",
     "test_facts": "gauge-sign",
     "test_course": "instrument-moved tool-remounted joint-rehomed instrument-drift "
     "robot-drift",

@@ -149,11 +149,8 @@ def test_a_frame_that_is_stated_wrongly(code, frame, known, ur10) -> None:
     assert found.setup == {"frames": {end: {"estimate": True}}}
 
 
-@pytest.mark.parametrize(
-    ("mount", "said", "away"), [("world", "hand", 4.0), ("hand", "world", 1.8)]
-)
-def test_a_camera_that_is_somewhere_else(mount, said, away) -> None:
-    """What stands still is said to move with the tool, or the other way round."""
+def imaged(mount: str, away: float) -> tuple[Chains, Observations, Setup]:
+    """Thirty images of four points that a camera sees, and its setup."""
     chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
     board = {
         name: PointSetup((0.1 + 0.05 * (k % 2), 0.05 * (k // 2), 0.15))
@@ -173,12 +170,50 @@ def test_a_camera_that_is_somewhere_else(mount, said, away) -> None:
     q = np.repeat(q[:30], 4, axis=0)
     names = tuple("abcd" * (len(q) // 4))
     rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2)
-    wrong = replace(setup, camera=replace(camera, mount=said))
-    case = Case.of_none(Chains.of(chain), rows, wrong)
+    return Chains.of(chain), rows, setup
+
+
+def of_camera(
+    chains: Chains, rows: Observations, camera: CameraSetup, setup: Setup
+) -> Finding:
+    """What explains images that are said to be of a camera."""
+    case = Case.of_none(chains, rows, replace(setup, camera=camera))
     found = explain(case, (robots,))
     assert found is not None
     (one,) = finding(case, found)
+    return one
+
+
+@pytest.mark.parametrize(
+    ("mount", "said", "away"), [("world", "hand", 4.0), ("hand", "world", 1.8)]
+)
+def test_a_camera_that_is_somewhere_else(mount, said, away) -> None:
+    """What stands still is said to move with the tool, or the other way round."""
+    chains, rows, setup = imaged(mount, away)
+    one = of_camera(chains, rows, replace(setup.camera, mount=said), setup)
     assert (one.code, one.setup) == ("camera-mount", {"camera": {"mount": mount}})
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.2])
+def test_a_camera_with_another_lens(factor: float) -> None:
+    """Of images of half the size, say, where those of the whole one are stated."""
+    chains, rows, setup = imaged("hand", 1.8)
+    focal, center = setup.camera.focal, setup.camera.center
+    wrong = replace(
+        setup.camera,
+        focal=(factor * focal[0], factor * focal[1]),
+        center=(factor * center[0], factor * center[1]),
+    )
+    one = of_camera(chains, rows, wrong, setup)
+    stated = {"camera": {"estimate": True}}
+    assert (one.code, one.setup) == ("camera-intrinsics", stated)
+
+
+def test_rows_and_columns_of_an_image() -> None:
+    chains, rows, setup = imaged("hand", 1.8)
+    turned = replace(rows.only, values=rows.only.values[:, ::-1])
+    one = of_camera(chains, Observations((turned,)), setup.camera, setup)
+    assert one.code == "image-axes" and "names of these columns" in one.remedy
 
 
 ARM = calib_pin.load_chain("space6")

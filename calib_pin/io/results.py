@@ -435,7 +435,7 @@ def model_of(
             missing or is not what it should be, see `json_text.reading`.
     """
     setup, places = setup_of(record.setup), reference or record.places
-    frames = typed(dict[str, FrameSetup], places["frames"])
+    frames = {n: typed(FrameSetup, at) for n, at in places["frames"].items()}
     # A model that looks at nothing with a name has no targets.
     blocks = {block.key: list(block.targets) or [""] for block in record.blocks}
     terms, given = make_terms(chains, blocks, setup)

@@ -414,7 +414,9 @@ class Taker:
 
 def _array(value: Any, kind: Any, document: bool) -> Any:
     kinds = {np.float64: "fiu", np.bool_: "b"}.get(kind, "iu")
-    with suppress(ValueError, TypeError):  # Its rows may be of several lengths.
+    with suppress(
+        ValueError, TypeError, OverflowError
+    ):  # Its rows may be of several lengths.
         array = np.array(value, float) if document else np.asarray(value)
         if array.dtype.kind in kinds or not array.size:
             return array.astype(kind, copy=False)

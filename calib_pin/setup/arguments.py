@@ -208,6 +208,18 @@ def keys_of(kind: Any) -> dict[str, Key]:
     return found
 
 
+@cache
+def _below(kind: Any, above: Path) -> dict[str | int, tuple[str, bool]]:
+    """The keys below some keys of a record: a field, and whether others are further."""
+    found = dict[str | int, tuple[str, bool]]()
+    for name, key in keys_of(kind).items():
+        if key.path[: len(above)] == above and len(key.path) > len(above):
+            step, *more = key.path[len(above) :]
+            there, further = found.get(step, ("", False))
+            found[step] = there if more else name, further or bool(more)
+    return found
+
+
 @dataclass(frozen=True)
 class Taker:
     """Takes values as types have them.
@@ -367,28 +379,24 @@ class Taker:
 
         A key of a setup without a value counts as not written.
         """
-        hints, keys, depth = _hints(kind), keys_of(kind), len(above)
-        names = {key.path: name for name, key in keys.items()}
-        within = [p for p in names if p[:depth] == above and len(p) > depth]
-        beside = dict.fromkeys(p[depth] for p in within)
+        hints, below = _hints(kind), _below(kind, above)
         for key, item in value.items():
             place, here = (*above, key), (*path, key)
-            if key not in beside and REST not in beside:
+            if key not in below and REST not in below:
                 if not self.document:
-                    raise unknown(here, beside)
+                    raise unknown(here, below)
                 continue
             if item is None and not self.document:
                 continue
-            name = names.get(place)
-            if key not in beside:
-                name = names[*above, REST]
+            name, further = below.get(key) or below[REST]
+            if key not in below:
                 one = self.taken(item, get_args(hints[name])[1], here)
                 found.setdefault(name, {})[key] = one
-            elif name is not None and name not in found:
-                if by := keys[name].by:
+            elif name and name not in found:
+                if by := keys_of(kind)[name].by:
                     item = [{by: own, **record} for own, record in item.items()]
                 found[name] = self.taken(item, hints[name], here)
-            if any(p[: depth + 1] == place and len(p) > depth + 1 for p in within):
+            if further:
                 item = self.taken(item, Mapping[str, Any], here)
                 self._fill(found, item, kind, here, place)
 

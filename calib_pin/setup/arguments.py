@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import VALUE, OptionError, nearest
-from calib_pin.setup.values import REST, Family, Section, Value, Written
+from calib_pin.setup.values import REST, Family, OneOf, Section, Value, Written
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -77,7 +77,7 @@ class Refused(ValueError):
         """Name the place."""
         self.path, self.allowed, self.shown = path, allowed, what.endswith("value")
         self.reason = what.format(f"'{dotted(path)}'" if path else "the file")
-        super().__init__(f"{self.reason}, but {allowed}" if allowed else self.reason)
+        super().__init__(f"{self.reason}; allowed: {allowed}" if allowed else self.reason)
 
 
 def unknown(path: Path, known: Iterable[str | int]) -> Refused:
@@ -260,43 +260,39 @@ class Taker:
             return self._one_of(value, [h for h in inner if h is not NoneType], path)
         if kind is np.ndarray:
             return _array(value, get_args(inner[1])[0], self.document)
+        if kind is typing.Literal:
+            return OneOf(inner)(value)
         section = isinstance(kind, type) and issubclass(kind, Section)
         declared = is_dataclass(kind) or hasattr(kind, "_fields")
         record = section or (declared and self.document)
         if record and isinstance(value, Mapping):
             return self.record(value, kind, path)
+        # What a section extends is taken as well.
+        if section and (isinstance(value, kind) or issubclass(kind, type(value))):
+            settle(value, *path)
+            return value
+        if kind is Mapping and isinstance(value, Mapping):
+            return {
+                self.taken(k, inner[0], path): self.taken(item, inner[1], (*path, k))
+                for k, item in value.items()
+                if self.document or item is not None
+            }
+        if inner and kind not in _WORDS:
+            return self._several(value, kind, inner, path)
+        if getattr(kind, "_is_protocol", kind is Any):
+            return value
+        if self.document and issubclass(kind, Enum):
+            return kind(value)
         if self.document and kind is float and value in UNKNOWN:
             return math.nan if value is None else float(value)
-        if kind is typing.Literal:
-            fits, words = value in inner, ", ".join(map(str, inner))
-        elif inner and kind not in _WORDS:
-            return self._several(value, kind, inner, path)
-        elif getattr(kind, "_is_protocol", kind is Any):
-            return value
-        elif self.document and issubclass(kind, Enum):
-            return kind(value)
-        else:
-            fits = isinstance(value, _CLASSES.get(kind, kind))
-            words = KEYS if record else _WORDS.get(kind) or kind.__name__
+        fits = isinstance(value, _CLASSES.get(kind, kind))
         if fits and kind in (int, float):
             # JSON holds integers of any length, and Python reads NaN in it.
             fits = not isinstance(value, bool) and abs(value) <= LARGEST
             fits = fits and (kind is float or self.document or value >= 0)
-        fits = fits or hasattr(value, getattr(kind, "acts", " "))
-        # What a section extends is taken as well.
-        if not fits and not (section and issubclass(kind, type(value))):
-            raise ValueError(words)
-        if section:
-            settle(value, *path)
-        if self.document and kind is float:
-            return float(value)
-        if kind is not Mapping:
-            return value
-        return {
-            self.taken(key, inner[0], path): self.taken(item, inner[1], (*path, key))
-            for key, item in value.items()
-            if self.document or item is not None
-        }
+        if not fits and not hasattr(value, getattr(kind, "acts", " ")):
+            raise ValueError(KEYS if record else _WORDS.get(kind) or kind.__name__)
+        return float(value) if self.document and kind is float else value
 
     def _limited(self, value: Any, kind: Any, marks: Iterable[Any], path: Path) -> Any:
         """A value within the limits of its annotation, see `values`."""

@@ -77,7 +77,8 @@ class Refused(ValueError):
         """Name the place."""
         self.path, self.allowed, self.shown = path, allowed, what.endswith("value")
         self.reason = what.format(f"'{dotted(path)}'" if path else "the file")
-        super().__init__(f"{self.reason}; allowed: {allowed}" if allowed else self.reason)
+        also = f"; allowed: {allowed}" if allowed else ""
+        super().__init__(self.reason + also)
 
 
 def unknown(path: Path, known: Iterable[str | int]) -> Refused:
@@ -389,9 +390,13 @@ class Taker:
                 one = self.taken(item, get_args(hints[name])[1], here)
                 found.setdefault(name, {})[key] = one
             elif name and name not in found:
-                if by := keys_of(kind)[name].by:
-                    item = [{by: own, **record} for own, record in item.items()]
-                found[name] = self.taken(item, hints[name], here)
+                hint, by = hints[name], keys_of(kind)[name].by
+                if by:
+                    hint = Mapping[str, get_args(hint)[0]]  # type: ignore[misc]
+                    item = self.taken(item, Mapping[str, Mapping[str, Any]], here)
+                    item = {own: {by: own, **record} for own, record in item.items()}
+                one = self.taken(item, hint, here)
+                found[name] = tuple(one.values()) if by else one
             if further:
                 item = self.taken(item, Mapping[str, Any], here)
                 self._fill(found, item, kind, here, place)

@@ -21,7 +21,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.setup.arguments import Key, Taker, keys_of
+from calib_pin.setup.arguments import Key, Refused, Taker, keys_of
 from calib_pin.setup.values import REST
 
 _T = TypeVar("_T")
@@ -96,8 +96,11 @@ def reading(path: str | Path, what: str = "calibration") -> Iterator[None]:
         yield
     except (CalibPinError, *MISTAKES) as error:
         missing = " is missing" if isinstance(error, KeyError) else ""
+        about: Json = {}
+        if isinstance(error, Refused):
+            about = {"value": error.value, "allowed": error.allowed}
         reason = f"damaged or edited {what}: {error}{missing}"
-        raise InputError(reason, file=path) from error
+        raise InputError(reason, file=path, **about) from error
 
 
 def plain(value: Any, *, brief: bool = False) -> Any:

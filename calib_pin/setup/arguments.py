@@ -77,8 +77,7 @@ class Refused(ValueError):
         """Name the place."""
         self.path, self.allowed, self.shown = path, allowed, what.endswith("value")
         self.reason = what.format(f"'{dotted(path)}'" if path else "the file")
-        also = f"; allowed: {allowed}" if allowed else ""
-        super().__init__(self.reason + also)
+        super().__init__(self.reason)
 
 
 def unknown(path: Path, known: Iterable[str | int]) -> Refused:

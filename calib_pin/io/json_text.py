@@ -114,9 +114,7 @@ def plain(value: Any, *, brief: bool = False) -> Any:
         if math.isfinite(value):
             return float(value)
         return None if math.isnan(value) else f"{'-' * (value < 0.0)}Infinity"
-    if hasattr(value, "_asdict"):
-        return plain(value._asdict())
-    if is_dataclass(value):
+    if is_dataclass(value) or hasattr(value, "_fields"):
         parts, kind = list[Json](), cast(Any, type(value))
         for name, key in keys_of(kind).items():
             item = getattr(value, name)

@@ -170,7 +170,7 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
     Unknown keys are those of a later version and are passed over.
 
     Raises:
-        ValueError: If it is not such a document.
+        OptionError, ValueError: If it is not such a document.
 
     Examples:
         >>> setup_of(setup_document(Setup(tip="tool0"))).tip

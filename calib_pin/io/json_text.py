@@ -1,12 +1,9 @@
 """JSON of declared data: one writer and one reader for all documents.
 
 A document is the fields of its dataclasses, written and read back as they are declared:
-numbers, texts, enumerations, named tuples, mappings, tuples and arrays. A field stands
-under its own name, or where `metadata={"key": ...}` says: `verdict.status` within
-another key, the empty text among the keys of its record, None nowhere. Records that
-have a name may be a mapping by it, `metadata={"by": "name"}`. JSON knows neither
-infinity nor NaN: a number that is not known is null, an infinite one the text
-`Infinity` or `-Infinity`.
+numbers, texts, enumerations, named tuples, mappings, tuples and arrays, each field at
+its key (see `setup.arguments`). JSON knows neither infinity nor NaN: a number that is
+not known is null, an infinite one the text `Infinity` or `-Infinity`.
 """
 
 from __future__ import annotations
@@ -14,20 +11,18 @@ from __future__ import annotations
 import json
 import math
 import re
-import sys
-import types
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import is_dataclass
 from enum import Enum
-from functools import cache, reduce
 from pathlib import Path
-from reprlib import repr
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from calib_pin.errors import CalibPinError, InputError
+from calib_pin.setup.arguments import Key, Refused, Taker, keys_of
+from calib_pin.setup.values import REST
 
 _T = TypeVar("_T")
 
@@ -36,15 +31,11 @@ Json = dict[str, Any]
 VERSION = 1
 """Version of our formats, as far as they state no other one."""
 
-INFINITE = {"Infinity": math.inf, "-Infinity": -math.inf}
-
 MISTAKES = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 """Errors that data raise which are not as they should be."""
 
 NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
 """A list of numbers: no text holds a line break."""
-
-NAMES = {float: "a number", int: "a whole number", str: "a name", bool: "true or false"}
 
 
 def encode(document: object) -> bytes:
@@ -105,39 +96,50 @@ def reading(path: str | Path, what: str = "calibration") -> Iterator[None]:
         yield
     except (CalibPinError, *MISTAKES) as error:
         missing = " is missing" if isinstance(error, KeyError) else ""
+        about: Json = {}
+        if isinstance(error, Refused):
+            about = {"value": error.value, "allowed": error.allowed}
         reason = f"damaged or edited {what}: {error}{missing}"
-        raise InputError(reason, file=path) from error
+        raise InputError(reason, file=path, **about) from error
 
 
-def plain(value: Any) -> Any:
-    """Declared data as mappings, lists, texts and numbers that JSON knows."""
+def plain(value: Any, *, brief: bool = False) -> Any:
+    """Declared data as mappings, lists, texts and numbers that JSON knows.
+
+    Args:
+        value: The data.
+        brief: Whether fields are left out that are at their defaults.
+    """
     if isinstance(value, float):
         if math.isfinite(value):
             return float(value)
         return None if math.isnan(value) else f"{'-' * (value < 0.0)}Infinity"
-    if hasattr(value, "_asdict"):
-        return plain(value._asdict())
-    if is_dataclass(value):
-        return merged(*(_written(f, getattr(value, f.name)) for f in fields(value)))
+    if is_dataclass(value) or hasattr(value, "_fields"):
+        parts, kind = list[Json](), cast(Any, type(value))
+        for name, key in keys_of(kind).items():
+            item = getattr(value, name)
+            if not (brief and (item is None or item == key.default)):
+                parts.append(_written(key, plain(item, brief=brief)))
+        return merged(*parts)
     if isinstance(value, np.ndarray | np.generic):
         listed = value.tolist()
         return listed if np.isfinite(value).all() else plain(listed)
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    return [*map(plain, value)] if isinstance(value, list | tuple) else value
+        return {str(key): plain(item, brief=brief) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item, brief=brief) for item in value]
+    return value
 
 
-def _written(part: Field[Any], value: Any) -> Json:
+def _written(key: Key, value: Any) -> Json:
     """A field as the document that holds nothing else."""
-    if (path := _path(part)) is None:
-        return {}
-    found = plain(value)
-    if (by := part.metadata.get("by")) is not None:
-        found = {one.pop(by): one for one in found}
-    result: Json = reduce(lambda inner, key: {key: inner}, reversed(path), found)
-    return result
+    if key.by:
+        value = {one.pop(key.by): one for one in value}
+    for step in (step for step in reversed(key.path) if step != REST):
+        value = {step: value}
+    return cast(Json, value)
 
 
 def merged(*documents: Mapping[str, Any]) -> Json:
@@ -161,77 +163,9 @@ def typed(kind: type[_T], value: Any, **known: Any) -> _T:
         known: Fields of a dataclass that are not read.
 
     Raises:
-        KeyError: If a field that has no default is missing.
-        TypeError, ValueError, AttributeError: If a value is not of its declared type.
+        TypeError, ValueError, AttributeError: If a value is not of its declared type,
+            or a field that has no default is missing.
     """
-    result: _T = _typed(kind, value, known)
-    return result
-
-
-def _typed(kind: Any, value: Any, known: Mapping[str, Any] = {}) -> Any:
-    origin, of = get_origin(kind), get_args(kind)
-    if origin in (Union, types.UnionType):
-        if value is None and type(None) in of:
-            return None
-        # Of a number or a text, a text is what is no number.
-        text = isinstance(value, str) and str in of and value not in INFINITE
-        return _typed(str if text else of[of[0] is type(None)], value)
-    if is_dataclass(kind):
-        return _record(kind, value, known)
-    if hasattr(kind, "_fields"):
-        hints = _hints(kind)
-        return kind(*(_typed(hints[name], value[name]) for name in kind._fields))
-    if origin is tuple:
-        kinds = of[:1] * len(value) if of[1:] == (...,) else of
-        if isinstance(value, str) or len(value) != len(kinds):
-            raise ValueError(f"{repr(value)} stands in the place of a list")
-        return tuple(map(_typed, kinds, value))
-    if isinstance(origin, type) and issubclass(origin, Mapping):
-        return {str(key): _typed(of[1], item) for key, item in value.items()}
-    if origin is np.ndarray:
-        return np.array(value, float)
-    if origin is Literal and value not in of:
-        raise ValueError(f"{repr(value)} is none of {', '.join(map(str, of))}")
-    if kind is Any or origin is Literal:
-        return value
-    return kind(value) if issubclass(kind, Enum) else _scalar(kind, value)
-
-
-def _record(kind: Any, value: Any, known: Mapping[str, Any]) -> Any:
-    found, hints = dict(known), _hints(kind)
-    for part in fields(kind):
-        path, data = _path(part), value
-        if path is None or part.name in known:
-            continue
-        try:
-            for key in path:
-                data = data[key]
-        except KeyError:
-            if part.default is part.default_factory is MISSING:
-                raise
-            continue
-        if by := part.metadata.get("by"):
-            data = [{by: name, **record} for name, record in data.items()]
-        found[part.name] = _typed(hints[part.name], data)
-    return kind(**found)
-
-
-def _scalar(kind: Any, value: Any) -> Any:
-    if kind is float and (value is None or (type(value) is str and value in INFINITE)):
-        return math.nan if value is None else INFINITE[value]
-    fits = type(value) is kind
-    if kind is float:
-        # Python reads NaN and numbers of any length, JSON knows none.
-        fits = type(value) in (int, float) and abs(value) <= sys.float_info.max
-    if not fits:
-        raise ValueError(f"{repr(value)} stands in the place of {NAMES[kind]}")
-    return kind(value)
-
-
-_hints = cache(get_type_hints)
-
-
-def _path(part: Field[Any]) -> list[str] | None:
-    """The keys to a field from its record; none if it stands there, None nowhere."""
-    stated = part.metadata.get("key", part.name)
-    return None if stated is None else [*filter(None, stated.split("."))]
+    taker, result = Taker(document=True), value
+    result = taker.record(value, kind, **known) if known else taker.taken(value, kind)
+    return cast(_T, result)

@@ -49,7 +49,7 @@ from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import frame_pose
 from calib_pin.residual_models import LearnedCorrection, restore
-from calib_pin.residual_models.documents import numbers
+from calib_pin.residual_models.documents import Array
 from calib_pin.setup import FrameSetup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.result import (
@@ -435,7 +435,7 @@ def model_of(
             missing or is not what it should be, see `json_text.reading`.
     """
     setup, places = setup_of(record.setup), reference or record.places
-    frames = typed(dict[str, FrameSetup], places["frames"])
+    frames = {n: typed(FrameSetup, at) for n, at in places["frames"].items()}
     # A model that looks at nothing with a name has no targets.
     blocks = {block.key: list(block.targets) or [""] for block in record.blocks}
     terms, given = make_terms(chains, blocks, setup)
@@ -498,7 +498,8 @@ def learned_model(
 
     if sha256(encode({"": (record.shift, record.model)})) != record.sha256:
         raise ValueError("'residual_model' is not the one that was learned")
-    shift = numbers({"shift": record.shift}, "shift", (len(model.given),))
+    shift = np.array(record.shift)
+    Array("P").require("shift", shift, {"P": len(model.given)})
     learned = restore(record.model, len(model.of_chain().error.chain.joints))
     return with_learned(model, LearnedCorrection(learned, shift))
 

@@ -7,7 +7,6 @@ holds the joints and what sensors saw of each sample: nothing is left to be join
 
 from __future__ import annotations
 
-from array import array
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from importlib.util import find_spec
@@ -18,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError, enumerated
-from calib_pin.io.dialects import Heading
+from calib_pin.io.columns import Column
 from calib_pin.io.logs import POSE
 from calib_pin.io.measured_columns import POSITION
-from calib_pin.io.table import Cells, Notice, Table
+from calib_pin.io.table import Growing, Notice, Table
 from calib_pin.measurement_models.declaration import QUATERNION
 
 SUFFIXES = (".mcap", ".db3", ".bag")
@@ -175,15 +174,11 @@ def _cells(message: Any) -> dict[str, float]:
 
 def _table(path: str | Path, rows: Sequence[Mapping[str, object]]) -> Table:
     """Messages by columns, numbered from 1; one leaves blank what it does not state."""
-    names = [*dict.fromkeys(name for row in rows for name in row)]
-    lines = array("q", range(1, len(rows) + 1))
-    found = Cells(str(path), Heading(",", names, 0, ""), lines=lines)
-    for k, name in enumerate(names):
-        cells = np.array([row.get(name, np.nan) for row in rows])
-        if cells.dtype.kind == "U":
-            found.add(k, cells.tolist())
-        else:
-            found.grow(k, cells.astype(np.float64))
-    # A name that all rows have says nothing.
-    columns = {c.theirs: c for c in found.columns() if len(c.words) != 1}
-    return Table(str(path), None, columns, np.array(lines))
+    columns = dict[str, Column]()
+    for name in dict.fromkeys(name for row in rows for name in row):
+        cells, own = np.array([row.get(name, np.nan) for row in rows]), Growing()
+        own.add(cells.tolist() if cells.dtype.kind == "U" else cells.astype(float))
+        # A name that all rows have says nothing.
+        if len((column := own.column(name)).words) != 1:
+            columns[column.theirs] = column
+    return Table(str(path), None, columns, np.arange(1, len(rows) + 1))

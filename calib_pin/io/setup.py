@@ -37,7 +37,7 @@ from calib_pin.parameterizations import NOTHING, PARAMETERIZATIONS, required_key
 from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import LOSSES, SOLVERS, WORLD, JointPrior, PopulationPrior, Setup
 from calib_pin.setup.arguments import Path as Place
-from calib_pin.setup.arguments import Refused, Taker, dotted, stated, unknown
+from calib_pin.setup.arguments import Refused, Taker, dotted, unknown
 from calib_pin.setup.values import Value
 
 if TYPE_CHECKING:
@@ -156,9 +156,9 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         >>> setup_document(Setup(tip="tool0", fixed=("*.placement.z",)))
         {'tip': 'tool0', 'fixed': ['*.placement.z'], 'parameters': ['placement']}
     """
-    found: dict[str, Any] = stated(setup)
+    found: dict[str, Any] = plain(setup, brief=True)
     for key in ("parameters", *required_keys(setup.parameters)):
-        found.setdefault(key, stated(getattr(setup, key)))
+        found.setdefault(key, plain(getattr(setup, key), brief=True))
     if isinstance(setup.prior, JointPrior):
         found["prior"] = prior_document(setup.prior)
     return found
@@ -170,7 +170,7 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
     Unknown keys are those of a later version and are passed over.
 
     Raises:
-        ValueError: If it is not such a document.
+        OptionError, ValueError: If it is not such a document.
 
     Examples:
         >>> setup_of(setup_document(Setup(tip="tool0"))).tip
@@ -179,7 +179,7 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
     prior = document.get("prior")
     if isinstance(prior, Mapping) and "format" in prior:
         document = {**document, "prior": _prior_of(prior)}
-    setup: Setup = Taker(FAMILIES, lenient=True).taken(document, Setup, ("setup",))
+    setup: Setup = Taker(FAMILIES, document=True).taken(document, Setup, ("setup",))
     _check_evolution(setup)
     return setup
 

@@ -445,6 +445,44 @@ def require_columns(tables: Sequence[Table]) -> None:
             )
 
 
+class Growing:
+    """A column while its file is read.
+
+    It grows where it is, which takes half the memory of joining parts.
+    """
+
+    def __init__(self) -> None:
+        """A column without rows."""
+        self.numbers, self.codes = array("d"), array("i")
+        self.words = defaultdict[str, int](count().__next__)
+
+    def add(self, cells: Sequence[str] | Floats) -> None:
+        """Add rows by their untrimmed texts, or by their numbers alone."""
+        codes = np.full(len(cells), -1, np.intc)
+        if isinstance(cells, np.ndarray):
+            numbers = cells
+        else:
+            numbers = read_numbers(cells)
+            kept = ~np.isfinite(numbers) | (len(self.words) <= TEXTS)
+            codes[kept] = [self.words[cell] for cell in compress(cells, kept)]
+        self.numbers.frombytes(numbers.tobytes())
+        self.codes.frombytes(codes.tobytes())
+
+    def column(self, header: str) -> Column:
+        """The column under its header."""
+        (name, unit), words = split_header(header), tuple(self.words)
+        numbers = np.frombuffer(self.numbers)
+        codes = np.array(self.codes, np.int64)
+        numbers.setflags(write=False)
+        finite = np.isfinite(numbers)
+        # Some of them would be taken for other names than the rest.
+        if len(words) > TEXTS or (codes[finite] < 0).any():
+            codes[finite] = -1
+        if (codes < 0).all():
+            words, codes = (), np.zeros(0, np.int64)
+        return Column(header, unit, numbers, words, codes, name)
+
+
 @dataclass
 class Cells:
     """The cells of a file by columns, while it is read.
@@ -455,9 +493,6 @@ class Cells:
             for any blanks), and what was recognized, if it is that of a dialect.
         remarks: Sentences about how the file had to be read.
         lines: Line of each row, or its number.
-        numbers: The numbers of each column.
-        codes: The codes of its texts, see `Column`.
-        words: These texts.
     """
 
     file: str
@@ -467,31 +502,14 @@ class Cells:
 
     def __post_init__(self) -> None:
         """Columns without rows."""
-        names = self.heading.names
-        # They grow where they are, which takes half the memory of joining parts.
-        self.numbers = [array("d") for _ in names]
-        self.codes = [array("i") for _ in names]
-        self.words = [defaultdict[str, int](count().__next__) for _ in names]
+        self.grown = [Growing() for _ in self.heading.names]
         self.comma = 0  # The first line with a decimal comma.
         self.header = ""  # The line of the header, with its end.
 
     def columns(self) -> list[Column]:
         """The columns, whose names are those of the file."""
-        result = []
-        for k, header in enumerate(self.heading.names):
-            header = header or f"column {k + 1}"
-            name, unit = split_header(header)
-            numbers = np.frombuffer(self.numbers[k])
-            codes = np.array(self.codes[k], np.int64)
-            numbers.setflags(write=False)
-            finite, words = np.isfinite(numbers), tuple(self.words[k])
-            # Some of them would be taken for other names than the rest.
-            if len(words) > TEXTS or (codes[finite] < 0).any():
-                codes[finite] = -1
-            if (codes < 0).all():
-                words, codes = (), np.zeros(0, np.int64)
-            result.append(Column(header, unit, numbers, words, codes, name))
-        return result
+        headers = (h or f"column {k}" for k, h in enumerate(self.heading.names, 1))
+        return [own.column(h) for own, h in zip(self.grown, headers, strict=True)]
 
     def extend(self, lines: Sequence[str], first: int) -> None:
         """Add the rows among some lines.
@@ -517,48 +535,38 @@ class Cells:
         later, comma = bool(self.lines), self.heading.separator == ","
         self.lines.extend(numbers)
         # The texts of numbers are for messages and names, and so for small files.
-        read = read_lines(lines, len(self.numbers)) if later and comma else None
+        read = read_lines(lines, len(self.grown)) if later and comma else None
         if read is not None:
-            for k, values in enumerate(read):
-                self.grow(k, values)
+            for own, values in zip(self.grown, read, strict=True):
+                own.add(values)
             return
         rows = self._rows(numbers, lines)
         if not comma and not self.comma:
             marked = (any("," in c and COMMA.fullmatch(c) for c in row) for row in rows)
             self.comma = next(compress(numbers, marked), 0)
-        for k, cells in enumerate(zip(*rows, strict=True)):
-            self.add(k, cells)
+        for name, own, cells in zip(
+            self.heading.names, self.grown, zip(*rows, strict=True), strict=False
+        ):
+            own.add(self._with_points(name, cells) if self.comma else cells)
 
-    def add(self, k: int, written: Sequence[str]) -> None:
-        """Add rows of a column by their untrimmed texts."""
-        cells = written
-        if self.comma:
-            every = {*written}
-            commas = {cell for cell in every if COMMA.fullmatch(cell)}
-            points = {c for c in every if "." in c and as_number(c.strip()) is not None}
-            thousands = all(THOUSANDS.fullmatch(cell.strip()) for cell in points)
-            # Beside decimal commas, in this column or others, these are no fractions.
-            if points and (commas or thousands):
-                row = next(k for k, cell in enumerate(written) if cell in points)
-                reason = "a number has a decimal point here, others a comma (line "
-                reason, line = f"{reason}{self.comma})", self.lines[row - len(written)]
-                about = {"column": self.heading.names[k], "value": written[row].strip()}
-                raise InputError(reason, file=self.file, line=line, **about)
-            cells = [c.replace(",", ".") if c in commas else c for c in written]
-        numbers = read_numbers(cells)
-        finite, words = np.isfinite(numbers), self.words[k]
-        codes, kept = np.full(len(cells), -1), ~finite | (len(words) <= TEXTS)
-        codes[kept] = [words[cell] for cell in compress(cells, kept)]
-        self.grow(k, numbers, codes)
-
-    def grow(self, k: int, numbers: Floats, codes: Indices | int = -1) -> None:
-        """Add rows of a column by their numbers, and codes of their texts."""
-        self.numbers[k].frombytes(numbers.tobytes())
-        self.codes[k].frombytes(np.full(len(numbers), codes, np.intc).tobytes())
+    def _with_points(self, name: str, written: Sequence[str]) -> list[str]:
+        """The last cells of a column with decimal points in the place of commas."""
+        every = {*written}
+        commas = {cell for cell in every if COMMA.fullmatch(cell)}
+        points = {c for c in every if "." in c and as_number(c.strip()) is not None}
+        thousands = all(THOUSANDS.fullmatch(cell.strip()) for cell in points)
+        # Beside decimal commas, in this column or others, these are no fractions.
+        if points and (commas or thousands):
+            row = next(k for k, cell in enumerate(written) if cell in points)
+            reason = "a number has a decimal point here, others a comma (line "
+            reason, line = f"{reason}{self.comma})", self.lines[row - len(written)]
+            about = {"column": name, "value": written[row].strip()}
+            raise InputError(reason, file=self.file, line=line, **about)
+        return [c.replace(",", ".") if c in commas else c for c in written]
 
     def _rows(self, numbers: Sequence[int], lines: Sequence[str]) -> list[list[str]]:
         """Cells of some lines, as many of each as the header has."""
-        rows, width = list[list[str]](), len(self.numbers)
+        rows, width = list[list[str]](), len(self.grown)
         mark = self.heading.separator
         if mark == " ":
             mark, lines = "\t", ["\t".join(line.split()) for line in lines]
@@ -653,13 +661,13 @@ def _read_parquet(file: str) -> Cells:
             lines = array("q", range(1, opened.metadata.num_rows + 1))
             heading = Heading(",", [name.strip() for name in names], 0, "")
             found = Cells(file, heading, lines=lines)
-            for k, name in enumerate(names):  # One after the other, for memory.
+            # One after the other, for memory.
+            for name, own in zip(names, found.grown, strict=True):
                 cells = opened.read([name], use_threads=False).column(0)
                 if pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type):
-                    found.grow(k, cells.cast(pa.float64(), safe=False).to_numpy())
+                    own.add(cells.cast(pa.float64(), safe=False).to_numpy())
                 else:
-                    texts = ["" if c is None else str(c) for c in cells.to_pylist()]
-                    found.add(k, texts)
+                    own.add(["" if c is None else str(c) for c in cells.to_pylist()])
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         what = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"cannot be read as Parquet: {what}", file=file) from None

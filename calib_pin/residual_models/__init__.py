@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal
 
 from calib_pin.residual_models.base import (
     LearnedCorrection,
@@ -12,9 +12,9 @@ from calib_pin.residual_models.base import (
     Space,
     TrainingRows,
 )
-from calib_pin.residual_models.documents import checked, stated
 from calib_pin.residual_models.region import TrainedRegion
 from calib_pin.residual_models.shifts import Shifts
+from calib_pin.setup.arguments import Taker
 
 __all__ = [
     "RESIDUAL_MODELS",
@@ -47,6 +47,8 @@ def _fit_gaussian_process(*given: Any, **options: Any) -> ResidualModel:
     return fit_gaussian_process(*given, **options)
 
 
+Kind = Literal["network", "gaussian-process"]
+
 RESIDUAL_MODELS: Mapping[str, Fitter] = {
     "network": _fit_network,
     "gaussian-process": _fit_gaussian_process,
@@ -64,8 +66,10 @@ def restore(document: object, joints: int) -> ResidualModel:
     Raises:
         ValueError: With the reason, if it is anything else.
     """
-    parts = checked(document, "residual model")
-    if stated(parts, "kind", tuple(RESIDUAL_MODELS)) == "network":
+    taker = Taker(document=True)
+    parts = taker.taken(document, Mapping[str, Any], ("residual model",))
+    kind = taker.taken(parts.get("kind"), Kind, ("kind",))
+    if kind == "network":
         from calib_pin.residual_models.network import Network
 
         return Network.restore(parts, joints)

@@ -1,24 +1,17 @@
-"""A document's values, written and read; nothing in it is ever run."""
+"""A document's arrays, written and read; nothing in it is ever run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, cast, get_origin, get_type_hints
 
 import numpy as np
 
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.setup.arguments import Taker
 
 LARGEST = 1e12
 """Largest number in a document: beyond, squares and products would overflow."""
-
-MOST = 4_000_000
-"""Most numbers in one array of a document."""
-
-
-MADE: Mapping[Any, Callable[[Floats], Any]] = {float: float, tuple[float, float]: tuple}
-"""Values of numbers that are no arrays, by their type."""
 
 _Part = TypeVar("_Part")
 
@@ -37,39 +30,56 @@ class Array:
     positive: bool = False
     empty: bool = False
 
+    def require(self, name: str, value: object, sizes: dict[str, int]) -> None:
+        """Refuse numbers that are not such.
+
+        Args:
+            name: Their name, for messages.
+            value: The numbers.
+            sizes: Known sizes by name; the first array of another one tells it.
+
+        Raises:
+            ValueError: If they are not.
+        """
+        found, names = np.asarray(value), self.shape.split()
+        known = {k: n for k, n in zip(names, found.shape, strict=False)} | sizes
+        shape = tuple(int(k) if k.isdigit() else known.get(k) for k in names)
+        if found.shape != shape or not (found.size or self.empty):
+            want = self.shape or "that of one number"
+            raise ValueError(f"'{name}' has the shape {found.shape}, not {want}")
+        if not (np.abs(found) <= LARGEST).all():
+            raise ValueError(f"'{name}' holds a number that is not finite or too large")
+        if self.positive and not (found > 0.0).all():
+            raise ValueError(f"'{name}' holds a number that is not positive")
+        sizes |= known
+
 
 def restored(
-    kind: type[_Part],
-    document: object,
-    what: str,
-    sizes: Mapping[str, int],
-    **known: object,
+    kind: type[_Part], document: Mapping[str, Any], sizes: Mapping[str, int]
 ) -> _Part:
     """A dataclass of a document, by the annotations of its fields.
 
     Args:
-        kind: The dataclass; its fields are dataclasses, or have an `Array`.
+        kind: The dataclass; arrays in it have an `Array`.
         document: The document.
-        what: Name of the document.
-        sizes: Known sizes by name; the first array of another one tells it.
-        known: Values that are known.
+        sizes: Known sizes by name.
 
     Raises:
         ValueError: If it is not one.
     """
-    parts, sizes = checked(document, what), dict(sizes)
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        if is_dataclass(hint):
-            known[name] = restored(hint, parts.get(name), name, sizes)  # type: ignore[arg-type]
+    found = Taker(document=True).record(document, kind)
+    _check(found, dict(sizes))
+    return cast(_Part, found)
+
+
+def _check(part: object, sizes: dict[str, int]) -> None:
+    """Refuse arrays of a dataclass, and of those in it, that are not as annotated."""
+    for name, hint in get_type_hints(type(part), include_extras=True).items():
+        value = getattr(part, name)
+        if is_dataclass(value):
+            _check(value, dict(sizes))
         elif get_origin(hint) is Annotated:
-            made, array = get_args(hint)
-            names = array.shape.split()
-            shape = tuple(int(k) if k.isdigit() else sizes.get(k) for k in names)
-            allowed = {"positive": array.positive, "empty": array.empty}
-            found = numbers(parts, name, shape, **allowed)
-            sizes |= zip(names, found.shape, strict=True)
-            known[name] = MADE.get(made, np.asarray)(found)
-    return kind(**known)
+            hint.__metadata__[0].require(name, value, sizes)
 
 
 def written(part: object) -> Any:
@@ -79,71 +89,3 @@ def written(part: object) -> Any:
     if isinstance(part, np.ndarray):
         return part.tolist()
     return list(part) if isinstance(part, tuple) else part
-
-
-def checked(document: object, what: str) -> Mapping[str, Any]:
-    """A part of a document that must be a mapping.
-
-    Raises:
-        ValueError: If it is not.
-    """
-    if not isinstance(document, Mapping):
-        raise ValueError(f"'{what}' is not a mapping")
-    return document
-
-
-def stated(document: Mapping[str, Any], key: str, allowed: Sequence[str]) -> str:
-    """A word of a document.
-
-    Raises:
-        ValueError: If it is missing or not one of those allowed.
-    """
-    found = document.get(key)
-    if not isinstance(found, str) or found not in allowed:
-        raise ValueError(f"'{key}' is not one of {', '.join(allowed)}")
-    return found
-
-
-def numbers(
-    document: Mapping[str, Any],
-    key: str,
-    shape: tuple[int | None, ...],
-    *,
-    positive: bool = False,
-    empty: bool = False,
-) -> Floats:
-    """An array of a document.
-
-    Args:
-        document: The document.
-        key: Key of the array.
-        shape: Its shape; None is any length.
-        positive: Whether all numbers must be larger than zero.
-        empty: Whether there may be none.
-
-    Raises:
-        ValueError: If it is missing or anything else.
-    """
-    if key not in document:
-        raise ValueError(f"'{key}' is missing")
-    try:
-        found = np.asarray(document[key])
-    except (ValueError, OverflowError):
-        raise ValueError(f"'{key}' is not an array of numbers") from None
-    if found.dtype.kind not in "iuf" and found.size:
-        raise ValueError(f"'{key}' is not an array of numbers")
-    fits = found.ndim == len(shape) and all(
-        want is None or have == want
-        for have, want in zip(found.shape, shape, strict=True)
-    )
-    if not fits or not (found.size or empty):
-        want = " x ".join("any" if k is None else str(k) for k in shape) or "one number"
-        raise ValueError(f"'{key}' has the shape {found.shape}, not {want}")
-    if found.size > MOST:
-        raise ValueError(f"'{key}' holds {found.size} numbers, more than {MOST}")
-    result = found.astype(float)
-    if not (np.abs(result) <= LARGEST).all():
-        raise ValueError(f"'{key}' holds a number that is not finite or too large")
-    if positive and not (result > 0.0).all():
-        raise ValueError(f"'{key}' holds a number that is not positive")
-    return result

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, cast, get_args
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ from calib_pin.residual_models.covariance import (
     most_likely,
     symmetric_inverse,
 )
-from calib_pin.residual_models.documents import Array, restored, stated, written
+from calib_pin.residual_models.documents import Array, restored, written
 from calib_pin.residual_models.region import TrainedRegion
 
 FEWEST = 5
@@ -117,9 +117,8 @@ class GaussianProcess:
         Raises:
             ValueError: If it is not one.
         """
-        space = cast(Space, stated(document, "space", get_args(Space)))
-        sizes = {"n": joints, "m": joints if space == "joint" else 6}
-        found = restored(GaussianProcess, document, "process", sizes, space=space)
+        sizes = {"n": joints, "m": joints if document.get("space") == "joint" else 6}
+        found = restored(GaussianProcess, document, sizes)
         found.covariance.require(joints, sizes["m"])
         return found
 

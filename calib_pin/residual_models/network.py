@@ -128,7 +128,7 @@ class Network:
         Raises:
             ValueError: If it is not one.
         """
-        return restored(Network, document, "network", {"n": joints})
+        return restored(Network, document, {"n": joints})
 
 
 @serial_blas

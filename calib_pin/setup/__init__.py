@@ -72,9 +72,9 @@ Many = Annotated[int, Value("", 1, 10_000_000)]
 Sigmas = Mapping[str, Annotated[float, Value("SI", SMALLEST)]]
 
 
-def empty(*key: str) -> Any:
-    """A field that is an empty mapping by default, and its key in a file."""
-    return field(default_factory=dict, metadata={"key": key} if key else {})
+def empty(**metadata: str) -> Any:
+    """A field that is an empty mapping by default."""
+    return field(default_factory=dict, metadata=metadata)
 
 
 # --- references of measurements: frames, planes, points, spheres, cameras -----------
@@ -849,7 +849,7 @@ class SolverSetup(Section):
     """
 
     name: Annotated[str, Family("solver")] = "gauss-newton"
-    evolution: Mapping[str, Annotated[float, Value(), _whole] | str] = empty(REST)
+    evolution: Mapping[str, Annotated[float, Value(), _whole] | str] = empty(key=REST)
 
 
 @dataclass(frozen=True)
@@ -921,10 +921,10 @@ class MeasurementSetup(RobotSetup):
     """
 
     base_frame: FrameSetup = field(
-        default=FrameSetup(), metadata={"key": ("frames", "base")}
+        default=FrameSetup(), metadata={"key": "frames.base"}
     )
     tool_frame: FrameSetup = field(
-        default=FrameSetup(), metadata={"key": ("frames", "tool")}
+        default=FrameSetup(), metadata={"key": "frames.tool"}
     )
     stations: Mapping[str, FrameSetup] = empty()
     tools: Mapping[str, ToolSetup] = empty()
@@ -1017,7 +1017,7 @@ class Setup(FitSetup):
     ranger: RangerSetup = RangerSetup()
     gauge: Length | None = None
     monte_carlo: MonteCarloSetup = MonteCarloSetup()
-    file: str = field(default="", compare=False)
+    file: str = field(default="", compare=False, metadata={"key": None})
 
     __repr__ = Brief.__repr__
 

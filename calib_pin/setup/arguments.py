@@ -3,24 +3,31 @@
 What is allowed stands in the annotations of functions and dataclasses, and holds for
 arguments from Python as for the keys of files. A refusal is one line that names the
 argument or key, and what is shown of a dataclass is one line as well.
+
+A field of a record is a key of its file under its own name, or where
+`metadata={"key": ...}` says: `verdict.status` within another key, the empty text among
+the keys of its record, `REST` as all keys beside the others, None nowhere. Records that
+have a name may be a mapping by it, `metadata={"by": "name"}`.
 """
 
 from __future__ import annotations
 
+import math
 import typing
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from enum import Enum
 from functools import cache, wraps
 from inspect import signature
 from types import NoneType, UnionType
-from typing import Any, TypeVar, cast, get_args, get_origin
+from typing import Any, NamedTuple, TypeVar, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import VALUE, OptionError, nearest
-from calib_pin.setup.values import REST, Family, Section, Value, Written
+from calib_pin.setup.values import REST, Family, OneOf, Section, Value, Written
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -44,6 +51,11 @@ _CLASSES = {
     int: int | np.integer,
     float: int | float | np.number,
 }
+
+LARGEST = float(np.finfo(float).max)
+
+UNKNOWN = (None, "Infinity", "-Infinity")
+"""Stand in documents in the place of numbers that JSON does not know."""
 
 
 class Refused(ValueError):
@@ -167,11 +179,45 @@ def _hints(of: Any) -> dict[str, Any]:
     return {k: hint for k, hint in found.items() if get_origin(hint) != typing.ClassVar}
 
 
+class Key(NamedTuple):
+    """Where a field of a record stands in its file.
+
+    Attributes:
+        path: Keys that lead to it from the record.
+        by: The field by which records are a mapping; empty where they are a list.
+        default: Its default; `MISSING` where it has to be stated.
+    """
+
+    path: Path
+    by: str
+    default: Any
+
+
 @cache
-def keys_of(kind: Any) -> dict[Path, str]:
-    """The fields of a section by the path of their keys in a file."""
-    told = [f for f in fields(kind) if f.compare]
-    return {f.metadata.get("key", (f.name,)): f.name for f in told}
+def keys_of(kind: Any) -> dict[str, Key]:
+    """The keys of a dataclass or named tuple, by the names of its fields."""
+    if hasattr(kind, "_fields"):
+        defaults = kind._field_defaults
+        return {n: Key((n,), "", defaults.get(n, MISSING)) for n in kind._fields}
+    found = dict[str, Key]()
+    for f in fields(kind):
+        if (stated := f.metadata.get("key", f.name)) is not None:
+            make, path = f.default_factory, tuple(filter(None, stated.split(".")))
+            default = f.default if make is MISSING else make()
+            found[f.name] = Key(path, f.metadata.get("by", ""), default)
+    return found
+
+
+@cache
+def _below(kind: Any, above: Path) -> dict[str | int, tuple[str, bool]]:
+    """The keys below some keys of a record: a field, and whether others are further."""
+    found = dict[str | int, tuple[str, bool]]()
+    for name, key in keys_of(kind).items():
+        if key.path[: len(above)] == above and len(key.path) > len(above):
+            step, *more = key.path[len(above) :]
+            there, further = found.get(step, ("", False))
+            found[step] = there if more else name, further or bool(more)
+    return found
 
 
 @dataclass(frozen=True)
@@ -180,11 +226,14 @@ class Taker:
 
     Attributes:
         families: Known names by the name of their family; others are not checked.
-        lenient: Whether unknown keys are passed over.
+        document: Whether they are those of a JSON document that calib-pin wrote. It
+            states every record as a mapping, and a number that is not known as null;
+            what a later version has added is passed over, and limits of what a user
+            may state are none of what was fitted.
     """
 
     families: Mapping[str, Collection[str]] = field(default_factory=dict)
-    lenient: bool = False
+    document: bool = False
 
     def taken(self, value: Any, hint: Any, path: Path = ()) -> Any:
         """The value as a type has it.
@@ -210,35 +259,40 @@ class Taker:
                 return None
             return self._one_of(value, [h for h in inner if h is not NoneType], path)
         if kind is np.ndarray:
-            return _array(value, get_args(inner[1])[0])
-        section = isinstance(kind, type) and issubclass(kind, Section)
-        if section and isinstance(value, Mapping):
-            return self._section(value, kind, path)
+            return _array(value, get_args(inner[1])[0], self.document)
         if kind is typing.Literal:
-            fits, words = value in inner, ", ".join(map(str, inner))
-        elif inner and kind not in _WORDS:
-            return self._several(value, kind, inner, path)
-        elif getattr(kind, "_is_protocol", kind is Any):
-            return value
-        else:
-            fits = isinstance(value, _CLASSES.get(kind, kind))
-            words = KEYS if section else _WORDS.get(kind) or kind.__name__
-        if fits and kind in (int, float):
-            fits = not isinstance(value, bool) and np.isfinite(value)
-            fits = fits and (kind is float or value >= 0)
-        fits = fits or hasattr(value, getattr(kind, "acts", " "))
+            return OneOf(inner)(value)
+        section = isinstance(kind, type) and issubclass(kind, Section)
+        declared = is_dataclass(kind) or hasattr(kind, "_fields")
+        record = section or (declared and self.document)
+        if record and isinstance(value, Mapping):
+            return self.record(value, kind, path)
         # What a section extends is taken as well.
-        if not fits and not (section and issubclass(kind, type(value))):
-            raise ValueError(words)
-        if section:
+        if section and (isinstance(value, kind) or issubclass(kind, type(value))):
             settle(value, *path)
-        if kind is not Mapping:
             return value
-        return {
-            self.taken(key, inner[0], path): self.taken(item, inner[1], (*path, key))
-            for key, item in value.items()
-            if item is not None
-        }
+        if kind is Mapping and isinstance(value, Mapping):
+            return {
+                self.taken(k, inner[0], path): self.taken(item, inner[1], (*path, k))
+                for k, item in value.items()
+                if self.document or item is not None
+            }
+        if inner and kind not in _WORDS:
+            return self._several(value, kind, inner, path)
+        if getattr(kind, "_is_protocol", kind is Any):
+            return value
+        if self.document and issubclass(kind, Enum):
+            return kind(value)
+        if self.document and kind is float and value in UNKNOWN:
+            return math.nan if value is None else float(value)
+        fits = isinstance(value, _CLASSES.get(kind, kind))
+        if fits and kind in (int, float):
+            # JSON holds integers of any length, and Python reads NaN in it.
+            fits = not isinstance(value, bool) and abs(value) <= LARGEST
+            fits = fits and (kind is float or self.document or value >= 0)
+        if not fits and not hasattr(value, getattr(kind, "acts", " ")):
+            raise ValueError(KEYS if record else _WORDS.get(kind) or kind.__name__)
+        return float(value) if self.document and kind is float else value
 
     def _limited(self, value: Any, kind: Any, marks: Iterable[Any], path: Path) -> Any:
         """A value within the limits of its annotation, see `values`."""
@@ -248,7 +302,10 @@ class Taker:
                 value = mark.function(value)
             elif isinstance(mark, Value):
                 limits = mark
-        found = limits.taken(value, kind) if limits else self.taken(value, kind, path)
+        if limits is not None and not self.document:
+            found = limits.taken(value, kind)
+        else:
+            found = self.taken(value, kind, path)
         for mark in marks:
             if isinstance(mark, Family):
                 self._require_known(found, mark, path)
@@ -284,38 +341,63 @@ class Taker:
             raise deepest
         raise ValueError(" or ".join(dict.fromkeys(str(e.allowed) for e in refused)))
 
-    def _section(self, value: Mapping[str, Any], kind: Any, path: Path) -> Any:
-        """A section by its keys in a file."""
-        found = dict[str, Any]()
+    def record(
+        self, value: Mapping[str, Any], kind: Any, path: Path = (), **known: Any
+    ) -> Any:
+        """A dataclass or named tuple by its keys in a file.
+
+        Args:
+            value: The keys.
+            kind: The type.
+            path: Where it stands.
+            known: Fields that are not read.
+
+        Raises:
+            Refused: If a key is missing, unknown, or not of its type.
+        """
+        found = dict(known)
+        for name, key in keys_of(kind).items():
+            if not key.path and name not in known:
+                found[name] = self.taken(value, _hints(kind)[name], path)
         self._fill(found, value, kind, path, ())
-        for f in fields(kind):
-            if f.name not in found and f.default is f.default_factory is MISSING:
-                raise Refused((*path, f.name), None, "{} is missing")
-        section: Section = kind(**found)
-        section._check()
-        return section
+        for name, key in keys_of(kind).items():
+            if name not in found and key.default is MISSING:
+                raise Refused((*path, *key.path), None, "{} is missing")
+        result = kind(**found)
+        if isinstance(result, Section):
+            result._check()
+        return result
 
     def _fill(
         self, found: Any, value: Mapping[str, Any], kind: Any, path: Path, above: Path
     ) -> None:
-        """Take the fields of a section; a key without a value counts as not written."""
-        known, hints, depth = keys_of(kind), _hints(kind), len(above)
-        beside = dict.fromkeys(k[depth] for k in known if k[:depth] == above)
+        """Take fields in the order of the file, of all those whose keys are `above`.
+
+        A key of a setup without a value counts as not written.
+        """
+        hints, below = _hints(kind), _below(kind, above)
         for key, item in value.items():
             place, here = (*above, key), (*path, key)
-            if key not in beside and REST not in beside:
-                if not self.lenient:
-                    raise unknown(here, beside)
-            elif item is None:
+            if key not in below and REST not in below:
+                if not self.document:
+                    raise unknown(here, below)
                 continue
-            elif (name := known.get(place)) is not None:
-                found[name] = self.taken(item, hints[name], here)
-            elif key not in beside:
-                name = known[(*above, REST)]
+            if item is None and not self.document:
+                continue
+            name, further = below.get(key) or below[REST]
+            if key not in below:
                 one = self.taken(item, get_args(hints[name])[1], here)
                 found.setdefault(name, {})[key] = one
-            else:
-                self.taken(item, Mapping[str, Any], here)
+            elif name and name not in found:
+                hint, by = hints[name], keys_of(kind)[name].by
+                if by:
+                    hint = Mapping[str, get_args(hint)[0]]  # type: ignore[misc]
+                    item = self.taken(item, Mapping[str, Mapping[str, Any]], here)
+                    item = {own: {by: own, **record} for own, record in item.items()}
+                one = self.taken(item, hint, here)
+                found[name] = tuple(one.values()) if by else one
+            if further:
+                item = self.taken(item, Mapping[str, Any], here)
                 self._fill(found, item, kind, here, place)
 
     def _several(self, value: Any, kind: Any, inner: Sequence[Any], path: Path) -> Any:
@@ -323,6 +405,8 @@ class Taker:
         if isinstance(value, Mapping):
             raise ValueError("a list in square brackets")
         one = isinstance(value, str) or not isinstance(value, Iterable)
+        if one and self.document:
+            raise ValueError("a list")
         values = (value,) if one else value if isinstance(value, Sequence) else [*value]
         hints = inner
         if kind is not tuple or inner[-1] is ...:
@@ -336,29 +420,12 @@ class Taker:
         return found if kind is tuple or one else values
 
 
-def _array(value: Any, kind: Any) -> Any:
+def _array(value: Any, kind: Any, document: bool) -> Any:
     kinds = {np.float64: "fiu", np.bool_: "b"}.get(kind, "iu")
-    with suppress(ValueError):  # Its rows may be of several lengths.
-        array = np.asarray(value)
+    with suppress(
+        ValueError, TypeError, OverflowError
+    ):  # Its rows may be of several lengths.
+        array = np.array(value, float) if document else np.asarray(value)
         if array.dtype.kind in kinds or not array.size:
             return array.astype(kind, copy=False)
     raise ValueError("an array of numbers")
-
-
-def stated(value: Any) -> Any:
-    """A setup as plain data with the keys of a file, without defaults."""
-    if isinstance(value, Mapping):
-        return {k: stated(item) for k, item in value.items() if item is not None}
-    if not isinstance(value, Section):
-        return [*map(stated, value)] if isinstance(value, tuple) else value
-    found, kind = dict[Any, Any](), cast(Any, type(value))
-    defaults = {f.name: f.default for f in fields(kind)}
-    for (*above, key), name in keys_of(kind).items():
-        item = getattr(value, name)
-        if item is None or item == defaults[name] or item == {}:
-            continue
-        part = found
-        for step in above:
-            part = part.setdefault(step, {})
-        part.update(stated(item) if key == REST else {key: stated(item)})
-    return found

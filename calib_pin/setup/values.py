@@ -32,11 +32,7 @@ MOST = 100
 
 
 class Section:
-    """Base of the dataclasses that are the sections of a setup file.
-
-    Its fields are the keys. A field with `metadata={"key": (...)}` stands elsewhere in
-    a file: at this path from the section, or, `REST`, as keys beside the others.
-    """
+    """Base of the dataclasses that are sections of a setup file, see `arguments`."""
 
     def _check(self) -> None:
         """Refuse keys that contradict each other.

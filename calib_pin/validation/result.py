@@ -834,7 +834,7 @@ class Identifiability:
     structural_values: tuple[float, ...] = field(
         metadata={"key": "structural_singular_values"}
     )
-    observability: dict[str, float]
+    observability: Mapping[str, float]
     weak: int = 0
     revealed: int = 0
     scale_observable: bool = True

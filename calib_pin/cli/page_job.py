@@ -18,11 +18,11 @@ from typing import Any
 from urllib.parse import quote
 
 from calib_pin.cli.asked import Init
+from calib_pin.cli.calibrate import Opened, calibrated, opened
 from calib_pin.cli.files import open_setup
 from calib_pin.cli.init import looked_at
 from calib_pin.cli.options import Request, same
 from calib_pin.cli.printing import complaint, notice, stage, taken_notices
-from calib_pin.cli.requests import Opened, calibrated, opened
 from calib_pin.cli.watch import watched
 from calib_pin.errors import CalibPinError
 from calib_pin.guidance import Event, Watch
@@ -266,7 +266,7 @@ class Job:
     def _calibrate(self) -> None:
         given = self.read.opened
         assert given is not None
-        found = calibrated(given, given.request.words(OUT), bar=self._bar)
+        found = calibrated(given, bar=self._bar)
         files = {path.name: data for path, data in found.contents.items()}
         files[SETUP.name], stream = self.read.text.encode(), io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -289,9 +289,9 @@ class Job:
         self, chains: Chains, setup: Setup, model: CalibratedModel | None = None
     ) -> Scene:
         given, folders = self.read.opened, self.chosen.package_dir or ()
-        read, tells = None if given is None else given.again, partial(stage, self._bar)
+        data, tells = given.measurements if given else None, partial(stage, self._bar)
         return make_scene(
-            chains, model, setup, read, None, folders, tell=notice, stage=tells
+            chains, model, setup, data, None, folders, tell=notice, stage=tells
         )
 
     # --- what is shown -------------------------------------------------------------

@@ -29,12 +29,19 @@ def view(asked: View) -> int:
     if doubt := doubt_of(calibrated, asked.calibration):
         printing.notice(doubt)
     with printing.progress_bar() as bar:
-        read = partial(asked.read, asked.measurements or [], bar=bar)
+        model, rows = None if calibrated is None else calibrated.model, None
+        if asked.measurements:
+            known = {} if model is None else model.references
+            sockets = [reference.name for reference in known.values()]
+            measured, rows = asked.read(
+                asked.measurements, chains, stated, sockets=sockets, bar=bar
+            )
+            chains = measured if model is None else chains
         scene = make_scene(
             chains,
-            None if calibrated is None else calibrated.model,
+            model,
             stated,
-            read if asked.measurements else None,
+            rows,
             asked.plan,
             folders,
             tell=printing.notice,

@@ -20,11 +20,10 @@ from rich.text import Text
 import calib_pin.cli.options as options
 import calib_pin.guidance as guidance
 from calib_pin.cli.asked import Calibrate, Watch
-from calib_pin.cli.calibrate import calibrate
+from calib_pin.cli.calibrate import Opened, calibrate, opened
 from calib_pin.cli.init import reading
 from calib_pin.cli.options import Request
 from calib_pin.cli.printing import console, notice, say, taken_notices
-from calib_pin.cli.requests import Opened, opened
 from calib_pin.errors import InputError, OptionError, RobotError, enumerated
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.guidance import Event

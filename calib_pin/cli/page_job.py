@@ -128,7 +128,6 @@ class Job:
         self._remarks, self._events = list[str](), list[Event]()
         self._stage: tuple[str, float | None] | None = None
         self._watch: Watch | None = None
-        self._seen: Opened | None = None
 
     # --- what a person does --------------------------------------------------------
 
@@ -176,7 +175,7 @@ class Job:
         """Follow the measurements while they are written."""
         assert self.read.opened is not None
         request, self._events = self.read.opened.request, []
-        self._watch = watched(request, seen=partial(setattr, self, "_seen"))
+        self._watch = watched(request)
 
     # --- what is done then ---------------------------------------------------------
 
@@ -277,12 +276,12 @@ class Job:
         self.scene = self._drawn(model.chains, given.setup, model)
 
     def _look(self) -> None:
+        """Look whether there is more in the files, and read it."""
         if self._watch is None or (before := self.read.opened) is None:
             return
         if found := [*self._watch.look()]:
             self._events += found
-            given = replace(self._seen or before, output=before.output)
-            self.read.opened = given
+            self.read.opened = given = opened(before.request, OUT, force=True)
             self.scene = self._drawn(given.chains, given.setup)
 
     def _drawn(

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from json import dumps
 from pathlib import Path
@@ -47,7 +48,6 @@ def watched(
     limit: float | None = None,
     *,
     srdf: Path | None = None,
-    seen: Callable[[Opened], object] = lambda _: None,
 ) -> guidance.Watch:
     """The watch of a calibration as `calibrate` takes it.
 
@@ -56,12 +56,11 @@ def watched(
         plan: Configurations to measure.
         limit: Expected error of the tool point that is to be reached [m].
         srdf: Pairs of links that need no collision check.
-        seen: Told the input whenever it was read.
     """
 
     def read() -> Any:
         try:
-            seen(found := opened(request, None))
+            found = opened(request, None)
             return found.chains, _so_far(found), found.measurements
         finally:
             taken_notices()
@@ -88,18 +87,16 @@ def _so_far(found: Opened) -> Setup:
 
 def watch(asked: Watch) -> int:
     """Do what `Watch` asks for."""
-    own = options.same(asked, Request)
     before: Callable[[], object] = partial(time.sleep, PAUSE)
     if asked.board is not None:
         from calib_pin.cli.detect import images_of
 
         folder = asked.measurements[0]
         file, before = images_of(folder, asked.board, asked.joints, PAUSE)
-        own["measurements"] = [file]
-    request = Request(**own)
-    job = watched(request, asked.plan, asked.limit, srdf=asked.srdf)
+        asked = replace(asked, measurements=[file])
+    job = watched(asked, asked.plan, asked.limit, srdf=asked.srdf)
     try:
-        found = opened(request, asked.output, force=asked.force)
+        found = opened(asked, asked.output, force=asked.force)
     except (OptionError, RobotError):
         raise
     except InputError:
@@ -108,15 +105,15 @@ def watch(asked: Watch) -> int:
         job.proposals.check(found.chains, found.setup)
     taken_notices()
     if asked.type and asked.plan is not None:
-        if len(request.measurements) != 1:
+        if len(asked.measurements) != 1:
             raise OptionError("--type needs one file of measurements")
-        before = typed(request, asked.plan)
+        before = typed(asked, asked.plan)
     lines = asked.type or asked.json or asked.quiet or not sys.stdout.isatty()
     live = None if lines else console()
     if live is not None and not asked.once:
         end = f"writes {asked.output}" if asked.output else "prints the result"
         live.print(
-            f"following {enumerated(map(str, request.measurements))}; Ctrl-C {end}"
+            f"following {enumerated(map(str, asked.measurements))}; Ctrl-C {end}"
         )
     with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
 
@@ -132,8 +129,8 @@ def watch(asked: Watch) -> int:
     if asked.once:
         trusted = job.state is not None and job.state.verdict in TRUSTED
         return 0 if trusted else 2
-    whole = Calibrate(**options.same(asked, Calibrate) | own)
-    return calibrate(whole, request.words(asked.output or Path())[1:])
+    whole = Calibrate(**options.same(asked, Calibrate))
+    return calibrate(whole, asked.words(asked.output or Path())[1:])
 
 
 def follow(

@@ -30,7 +30,7 @@ NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
 def accept(asked: Accept) -> int:
     """Do what `Accept` asks for."""
     rows_in, output = asked.measurements, asked.output
-    calibrated, chains, used = asked.subject(None, "limit", "report")
+    calibrated, chains, used = files.open_subject(asked, None, "limit", "report")
     limit, entries = used.limit, used.report
     if calibrated is not None and entries is calibrated.model.setup.report:
         # These of the calibration are not those of the test.

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 from calib_pin.cli.asked import Evaluate
+from calib_pin.cli.files import open_subject
 from calib_pin.cli.printing import notice, progress_bar, stage
 from calib_pin.io.json_text import Json, format_keys, plain
 from calib_pin.io.results import doubt_of, used_files
@@ -18,7 +19,7 @@ from calib_pin.validation.result import Evaluation
 def evaluate(asked: Evaluate) -> int:
     """Do what `Evaluate` asks for."""
     rows_in, sockets = asked.measurements, list[str]()
-    calibrated, chains, stated = asked.subject(asked.chain)
+    calibrated, chains, stated = open_subject(asked, asked.chain)
     doubt = doubt_of(calibrated, asked.calibration)
     if calibrated is not None and asked.calibration is not None:
         references = calibrated.model.references.values()

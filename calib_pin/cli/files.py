@@ -28,6 +28,7 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import WORLD, Setup
 
 if TYPE_CHECKING:
+    from calib_pin.cli.options import OfCalibration
     from calib_pin.validation.result import CalibrationResult
 
 exists = os.path.exists  # False also where that cannot be determined.
@@ -146,32 +147,37 @@ def tell_limits(chains: Chains) -> None:
         )
 
 
-def open_calibration(
-    path: Path, setup: Setup, *also: str
-) -> tuple[CalibrationResult, Setup]:
-    """A calibration, and the setup with which measurements are read for it.
+def open_subject(
+    asked: OfCalibration, chain: str | None = None, *also: str
+) -> tuple[CalibrationResult | None, Chains, Setup]:
+    """The calibration, its chains or those of the robot, and the setup to read by.
 
-    It is without the errors of its own measurements, of which there may be many. The
-    setup may state the further keys `also`.
+    The calibration is without the errors of its own measurements, of which there may be
+    many. Beside it the setup file may state the further keys `also`.
 
     Raises:
-        InputError: If it cannot be used.
+        InputError: If one of the files cannot be used.
         OptionError: If something is stated that a calibration has of its own.
     """
+    setup, path = asked.stated(), asked.calibration
+    if path is None:
+        return None, asked.chains(setup, chain), setup
     from calib_pin.io.results import model_name, read_written
 
-    found, *_ = read_written(path, measured=False)
+    found, _ = read_written(path, measured=False)
     model = found.model
-    chain, models = model.of().chain, model_name(model)
-    known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
+    first, models = model.of().chain, model_name(model)
+    known = replace(model.setup, base=first.base, tip=first.tip, model=models)
     require_joints_only(setup, *also, known=known)
+    if chain is not None:
+        require_known("chain", chain, model.measured_chains)
     # Of poses, positions alone may be measured now.
     read = f"{models}+position" if models == "pose" else models
     own = replace(model.setup, model=read, reading=setup.reading)
     plain = vars(type(setup)())
     given = {key: getattr(setup, key) for key in ("columns", "joints", *also)}
     taken = {key: value for key, value in given.items() if value != plain[key]}
-    return found, replace(own, **taken)
+    return found, model.chains, replace(own, **taken)
 
 
 def require_joints_only(setup: Setup, *also: str, known: Setup | None = None) -> None:

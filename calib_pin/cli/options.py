@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from calib_pin.observations import BlockKey, Observations
     from calib_pin.report.blocks import Block
     from calib_pin.setup import Setup
-    from calib_pin.validation.result import CalibrationResult
     from calib_pin.workers import Workers
 
 PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
@@ -336,23 +335,6 @@ class OfCalibration(OfRobot):
         if exists(inside := Path(self.robot, DOCUMENT)):
             return inside
         return Path(self.robot) if self.robot.endswith(".json") else None
-
-    def subject(
-        self, chain: str | None = None, *also: str
-    ) -> tuple[CalibrationResult | None, Chains, Setup]:
-        """The calibration, its chains or those of the robot, and the setup to read by.
-
-        The rest as for `open_calibration`.
-        """
-        from calib_pin.cli import files
-
-        stated, file = self.stated(), self.calibration
-        if file is None:
-            return None, self.chains(stated, chain), stated
-        found, stated = files.open_calibration(file, stated, *also)
-        if chain is not None:
-            require_known("chain", chain, found.model.measured_chains)
-        return found, found.model.chains, stated
 
 
 @dataclass(frozen=True, kw_only=True)

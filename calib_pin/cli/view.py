@@ -25,7 +25,7 @@ def view(asked: View) -> int:
 
     folders = asked.package_dir or []
     files.require_folders(folders)
-    calibrated, chains, stated = asked.subject(asked.chain)
+    calibrated, chains, stated = files.open_subject(asked, asked.chain)
     if doubt := doubt_of(calibrated, asked.calibration):
         printing.notice(doubt)
     with printing.progress_bar() as bar:

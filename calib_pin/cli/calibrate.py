@@ -123,20 +123,22 @@ def opened(
     rows_in = request.measurements
     further = [] if request.validation is None else [request.validation]
     older, stated = files_of.open_older(
-        request.start, request.stated(), used=[*rows_in, *further]
+        request.start, files_of.stated_setup(request), used=[*rows_in, *further]
     )
-    chains = request.chains(stated)
+    chains = files_of.open_chains(request, stated)
     # None of them may be written.
     started = [] if request.start is None else [document_file(request.start)]
     inputs = [request.robot, request.setup, *started, *rows_in, *further]
     results.check_results(output, pictures, chains.robot, inputs, force)
     files_of.require_distinct([*rows_in, *further])
-    chains, rows = request.read(rows_in, chains, stated, bar=bar)
+    chains, rows = files_of.open_rows(request, rows_in, chains, stated, bar=bar)
     unseen = None
     if further:
         same = replace(stated, model="+".join(rows.models))
         sockets = map(place_of, rows.target.distinct)
-        _, unseen = request.read(further, chains, same, quiet=True, sockets=sockets)
+        _, unseen = files_of.open_rows(
+            request, further, chains, same, quiet=True, sockets=sockets
+        )
     if rows.validate.any() and (further or request.holdout is not None):
         option = "--validation" if further else "--holdout"
         reason = "the measurements that 'set' marks for validation are not used with"

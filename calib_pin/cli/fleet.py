@@ -11,7 +11,7 @@ import calib_pin.cli.jobs as jobs
 import calib_pin.estimation.statistics.population_prior as population_prior
 from calib_pin.cli.asked import Fleet
 from calib_pin.cli.jobs import Job, Outcome
-from calib_pin.cli.options import asked_workers
+from calib_pin.cli.options import OfRobot, asked_workers
 from calib_pin.cli.printing import notice, progress_bar, stage
 from calib_pin.errors import OptionError, counted
 from calib_pin.estimation.statistics.population_prior import RobotEvidence
@@ -216,7 +216,7 @@ def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
     there = file.parent / asked.robot.split(" ")[0]
     robot = str(file.parent / asked.robot) if files.exists(there) else asked.robot
     keys = files.stated_blocks(stated)
-    chains = files.open_chains(robot, stated, keys)
+    chains = files.open_chains(OfRobot(robot=robot), stated, keys)
     files.tell_limits(chains)
     plan = None
     if asked.plan is not None:

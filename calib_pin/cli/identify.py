@@ -21,14 +21,16 @@ from calib_pin.validation.result import Identification
 
 def identify(asked: Identify) -> int:
     """Do what `Identify` asks for."""
-    stated, seed = asked.stated(), asked.seed
+    stated, seed = files.stated_setup(asked), asked.seed
     found: Identification
     if asked.measurements:
         # What is learned has no parameters that could be known.
         stated = replace(stated, learned=None)
         with printing.progress_bar() as bar:
-            chains = asked.chains(stated)
-            chains, rows = asked.read(asked.measurements, chains, stated, bar=bar)
+            chains = files.open_chains(asked, stated)
+            chains, rows = files.open_rows(
+                asked, asked.measurements, chains, stated, bar=bar
+            )
             others = partial(other_robots, chains, stated)
             fit = partial(run, validate=False, seed=seed, others=others, progress=bar)
             result = with_suggestions(fit(chains, rows, stated))
@@ -36,7 +38,7 @@ def identify(asked: Identify) -> int:
         faults = result.findings
     else:
         keys = files.stated_blocks(stated)
-        chains = asked.chains(stated, keys)
+        chains = files.open_chains(asked, stated, keys)
         found = structural(chains, keys, stated, seed=seed)
         better = suggestions(chains, keys, stated, found, seed=seed)
         found = replace(found, suggestions=better)

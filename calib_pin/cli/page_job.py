@@ -19,7 +19,7 @@ from urllib.parse import quote
 
 from calib_pin.cli.asked import Init
 from calib_pin.cli.calibrate import Opened, calibrated, opened
-from calib_pin.cli.files import open_setup
+from calib_pin.cli.files import open_chains, open_setup
 from calib_pin.cli.init import looked_at
 from calib_pin.cli.options import Request, same
 from calib_pin.cli.printing import complaint, notice, stage, taken_notices
@@ -211,7 +211,7 @@ class Job:
         if not chosen.robot:
             return
         self._bar("robot", None)
-        chains = chosen.chains(setup := Setup())
+        chains = open_chains(chosen, setup := Setup())
         self.read = read = Read(chains.robot, text=chosen.text)
         if self.scene is None or not files:
             self.scene = self._drawn(chains, setup)

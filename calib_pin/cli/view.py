@@ -26,15 +26,15 @@ def view(asked: View) -> int:
     folders = asked.package_dir or []
     files.require_folders(folders)
     calibrated, chains, stated = files.open_subject(asked, asked.chain)
-    if doubt := doubt_of(calibrated, asked.calibration):
+    if doubt := doubt_of(calibrated, files.calibration_file(asked)):
         printing.notice(doubt)
     with printing.progress_bar() as bar:
         model, rows = None if calibrated is None else calibrated.model, None
         if asked.measurements:
             known = {} if model is None else model.references
             sockets = [reference.name for reference in known.values()]
-            measured, rows = asked.read(
-                asked.measurements, chains, stated, sockets=sockets, bar=bar
+            measured, rows = files.open_rows(
+                asked, asked.measurements, chains, stated, sockets=sockets, bar=bar
             )
             chains = measured if model is None else chains
         scene = make_scene(

@@ -22,6 +22,7 @@ import calib_pin.cli.options as options
 import calib_pin.guidance as guidance
 from calib_pin.cli.asked import Calibrate, Watch
 from calib_pin.cli.calibrate import Opened, calibrate, opened
+from calib_pin.cli.files import open_chains, stated_setup
 from calib_pin.cli.init import reading
 from calib_pin.cli.options import Request
 from calib_pin.cli.printing import console, notice, say, taken_notices
@@ -115,14 +116,18 @@ def watch(asked: Watch) -> int:
         live.print(
             f"following {enumerated(map(str, asked.measurements))}; Ctrl-C {end}"
         )
-    with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
-
-        def told(event: Event) -> None:
-            # Where rows are typed, the question says where to go.
-            if not (asked.type and event.kind == "next"):
-                tell(event)
-
-        follow(job, told, before if not asked.once else None)
+    with (
+        display(json=asked.json, quiet=asked.quiet, live=live) as tell,
+        suppress(KeyboardInterrupt, EOFError),
+    ):
+        while True:
+            for event in job.look(last=asked.once):
+                # Where rows are typed, the question says where to go.
+                if not (asked.type and event.kind == "next"):
+                    tell(event)
+            if asked.once:
+                break
+            before()
     if job.fit is None:
         notice("no result: nothing could be fitted yet")
         return 2 if job.rows else 1
@@ -131,25 +136,6 @@ def watch(asked: Watch) -> int:
         return 0 if trusted else 2
     whole = Calibrate(**options.same(asked, Calibrate))
     return calibrate(whole, asked.words(asked.output or Path())[1:])
-
-
-def follow(
-    job: guidance.Watch, tell: Tell, before: Callable[[], object] | None
-) -> None:
-    """Look at the files again and again, until somebody interrupts.
-
-    Args:
-        job: The job.
-        tell: Told its events.
-        before: Called before each look but the first one; None to look once.
-    """
-    with suppress(KeyboardInterrupt, EOFError):
-        while True:
-            for event in job.look(last=before is None):
-                tell(event)
-            if before is None:
-                return
-            before()
 
 
 STYLES = {
@@ -214,8 +200,8 @@ def typed(request: Request, plan: Path) -> Callable[[], None]:
         InputError: If the plan or the file cannot be used.
         OptionError: If nothing says what is measured.
     """
-    (file,), setup = request.measurements, request.stated()
-    chains = request.chains(setup, "")
+    (file,), setup = request.measurements, stated_setup(request)
+    chains = open_chains(request, setup, "")
     table = read_table(plan, columns=setup.columns)
     models = asked_models(setup.model)
     if not models and not file.exists():

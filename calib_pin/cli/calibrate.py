@@ -39,8 +39,7 @@ def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
         given = opened(asked, folder, pictures, force=asked.force, bar=bar)
         with options.asked_workers(asked.workers, asked.cluster) as several:
             words = ("calib-pin", *words)
-            found = calibrated(given, words, bar=bar, workers=several)
-    result, contents = found.result, found.contents
+            result, contents = calibrated(given, words, bar=bar, workers=several)
     if folder is None:
         writing = write_files(contents, force=asked.force)
     else:
@@ -93,19 +92,6 @@ class Opened:
     older: CalibrationResult | None
 
 
-@dataclass(frozen=True)
-class Calibrated:
-    """A calibration and its files.
-
-    Attributes:
-        result: The result.
-        contents: All files and figures by their paths.
-    """
-
-    result: CalibrationResult
-    contents: Mapping[Path, bytes]
-
-
 def opened(
     request: options.Request,
     output: Path | None,
@@ -153,8 +139,8 @@ def calibrated(
     page: bool = True,
     bar: printing.Bar | None = None,
     workers: Workers = SERIAL,
-) -> Calibrated:
-    """Calibrate, and compose the files of the result.
+) -> tuple[CalibrationResult, Mapping[Path, bytes]]:
+    """Calibrate, and compose all files and figures of the result, by their paths.
 
     Args:
         opened: The input.
@@ -189,4 +175,4 @@ def calibrated(
         contents = results.result_contents(
             result, folder, made, drawn if page else None, contents
         )
-    return Calibrated(result, contents)
+    return result, contents

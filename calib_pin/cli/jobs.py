@@ -302,8 +302,9 @@ def calibrate_job(shared: tuple[Path, Fleet], job: Job) -> Outcome:
         pages = not asked.no_pages
         result = finished(folder, request, pages) if asked.resume else None
         if result is None:
-            found = calibrated(opened(request, folder, force=True), page=pages)
-            with write_results(found.result, folder, found.contents, force=True):
+            given = opened(request, folder, force=True)
+            result, contents = calibrated(given, page=pages)
+            with write_results(result, folder, contents, force=True):
                 pass
             # As the folder has it, so that who goes on later has the same bytes.
             result = read_result(folder)

@@ -17,7 +17,8 @@ from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import quote
 
-from calib_pin.cli.asked import Init
+import calib_pin.guidance as guidance
+from calib_pin.cli.asked import Init, Watch
 from calib_pin.cli.calibrate import Opened, calibrated, opened
 from calib_pin.cli.files import open_chains, open_setup
 from calib_pin.cli.init import looked_at
@@ -25,7 +26,6 @@ from calib_pin.cli.options import Request, same
 from calib_pin.cli.printing import complaint, notice, stage, taken_notices
 from calib_pin.cli.watch import watched
 from calib_pin.errors import CalibPinError
-from calib_pin.guidance import Event, Watch
 from calib_pin.io.columns import ANGLE, LENGTH, Column
 from calib_pin.io.first_look import draft
 from calib_pin.io.json_text import merged
@@ -125,9 +125,9 @@ class Job:
         self.scene: Scene | None = None
         self.result: CalibrationResult | None = None
         self.files = dict[str, bytes]()
-        self._remarks, self._events = list[str](), list[Event]()
+        self._remarks, self._events = list[str](), list[guidance.Event]()
         self._stage: tuple[str, float | None] | None = None
-        self._watch: Watch | None = None
+        self._watch: guidance.Watch | None = None
 
     # --- what a person does --------------------------------------------------------
 
@@ -174,8 +174,8 @@ class Job:
     def follow(self) -> None:
         """Follow the measurements while they are written."""
         assert self.read.opened is not None
-        request, self._events = self.read.opened.request, []
-        self._watch = watched(request)
+        self._events = []
+        self._watch = watched(Watch(**same(self.read.opened.request, Watch)))
 
     # --- what is done then ---------------------------------------------------------
 
@@ -265,14 +265,14 @@ class Job:
     def _calibrate(self) -> None:
         given = self.read.opened
         assert given is not None
-        found = calibrated(given, bar=self._bar)
-        files = {path.name: data for path, data in found.contents.items()}
+        result, contents = calibrated(given, bar=self._bar)
+        files = {path.name: data for path, data in contents.items()}
         files[SETUP.name], stream = self.read.text.encode(), io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, data in files.items():
                 archive.writestr(f"{OUT}/{name}", data)
         self.files = {ALL: stream.getvalue(), **files}
-        self.result, model = found.result, found.result.model
+        self.result, model = result, result.model
         self.scene = self._drawn(model.chains, given.setup, model)
 
     def _look(self) -> None:

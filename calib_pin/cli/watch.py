@@ -43,33 +43,20 @@ PAUSE = 0.2
 Tell = Callable[[Event], None]
 
 
-def watched(
-    request: Request,
-    plan: Path | None = None,
-    limit: float | None = None,
-    *,
-    srdf: Path | None = None,
-) -> guidance.Watch:
-    """The watch of a calibration as `calibrate` takes it.
-
-    Args:
-        request: The calibration.
-        plan: Configurations to measure.
-        limit: Expected error of the tool point that is to be reached [m].
-        srdf: Pairs of links that need no collision check.
-    """
+def watched(asked: Watch) -> guidance.Watch:
+    """The watch of a calibration as `calibrate` takes it."""
 
     def read() -> Any:
         try:
-            found = opened(request, None)
+            found = opened(asked, None)
             return found.chains, _so_far(found), found.measurements
         finally:
             taken_notices()
 
-    files, folders = request.measurements, request.package_dir or ()
-    proposals = Proposals(files[0], plan, srdf, folders, True)
-    followed = [*files, *filter(None, [request.setup])]
-    return guidance.Watch(read, followed, proposals, limit, request.seed)
+    files, folders = asked.measurements, asked.package_dir or ()
+    proposals = Proposals(files[0], asked.plan, asked.srdf, folders, True)
+    followed = [*files, *filter(None, [asked.setup])]
+    return guidance.Watch(read, followed, proposals, asked.limit, asked.seed)
 
 
 def _so_far(found: Opened) -> Setup:
@@ -95,7 +82,7 @@ def watch(asked: Watch) -> int:
         folder = asked.measurements[0]
         file, before = images_of(folder, asked.board, asked.joints, PAUSE)
         asked = replace(asked, measurements=[file])
-    job = watched(asked, asked.plan, asked.limit, srdf=asked.srdf)
+    job = watched(asked)
     try:
         found = opened(asked, asked.output, force=asked.force)
     except (OptionError, RobotError):

@@ -47,11 +47,10 @@ def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
     told = not (asked.quiet or asked.json)
     # Nothing is written if nothing can be said, as to a full disk.
     with writing:
-        if asked.json and folder is not None:
-            printing.say(contents[folder / DOCUMENT].decode())
-        elif asked.json:
-            document = calibration_document(result)
-            printing.say(encode(document).decode())
+        if asked.json:
+            written = None if folder is None else contents[folder / DOCUMENT]
+            document = written or encode(calibration_document(result))
+            printing.say(document.decode())
         elif told:
             report = [*text.report(result, details=asked.details)]
             if not asked.details:

@@ -44,7 +44,7 @@ WEBCAM = {
 def here(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     # Figures take most of the time and are tested elsewhere.
-    monkeypatch.setattr("calib_pin.cli.requests.draw_calibration", lambda *about: [])
+    monkeypatch.setattr("calib_pin.cli.calibrate.draw_calibration", lambda *about: [])
 
 
 def seen(offsets: np.ndarray, seed: int) -> None:

@@ -30,7 +30,7 @@ NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
 def accept(asked: Accept) -> int:
     """Do what `Accept` asks for."""
     rows_in, output = asked.measurements, asked.output
-    calibrated, chains, used = asked.subject(None, "limit", "report")
+    calibrated, chains, used = files.open_subject(asked, None, "limit", "report")
     limit, entries = used.limit, used.report
     if calibrated is not None and entries is calibrated.model.setup.report:
         # These of the calibration are not those of the test.
@@ -38,11 +38,11 @@ def accept(asked: Accept) -> int:
     made = [output / name for name in NAMES] if output is not None else []
     without = [] if can_write_pdf() else made[-1:]
     made = [file for file in made if file not in without]
-    file = asked.calibration
+    file = files.calibration_file(asked)
     doubts = [doubt] if (doubt := results.doubt_of(calibrated, file)) else []
     files.check_outputs(made, [file or asked.robot, asked.setup, *rows_in], asked.force)
     with printing.progress_bar(quiet=asked.quiet) as bar:
-        measured, rows = asked.read(rows_in, chains, used, bar=bar)
+        measured, rows = files.open_rows(asked, rows_in, chains, used, bar=bar)
         with stated_in(str(rows_in[0])):
             found = acceptance.tested(
                 calibrated or measured,

@@ -1,60 +1,177 @@
-"""`calib-pin calibrate`: from a URDF and measurements to a corrected URDF."""
+"""`calib-pin calibrate`: from a URDF and measurements to a corrected URDF.
+
+Every job of `fleet`, the page of `app` and `watch` take the same steps.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
 
-from calib_pin.cli import options, printing, requests, results
+import calib_pin.calibration as calibration
+import calib_pin.cli.files as files_of
+from calib_pin.cli import options, printing, results
 from calib_pin.cli.asked import Calibrate
+from calib_pin.cli.results import draw_calibration
 from calib_pin.io.files import write_files
 from calib_pin.io.json_text import encode
-from calib_pin.io.results import DOCUMENT, REPORT, calibration_document
+from calib_pin.io.measured_columns import place_of
+from calib_pin.io.results import DOCUMENT, REPORT, calibration_document, document_file
+from calib_pin.io.urdf import other_robots
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import Observations
+from calib_pin.planning.suggestions import with_suggestions
 from calib_pin.report import blocks, text
-from calib_pin.report.blocks import Block
+from calib_pin.setup import Setup
+from calib_pin.validation.model_selection import USES
+from calib_pin.validation.result import CalibrationResult, Provenance
+from calib_pin.workers import SERIAL, Workers
 
 
 def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
     """Do what `Calibrate` asks for."""
-    force, quiet, details = asked.force, asked.quiet, asked.details
     pictures, folder = results.figure_files(asked), asked.output
-    with printing.progress_bar(quiet=quiet) as bar:
-        given = requests.opened(
-            asked, folder, pictures, force=force, quiet=quiet, bar=bar
-        )
-    with (
-        printing.progress_bar(quiet=quiet) as bar,
-        options.asked_workers(asked.workers, asked.cluster) as several,
-    ):
-        words = ("calib-pin", *words)
-        found = requests.calibrated(given, words, pictures, bar=bar, workers=several)
-    result, contents = found.result, found.contents
-    robot = result.model.chains.robot
-    files = [] if folder is None else results.result_files(folder, robot)
-
-    def said() -> Iterator[Block]:
-        yield from text.report(result, found.suggestions, details=details)
-        if not details:
-            more = f"{folder / REPORT}, or --details" if folder else "--details"
-            yield blocks.Line(f"Statistics and all parameters: {more}")
-
-    def document() -> bytes:
-        if folder is not None:
-            return contents[folder / DOCUMENT]
-        return encode(calibration_document(result, suggestions=found.suggestions))
-
-    told = not (quiet or asked.json)
+    with printing.progress_bar(quiet=asked.quiet) as bar:
+        given = opened(asked, folder, pictures, force=asked.force, bar=bar)
+        with options.asked_workers(asked.workers, asked.cluster) as several:
+            words = ("calib-pin", *words)
+            result, contents = calibrated(given, words, bar=bar, workers=several)
     if folder is None:
-        writing = write_files(contents, force=force)
+        writing = write_files(contents, force=asked.force)
     else:
-        writing = results.write_results(result, folder, contents, force=force)
+        writing = results.write_results(result, folder, contents, force=asked.force)
+    told = not (asked.quiet or asked.json)
     # Nothing is written if nothing can be said, as to a full disk.
     with writing:
         if asked.json:
-            printing.say(document().decode())
+            written = None if folder is None else contents[folder / DOCUMENT]
+            document = written or encode(calibration_document(result))
+            printing.say(document.decode())
         elif told:
-            printing.show(said())
+            report = [*text.report(result, details=asked.details)]
+            if not asked.details:
+                more = f"{folder / REPORT}, or --details" if folder else "--details"
+                report.append(blocks.Line(f"Statistics and all parameters: {more}"))
+            printing.show(report)
     if told:
+        robot = result.model.chains.robot
+        files = [] if folder is None else results.result_files(folder, robot)
         wrote = [f"wrote {path}" for path in files if path in contents]
         wrote += results.told_figures(contents, pictures)
         printing.say_written(wrote)
     return asked.ended(result.verdict, result.reason, told=told)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """The input of a calibration, read and checked.
+
+    Attributes:
+        request: What is asked for.
+        setup: The setup with the options on top.
+        chains: The nominal chains that were measured.
+        measurements: The measurements.
+        validation: Those of the validation file; None without one.
+        output: Folder for the results; None where they are only printed.
+        pictures: Files of the figures.
+        older: The older calibration to go on from; None without one.
+    """
+
+    request: options.Request
+    setup: Setup
+    chains: Chains
+    measurements: Observations
+    validation: Observations | None
+    output: Path | None
+    pictures: Sequence[Path]
+    older: CalibrationResult | None
+
+
+def opened(
+    request: options.Request,
+    output: Path | None,
+    pictures: Sequence[Path] = (),
+    *,
+    force: bool = False,
+    bar: printing.Bar | None = None,
+) -> Opened:
+    """Read the input of a calibration, and check where its results would go.
+
+    Raises:
+        InputError: If the input cannot be used.
+        OptionError: If an option cannot, or results must not be written there.
+    """
+    rows_in = request.measurements
+    further = [] if request.validation is None else [request.validation]
+    older, stated = files_of.open_older(
+        request.start, files_of.stated_setup(request), used=[*rows_in, *further]
+    )
+    chains = files_of.open_chains(request, stated)
+    # None of them may be written.
+    started = [] if request.start is None else [document_file(request.start)]
+    inputs = [request.robot, request.setup, *started, *rows_in, *further]
+    results.check_results(output, pictures, chains.robot, inputs, force)
+    files_of.require_distinct([*rows_in, *further])
+    chains, rows = files_of.open_rows(request, rows_in, chains, stated, bar=bar)
+    unseen = None
+    if further:
+        same = replace(stated, model="+".join(rows.models))
+        sockets = map(place_of, rows.target.distinct)
+        _, unseen = files_of.open_rows(
+            request, further, chains, same, quiet=True, sockets=sockets
+        )
+    if rows.validate.any() and (further or request.holdout is not None):
+        option = "--validation" if further else "--holdout"
+        reason = "the measurements that 'set' marks for validation are not used with"
+        printing.notice(f"{reason} {option}")
+    return Opened(request, stated, chains, rows, unseen, output, pictures, older)
+
+
+def calibrated(
+    opened: Opened,
+    words: Sequence[str] = (),
+    *,
+    page: bool = True,
+    bar: printing.Bar | None = None,
+    workers: Workers = SERIAL,
+) -> tuple[CalibrationResult, Mapping[Path, bytes]]:
+    """Calibrate, and compose all files and figures of the result, by their paths.
+
+    Args:
+        opened: The input.
+        words: The command line, for the provenance; default that of `calibrate`.
+        page: Whether there is a `report.html` among the files.
+        bar: Told the progress.
+        workers: Who fits the folds and candidates.
+    """
+    request, folder, setup = opened.request, opened.output, opened.setup
+    start = time.perf_counter()
+    given = options.same(request, calibration.calibrate) | {
+        "setup": setup,
+        "validation": opened.validation,
+        "measurements": opened.measurements,
+        "start": opened.older,
+        "ladder": request.model_ladder or request.use is not None,
+        "use": request.use or USES[0],
+        "workers": workers,
+    }
+    others = partial(other_robots, opened.chains, setup)
+    result = calibration.calibrate(opened.chains, **given, progress=bar, others=others)
+    seconds = time.perf_counter() - start
+    result = with_suggestions(result)
+    drawn = []
+    if opened.pictures or (page and folder is not None):
+        drawn = draw_calibration(result, bar, request.package_dir)
+    contents = results.figure_contents(drawn, opened.pictures)
+    if folder is not None:
+        created = datetime.now(UTC).isoformat(timespec="seconds")
+        command = tuple(words) or request.words(folder)
+        made = Provenance.at(created, command, seconds)
+        contents = results.result_contents(
+            result, folder, made, drawn if page else None, contents
+        )
+    return result, contents

@@ -154,7 +154,7 @@ def read(
         columns=stated.columns or model.setup.columns,
         joints=stated.joints or model.setup.joints,
         base=None if asked.frame == "base" else model.error.base.translation,
-        notice=None if asked.quiet else printing.notice,
+        notice=asked.tell,
     )
     motion, csv, times = targets.T is None, asked.format == "csv", None
     if motion and (asked.frame or asked.point) is not None:

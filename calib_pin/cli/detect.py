@@ -68,8 +68,8 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     columns = corner_columns(images, every, rows)
     comment = f"found by: {printing.told_command(words)}"
     contents = {output: measurements.encode_table(columns, [comment])}
-    setup = setup_document(Setup(model="camera", board=board, camera=start.camera))
     if extra is not None:
+        setup = setup_document(Setup(model="camera", board=board, camera=start.camera))
         remark = f"# {ASSUMED}\n" if start.assumed else ""
         text = yaml_text({key: setup[key] for key in ("model", "board", "camera")})
         contents[extra] = f"# {comment}\n{remark}{text}\n".encode()
@@ -81,9 +81,6 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
         )
     median = float(np.median(np.concatenate([one.sigma for one in every])))
     shown, corners = sum(bool(k.names) for k in every), sum(len(k.names) for k in every)
-    document: dict[str, Any] = {"images": len(images), "shown": shown}
-    document |= {"corners": corners, "sigma": median, "camera": setup["camera"]}
-    document |= {"assumed": start.assumed, "rms": start.rms}
     ends = start.camera.focal, start.camera.center
     focal, center = (f"({a:.1f}, {b:.1f})" for a, b in ends)
     checked = start.rms is not None

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 from calib_pin.cli.asked import Evaluate
+from calib_pin.cli.files import calibration_file, open_rows, open_subject
 from calib_pin.cli.printing import notice, progress_bar, stage
 from calib_pin.io.json_text import Json, format_keys, plain
 from calib_pin.io.results import doubt_of, used_files
@@ -18,15 +19,18 @@ from calib_pin.validation.result import Evaluation
 def evaluate(asked: Evaluate) -> int:
     """Do what `Evaluate` asks for."""
     rows_in, sockets = asked.measurements, list[str]()
-    calibrated, chains, stated = asked.subject(asked.chain)
-    doubt = doubt_of(calibrated, asked.calibration)
-    if calibrated is not None and asked.calibration is not None:
+    calibrated, chains, stated = open_subject(asked, asked.chain)
+    file = calibration_file(asked)
+    doubt = doubt_of(calibrated, file)
+    if calibrated is not None and file is not None:
         references = calibrated.model.references.values()
         sockets = [reference.name for reference in references]
-        for file in used_files(asked.calibration, rows_in):
-            notice(f"{file}: the calibration has used it already, to fit or to check")
+        for used in used_files(file, rows_in):
+            notice(f"{used}: the calibration has used it already, to fit or to check")
     with progress_bar() as bar:
-        measured, rows = asked.read(rows_in, chains, stated, sockets=sockets, bar=bar)
+        measured, rows = open_rows(
+            asked, rows_in, chains, stated, sockets=sockets, bar=bar
+        )
         stage(bar, "evaluate")
         subject = measured if calibrated is None else calibrated.model
         others = partial(other_robots, chains, stated)

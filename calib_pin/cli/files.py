@@ -9,6 +9,7 @@ from itertools import compress, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from calib_pin.cli.options import OfCalibration, OfRobot, same
 from calib_pin.cli.printing import Bar, notice, stage
 from calib_pin.errors import (
     InputError,
@@ -39,22 +40,28 @@ MANY_TURNS = 60.0
 """Range from which the limits of a joint look like degrees, ten turns [rad]."""
 
 
-def open_setup(file: Path | None, **flags: Any) -> Setup:
-    """The setup file with the flags on top.
-
-    Args:
-        file: The setup file.
-        flags: Values of `FLAGS`, None where a flag is not given.
+def open_setup(file: Path | None) -> Setup:
+    """A setup file; where none is given, what holds without one.
 
     Raises:
         InputError: If the file cannot be used.
-        OptionError: If a flag cannot.
     """
-    setup = Setup()
-    if file is not None:
-        from calib_pin.io.setup import read_setup  # With all that may be stated.
+    if file is None:
+        return Setup()
+    from calib_pin.io.setup import read_setup  # With all that may be stated.
 
-        setup = read_setup(file)
+    return read_setup(file)
+
+
+def stated_setup(asked: OfRobot) -> Setup:
+    """The setup file of a command with its options on top.
+
+    Raises:
+        InputError: If the file cannot be used.
+        OptionError: If an option cannot.
+    """
+    setup = open_setup(asked.setup)
+    flags = {key: value for key, value in vars(asked).items() if key in FLAGS}
     given = {key: value for key, value in flags.items() if value is not None}
     asked_models(given.get("model"))
     if "parameters" in given:
@@ -86,26 +93,22 @@ def stated_blocks(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
 
 
 def open_chains(
-    robot: str,
-    setup: Setup,
-    measured: Sequence[BlockKey] | str | None = None,
-    package_dirs: Sequence[Path] | None = None,
+    asked: OfRobot, setup: Setup, measured: Sequence[BlockKey] | str | None = None
 ) -> Chains:
     """The chains of a robot by the setup.
 
     Args:
-        robot: The robot.
+        asked: The robot and its packages.
         setup: The setup.
         measured: What is measured, or the name of the only chain; default what the
             measurements will name.
-        package_dirs: Folders of the packages that the robot names.
 
     Raises:
-        OptionError: If one of the folders is not there.
+        OptionError: If a folder of packages is not there.
         RobotError: If the robot, a link or a chain cannot be used.
     """
-    require_folders(package_dirs or [])
-
+    robot, package_dirs = asked.robot, asked.package_dir or []
+    require_folders(package_dirs)
     if robot.endswith(".json"):
         raise RobotError(
             "this command needs a robot; a calibration is for evaluate and compensate",
@@ -122,7 +125,7 @@ def open_chains(
         tip=setup.tip,
         stated=setup.chains,
         names=names,
-        package_dirs=package_dirs or (),
+        package_dirs=package_dirs,
     )
     for remark in chains.robot.remarks:
         notice(f"{robot}: {remark}")
@@ -146,32 +149,46 @@ def tell_limits(chains: Chains) -> None:
         )
 
 
-def open_calibration(
-    path: Path, setup: Setup, *also: str
-) -> tuple[CalibrationResult, Setup]:
-    """A calibration, and the setup with which measurements are read for it.
+def calibration_file(asked: OfCalibration) -> Path | None:
+    """The file of the calibration that a command is for; None for a robot."""
+    from calib_pin.io.results import DOCUMENT
 
-    It is without the errors of its own measurements, of which there may be many. The
-    setup may state the further keys `also`.
+    if exists(inside := Path(asked.robot, DOCUMENT)):
+        return inside
+    return Path(asked.robot) if asked.robot.endswith(".json") else None
+
+
+def open_subject(
+    asked: OfCalibration, chain: str | None = None, *also: str
+) -> tuple[CalibrationResult | None, Chains, Setup]:
+    """The calibration, its chains or those of the robot, and the setup to read by.
+
+    The calibration is without the errors of its own measurements, of which there may be
+    many. Beside it the setup file may state the further keys `also`.
 
     Raises:
-        InputError: If it cannot be used.
+        InputError: If one of the files cannot be used.
         OptionError: If something is stated that a calibration has of its own.
     """
+    setup, path = stated_setup(asked), calibration_file(asked)
+    if path is None:
+        return None, open_chains(asked, setup, chain), setup
     from calib_pin.io.results import model_name, read_written
 
-    found, *_ = read_written(path, measured=False)
+    found, _ = read_written(path, measured=False)
     model = found.model
-    chain, models = model.of().chain, model_name(model)
-    known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
+    first, models = model.of().chain, model_name(model)
+    known = replace(model.setup, base=first.base, tip=first.tip, model=models)
     require_joints_only(setup, *also, known=known)
+    if chain is not None:
+        require_known("chain", chain, model.measured_chains)
     # Of poses, positions alone may be measured now.
     read = f"{models}+position" if models == "pose" else models
     own = replace(model.setup, model=read, reading=setup.reading)
     plain = vars(type(setup)())
     given = {key: getattr(setup, key) for key in ("columns", "joints", *also)}
     taken = {key: value for key, value in given.items() if value != plain[key]}
-    return found, replace(own, **taken)
+    return found, model.chains, replace(own, **taken)
 
 
 def require_joints_only(setup: Setup, *also: str, known: Setup | None = None) -> None:
@@ -290,6 +307,14 @@ def open_measurements(
         blocks = (block for block in rows.blocks if block.chain == chain)
         rows = Observations(tuple(blocks))
     return chains.named(names), rows
+
+
+def open_rows(
+    asked: OfRobot, files: Sequence[Path], chains: Chains, setup: Setup, **more: Any
+) -> tuple[Chains, Observations]:
+    """Measurements by the options of a command, see `open_measurements`."""
+    given = {**same(asked, open_measurements), "setup": setup, **more}
+    return open_measurements(files, chains, **given)
 
 
 def require_folders(folders: Sequence[Path]) -> None:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import calib_pin.cli.files as files
 import calib_pin.cli.jobs as jobs
 import calib_pin.estimation.statistics.population_prior as population_prior
 from calib_pin.cli.asked import Fleet
-from calib_pin.cli.jobs import Job
-from calib_pin.cli.options import asked_workers
-from calib_pin.cli.printing import Bar, notice, progress_bar
+from calib_pin.cli.jobs import Job, Outcome
+from calib_pin.cli.options import OfRobot, asked_workers
+from calib_pin.cli.printing import notice, progress_bar, stage
 from calib_pin.errors import OptionError, counted
 from calib_pin.estimation.statistics.population_prior import RobotEvidence
 from calib_pin.io import json_text, measurements, results, setup
@@ -29,8 +28,7 @@ from calib_pin.report import fleet_text, html
 from calib_pin.report.figures import drawn
 from calib_pin.setup import Setup
 from calib_pin.setup.population import PopulationPrior
-from calib_pin.validation.fleet import FleetRow, by_urgency, fleet_columns
-from calib_pin.workers import Workers
+from calib_pin.validation.fleet import by_urgency, fleet_columns
 
 TABLE, PAGE, PRIOR = FILES = ("fleet.csv", "fleet.html", "fleet.json")
 """Files of a fleet beside the folders of its calibrations.
@@ -43,53 +41,41 @@ TRIALS, NUMBERS, CURVES = (f"monte-carlo.{kind}" for kind in ("csv", "json", "ht
 """Files of a study: its trials, and what they tell."""
 
 
-Made = tuple[Callable[[], None], int]
-"""Writes the files that are left and prints the rest; and the exit status."""
-
-
 def fleet(asked: Fleet) -> int:
     """Do what `Fleet` asks for."""
-    if (asked.table is None) == (asked.monte_carlo is None):
-        raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
-    # A job may end the process that does it.
-    patience = None if asked.table is None else 0.0
-    with (
-        asked_workers(asked.workers, asked.cluster, patience) as several,
-        progress_bar(quiet=asked.quiet) as bar,
-    ):
-        tell = bar or (lambda stage, part: None)
-        if asked.table is not None:
-            give, status = _calibrated(asked, asked.table, several, tell)
-        elif asked.monte_carlo is not None:
-            give, status = _simulated(asked, asked.monte_carlo, several, tell)
-    give()
-    return status
+    if asked.table is not None and asked.monte_carlo is None:
+        return _calibrated(asked, asked.table)
+    if asked.monte_carlo is not None and asked.table is None:
+        return _simulated(asked, asked.monte_carlo)
+    raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
 
 
 # --- calibrations -------------------------------------------------------------------
 
 
-def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
+def _calibrated(asked: Fleet, table: Path) -> int:
     """Calibrate the robots of a table."""
-    output = asked.output
-    orders = jobs.Orders(Path.cwd(), output, not asked.no_pages, asked.resume)
-    every = jobs.read_jobs(table, notice)
+    output, every = asked.output, jobs.read_jobs(table, notice)
     _check(table, every, output, asked.force or asked.resume)
-    rows: dict[str, FleetRow] = {}
-    evidences: dict[str, RobotEvidence | None] = {}
-    for wave in _waves(every):
-        fitted = {name for name, row in rows.items() if row.fitted}
-        known = [j if j.before in fitted else replace(j, before="") for j in wave]
-        done = workers.map(jobs.calibrate_job, orders, known, jobs.lost_job)
-        for row, evidence in done:
-            rows[row.job], evidences[row.job] = row, evidence
-            tell(f"{len(rows)} of {len(every)}", len(rows) / len(every))
-    tell("types", None)
-    populations = types_of(every, evidences)
-    urgent = by_urgency([rows[job.name] for job in every])
+    done = dict[str, Outcome]()
+    with (
+        # A job may end the process that does it, so none is done here.
+        asked_workers(asked.workers, asked.cluster, 0.0) as workers,
+        progress_bar(quiet=asked.quiet) as bar,
+    ):
+        for wave in _waves(every):
+            fitted = {name for name, (row, _) in done.items() if row.fitted}
+            known = [j if j.before in fitted else replace(j, before="") for j in wave]
+            shared = Path.cwd(), asked
+            for one in workers.map(jobs.calibrate_job, shared, known, jobs.lost_job):
+                done[one.row.job] = one
+                if bar is not None:
+                    bar(f"{len(done)} of {len(every)}", len(done) / len(every))
+        stage(bar, "types")
+        populations = types_of(every, done)
+    urgent = by_urgency([done[job.name].row for job in every])
     columns = fleet_columns(urgent)
     page = [*fleet_text.fleet_report(urgent, populations, fleet_text.MANY)]
-
     title = "Calibrations of a fleet"
     contents = {
         output / TABLE: measurements.encode_table(columns, []),
@@ -101,9 +87,8 @@ def _calibrated(asked: Fleet, table: Path, workers: Workers, tell: Bar) -> Made:
     written += [f"wrote {file}" for file in contents]
     report = fleet_text.fleet_report(urgent, populations)
     # What is there was looked for before the work.
-    answer = replace(asked, force=True).give
-    status = 0 if all(row.trusted for row in urgent) else 2
-    return partial(answer, contents, report, written), status
+    replace(asked, force=True).give(contents, report, written)
+    return 0 if all(row.trusted for row in urgent) else 2
 
 
 def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
@@ -132,14 +117,12 @@ def _check(table: Path, jobs: Sequence[Job], output: Path, force: bool) -> None:
     files.check_outputs([output / name for name in FILES], [table], force)
 
 
-def types_of(
-    jobs: Sequence[Job], evidences: Mapping[str, RobotEvidence | None]
-) -> list[PopulationPrior]:
+def types_of(jobs: Sequence[Job], done: Mapping[str, Outcome]) -> list[PopulationPrior]:
     """The priors of a fleet's types; of a serial number its last calibration counts.
 
     Args:
         jobs: The jobs.
-        evidences: The evidence of each; None where it tells nothing of a type.
+        done: Their outcomes by their names.
 
     Returns:
         Those of types with robots enough, the largest first.
@@ -147,7 +130,7 @@ def types_of(
     earlier = {job.before for job in jobs}
     alike: list[dict[str, RobotEvidence]] = []
     for job in jobs:
-        own = evidences[job.name]
+        own = done[job.name].evidence
         if own is None or job.name in earlier:
             continue
         for members in alike:
@@ -179,7 +162,7 @@ def priors(folder: Path, populations: Sequence[PopulationPrior]) -> dict[Path, b
 # --- simulations --------------------------------------------------------------------
 
 
-def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
+def _simulated(asked: Fleet, file: Path) -> int:
     """Simulate the robots of a study; its trials are written as they come."""
     stated, resume = setup.read_setup(file), asked.resume
     study, name = _study(file, stated, asked.seed)
@@ -190,14 +173,19 @@ def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
     known: list[tuple[Trial, ...]] = []
     if resume and files.exists(trials):
         known = read_trials(trials, name, len(study.counts))[:robots]
-    further = workers.map(try_robot, study, range(len(known), robots))
 
-    def done() -> Iterator[Trial]:
+    def done(further: Iterable[tuple[Trial, ...]]) -> Iterator[Trial]:
         for k, own in enumerate(kept(trials, name, known, further), 1):
-            tell(f"{k} of {robots} robots", k / robots)
+            if bar is not None:
+                bar(f"{k} of {robots} robots", k / robots)
             yield from own
 
-    found = outlooks(done(), limit)
+    with (
+        asked_workers(asked.workers, asked.cluster, None) as workers,
+        progress_bar(quiet=asked.quiet) as bar,
+    ):
+        further = workers.map(try_robot, study, range(len(known), robots))
+        found = outlooks(done(further), limit)
     blocks = [*fleet_text.outlook_report(study, found, limit)]
     title = f"Expected accuracy of {study.chains.robot.name}"
     # In SI units; quantiles are those of `levels`.
@@ -214,8 +202,8 @@ def _simulated(asked: Fleet, file: Path, workers: Workers, tell: Bar) -> Made:
     data = json_text.encode(document), html.blocks_page(title, blocks, figures, NUMBERS)
     contents = dict(zip(made, data, strict=True))
     written = [f"wrote {file}" for file in (trials, *made)]
-    answer = replace(asked, force=True).give
-    return partial(answer, contents, blocks, written), 0
+    replace(asked, force=True).give(contents, blocks, written)
+    return 0
 
 
 def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
@@ -228,7 +216,7 @@ def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
     there = file.parent / asked.robot.split(" ")[0]
     robot = str(file.parent / asked.robot) if files.exists(there) else asked.robot
     keys = files.stated_blocks(stated)
-    chains = files.open_chains(robot, stated, keys)
+    chains = files.open_chains(OfRobot(robot=robot), stated, keys)
     files.tell_limits(chains)
     plan = None
     if asked.plan is not None:

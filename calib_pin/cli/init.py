@@ -11,7 +11,12 @@ from pathlib import Path
 
 from calib_pin.cli import printing
 from calib_pin.cli.asked import Init
-from calib_pin.cli.files import check_outputs, require_distinct, require_folders
+from calib_pin.cli.files import (
+    check_outputs,
+    require_distinct,
+    require_folders,
+    stated_setup,
+)
 from calib_pin.errors import InputError, OptionError, enumerated, stated_in
 from calib_pin.io.columns import LENGTH, Kind
 from calib_pin.io.first_look import Choose, Look, draft, first_look
@@ -52,7 +57,7 @@ def looked_at(asked: Init, choose: Choose) -> tuple[Robot, Look]:
     files, folders = asked.measurements, asked.package_dir or []
     require_folders(folders)
     require_distinct(files)
-    robot, given = load_robot(asked.robot, folders), asked.stated()
+    robot, given = load_robot(asked.robot, folders), stated_setup(asked)
     seen = given.board
     if asked.board is not None:
         from calib_pin.io.boards import board_of  # Loads what looks at images.

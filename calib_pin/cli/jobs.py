@@ -8,7 +8,7 @@ row.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from inspect import signature
@@ -18,10 +18,10 @@ from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type_hints
 
-from calib_pin.cli.asked import Calibrate
+from calib_pin.cli.asked import Calibrate, Fleet
+from calib_pin.cli.calibrate import calibrated, opened
 from calib_pin.cli.options import Request, Told
 from calib_pin.cli.printing import complaint, taken_notices
-from calib_pin.cli.requests import calibrated, opened
 from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError, OptionError, nearest, one_line
@@ -135,7 +135,7 @@ def read_jobs(
     """
     yaml = Path(path).suffix.lower() in (".yaml", ".yml")
     rows = _of_yaml(path) if yaml else _of_csv(path, notice)
-    every = [_job(path, lines, texts) for lines, texts in rows]
+    every = [_job(path, line, cells) for line, cells in rows]
     if not every:
         raise InputError("the table has no jobs", file=path)
     jobs = dict[str, Job]()
@@ -157,11 +157,12 @@ def read_jobs(
     return tuple(replace(j, before=before.get(j.name, "")) for j in jobs.values())
 
 
-Row = tuple[dict[str, int], dict[str, str]]
-"""Lines and texts of a job by its keys; its own line is that of the empty one."""
+Cells = dict[str, tuple[str, int]]
+"""Texts of a job and their lines, by its keys."""
 
 
-def _of_yaml(path: str | Path) -> Iterator[Row]:
+def _of_yaml(path: str | Path) -> Iterator[tuple[int, Cells]]:
+    """The lines and the cells of jobs."""
     from calib_pin.io.yaml_tree import read_tree
 
     tree = read_tree(path)
@@ -173,22 +174,26 @@ def _of_yaml(path: str | Path) -> Iterator[Row]:
     for number, own in enumerate(listed):
         if not isinstance(own, dict):
             raise tree.error("a job is a mapping of keys to values", (JOBS, number))
-        lines, texts = {"": tree.line((JOBS, number))}, dict[str, str]()
+        found: Cells = {}
         for key, value in {**tree.data, **own}.items():
             if key == JOBS or value is None:
                 continue
             place = (JOBS, number, key) if key in own else (key,)
-            lines[key], several = tree.line(place), isinstance(value, list)
+            several = isinstance(value, list)
             cells = value if several else [value]
             if any(isinstance(cell, dict | list) for cell in cells):
                 reason = f"'{key}' cannot have this value"
                 raise tree.error(reason, place, allowed="a single value, or a list")
             places = [(*place, k) for k in range(len(cells))] if several else [place]
-            texts[key] = CHAINED.join(str(tree.written(at)) for at in places)
-        yield lines, texts
+            text = CHAINED.join(str(tree.written(at)) for at in places)
+            found[key] = text, tree.line(place)
+        yield tree.line((JOBS, number)), found
 
 
-def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Row]:
+def _of_csv(
+    path: str | Path, notice: Callable[[str], None]
+) -> Iterator[tuple[int, Cells]]:
+    """The lines and the cells of jobs."""
     table = read_table(path)
     # A spreadsheet may call a column `Serial number`.
     plain = {name.casefold().replace(" ", "_"): name for name in table.columns}
@@ -202,21 +207,20 @@ def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Row]:
         notice(remark)
     texts = table.texts(KEYS)
     for row, line in enumerate(table.lines.tolist()):
-        cells = {key: own[row] for key, own in texts.items() if own[row]}
+        cells = {key: (own[row], line) for key, own in texts.items() if own[row]}
         if cells:  # Spreadsheets write empty lines at the end.
-            yield {"": line}, cells
+            yield line, cells
 
 
-def _job(path: str | Path, lines: Mapping[str, int], given: Mapping[str, str]) -> Job:
+def _job(path: str | Path, line: int, cells: Cells) -> Job:
     """A job by its cells.
 
     Raises:
         InputError: If a cell cannot be used.
     """
-    line, folder = lines[""], Path(path).parent
-    found: dict[str, Any] = {"line": line}
-    for key, text in given.items():
-        where: dict[str, Any] = {"file": path, "line": lines.get(key, line)}
+    folder, found = Path(path).parent, dict[str, Any](line=line)
+    for key, (text, at) in cells.items():
+        where: dict[str, Any] = {"file": path, "line": at}
         if key not in KEYS:
             reason = f"unknown key '{key}'{nearest(key, KEYS)}"
             raise InputError(reason, **where, allowed=", ".join(KEYS))
@@ -274,36 +278,6 @@ def _name(job: Job, number: int, every: Sequence[Job]) -> str:
 # --- the work -----------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Orders:
-    """The orders that all jobs of a fleet share.
-
-    Attributes:
-        home: Folder from which files are named, that of the command.
-        output: Folder of the fleet.
-        pages: Whether each calibration gets its `report.html`.
-        resume: Whether a finished calibration of the same files stays.
-    """
-
-    home: Path
-    output: Path
-    pages: bool = True
-    resume: bool = False
-
-    def enter(self) -> None:
-        """Make the process name files as the command does.
-
-        Raises:
-            OptionError: If the folder of the command is not there, as on a cluster
-                without a common file system.
-        """
-        try:
-            os.chdir(self.home)
-        except OSError as error:
-            reason = "workers do not see this folder; all of a cluster need the same "
-            raise OptionError(f"{reason}files", file=self.home) from error
-
-
 class Outcome(NamedTuple):
     """A row, and the evidence of a trusted calibration for the prior of its type."""
 
@@ -312,25 +286,49 @@ class Outcome(NamedTuple):
 
 
 @serial_blas
-def calibrate_job(orders: Orders, job: Job) -> Outcome:
-    """Calibrate, write the folder of the results, and tell its row."""
+def calibrate_job(shared: tuple[Path, Fleet], job: Job) -> Outcome:
+    """Calibrate, write the folder of the results, and tell its row.
+
+    Args:
+        shared: The folder of the command, from which files are named, and what it asks
+            for.
+        job: The job.
+    """
+    home, asked = shared
     try:
-        orders.enter()
-        request, folder = request_of(orders, job), orders.output / job.name
-        result = finished(orders, job, request) if orders.resume else None
+        _enter(home)
+        folder = asked.output / job.name
+        request = request_of(job, asked.output)
+        pages = not asked.no_pages
+        result = finished(folder, request, pages) if asked.resume else None
         if result is None:
             given = opened(request, folder, force=True)
-            found = calibrated(given, request.words(folder), page=orders.pages)
-            with write_results(found.result, folder, found.contents, force=True):
+            result, contents = calibrated(given, page=pages)
+            with write_results(result, folder, contents, force=True):
                 pass
             # As the folder has it, so that who goes on later has the same bytes.
             result = read_result(folder)
         row = fleet_row(job.name, result, job.serial_number, job.date)
-        return Outcome(_drifted(row, orders, job, result), _evidence(result))
+        row = _drifted(row, asked.output, job, result)
+        return Outcome(row, _evidence(result))
     except Exception as error:  # One broken job stops nothing.
         return failed(job, one_line(complaint(error)))
     finally:
         taken_notices()
+
+
+def _enter(home: Path) -> None:
+    """Make the process name files as the command does.
+
+    Raises:
+        OptionError: If the folder of the command is not there, as on a cluster without
+            a common file system.
+    """
+    try:
+        os.chdir(home)
+    except OSError as error:
+        reason = "workers do not see this folder; all of a cluster need the same files"
+        raise OptionError(reason, file=home) from error
 
 
 def failed(job: Job, reason: str) -> Outcome:
@@ -351,15 +349,13 @@ def _evidence(result: CalibrationResult) -> RobotEvidence | None:
         return None
 
 
-def _drifted(
-    row: FleetRow, orders: Orders, job: Job, own: CalibrationResult
-) -> FleetRow:
+def _drifted(row: FleetRow, output: Path, job: Job, own: CalibrationResult) -> FleetRow:
     """The row of a calibration with its drift since the one before, if there is one."""
     name = str(job.previous or job.before)
     if not name:
         return row
     try:
-        before = read_result(job.previous or orders.output / name)
+        before = read_result(job.previous or output / name)
         return with_drift(row, compare(before, own), name)
     except CalibPinError as error:
         said = f"no drift from {name}: {error}"
@@ -367,8 +363,8 @@ def _drifted(
         return replace(row, drift=Drift(name), reason=reason)
 
 
-def request_of(orders: Orders, job: Job) -> Request:
-    """The calibration that a job asks for.
+def request_of(job: Job, output: Path) -> Request:
+    """The calibration that a job of a fleet with this output asks for.
 
     Raises:
         InputError: If no measurement file has a name of those with a *, or there is no
@@ -382,20 +378,20 @@ def request_of(orders: Orders, job: Job) -> Request:
         files += alike
     start = job.start
     if start == PREVIOUS:
-        start = job.previous or _before(orders, job)
+        start = job.previous or _before(job, output)
     return replace(job, measurements=files, start=start)
 
 
-def _before(orders: Orders, job: Job) -> Path:
+def _before(job: Job, output: Path) -> Path:
     """The calibration before of the same serial number.
 
     Raises:
         InputError: If there is none.
     """
     if job.before:
-        return orders.output / job.before
+        return output / job.before
     serial, found = folder_name(job.serial_number), list[str]()
-    for name in (path.parent.name for path in orders.output.glob(f"*/{DOCUMENT}")):
+    for name in (path.parent.name for path in output.glob(f"*/{DOCUMENT}")):
         day = DATE.fullmatch(name.removeprefix(f"{serial}-"))
         later = day and job.date and day[0] >= job.date
         if name == serial or (day and not later):
@@ -403,24 +399,24 @@ def _before(orders: Orders, job: Job) -> Path:
     if not found:
         raise InputError(
             "'start: previous', and there is no earlier calibration of serial number "
-            f"'{job.serial_number}' in the table or in {orders.output}"
+            f"'{job.serial_number}' in the table or in {output}"
         )
-    return orders.output / max(found)
+    return output / max(found)
 
 
-def finished(orders: Orders, job: Job, request: Request) -> CalibrationResult | None:
+def finished(folder: Path, request: Request, pages: bool) -> CalibrationResult | None:
     """The result that is there already; None where it is another one's, or not whole.
 
     It is the same if the command and the content of all files are.
     """
-    folder, robot = orders.output / job.name, Path(request.robot)
+    robot = Path(request.robot)
     try:
         document, _ = read_document(folder / DOCUMENT)
         used = [*document["measurements"]["files"], document["setup_file"]]
         same = [sha256(read_bytes(f["file"])) == f["sha256"] for f in used if f]
         words = tuple(document["provenance"]["command"])
         same += [words == request.words(folder)]
-        same += [REPORT in document["files"] or not orders.pages]
+        same += [REPORT in document["files"] or not pages]
         if request.start is not None:
             begun = document["recalibration"]["steps"][-1]["created"]
             started, _ = read_document(document_file(request.start))

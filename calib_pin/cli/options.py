@@ -1,16 +1,16 @@
-"""The options of commands, each declared once, with the work that belongs to them.
+"""The options of commands, each declared once.
 
 What a command can be asked for is a dataclass. Its fields are arguments and options,
 whose help are the attributes in its docstring; options that several commands share are
-those of its bases, which know what is done with them.
+those of its bases.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from importlib import import_module
 from inspect import Parameter, Signature, cleandoc, signature
@@ -24,11 +24,7 @@ from calib_pin.errors import OptionError, require_known
 from calib_pin.units import as_number
 
 if TYPE_CHECKING:
-    from calib_pin.kinematics.chains import Chains
-    from calib_pin.observations import BlockKey, Observations
     from calib_pin.report.blocks import Block
-    from calib_pin.setup import Setup
-    from calib_pin.validation.result import CalibrationResult
     from calib_pin.workers import Workers
 
 PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
@@ -254,30 +250,6 @@ class OfRobot(OfPackages):
     base: Annotated[str | None, Told("LINK", "Robot")] = None
     tip: Annotated[str | None, Told("LINK", "Robot")] = None
 
-    def stated(self) -> Setup:
-        """The setup file with the options on top; errors as of `open_setup`."""
-        from calib_pin.cli import files
-
-        own = {name: value for name, value in vars(self).items() if name in files.FLAGS}
-        return files.open_setup(self.setup, **own)
-
-    def chains(
-        self, setup: Setup, measured: Sequence[BlockKey] | str | None = None
-    ) -> Chains:
-        """The chains of the robot; all else as for `open_chains`."""
-        from calib_pin.cli import files
-
-        return files.open_chains(self.robot, setup, measured, self.package_dir)
-
-    def read(
-        self, rows: Sequence[Path], chains: Chains, setup: Setup, **more: Any
-    ) -> tuple[Chains, Observations]:
-        """Measurements by the options of the command, see `open_measurements`."""
-        from calib_pin.cli import files
-
-        given = {**same(self, files.open_measurements), "setup": setup, **more}
-        return files.open_measurements(rows, chains, **given)
-
 
 @dataclass(frozen=True, kw_only=True)
 class OfStations(OfRobot):
@@ -326,33 +298,6 @@ class OfCalibration(OfRobot):
     """
 
     robot: Annotated[str, Told("ROBOT|calibration.json", "")]
-
-    @property
-    def calibration(self) -> Path | None:
-        """The file of the calibration that is named; None for a robot."""
-        from calib_pin.cli.files import exists
-        from calib_pin.io.results import DOCUMENT
-
-        if exists(inside := Path(self.robot, DOCUMENT)):
-            return inside
-        return Path(self.robot) if self.robot.endswith(".json") else None
-
-    def subject(
-        self, chain: str | None = None, *also: str
-    ) -> tuple[CalibrationResult | None, Chains, Setup]:
-        """The calibration, its chains or those of the robot, and the setup to read by.
-
-        The rest as for `open_calibration`.
-        """
-        from calib_pin.cli import files
-
-        stated, file = self.stated(), self.calibration
-        if file is None:
-            return None, self.chains(stated, chain), stated
-        found, stated = files.open_calibration(file, stated, *also)
-        if chain is not None:
-            require_known("chain", chain, found.model.measured_chains)
-        return found, found.model.chains, stated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -405,15 +350,14 @@ class Request(OfStations, OfParameters):
         """The command line of `calibrate` that asks for the same."""
         words = ["calibrate", self.robot, *map(str, self.measurements)]
         for asked in fields(Request):
-            value = getattr(self, asked.name)
-            option = as_option(asked.name)
+            value, option = getattr(self, asked.name), as_option(asked.name)
             if asked.name in ("robot", "measurements") or value == asked.default:
                 continue
             if value is True:
                 words.append(option)
-                continue
-            for one in value if isinstance(value, list) else [value]:
-                words += [option, str(one)]
+            else:
+                for one in value if isinstance(value, list) else [value]:
+                    words += [option, str(one)]
         return ("calib-pin", *words, "-o", str(output))
 
 
@@ -556,10 +500,9 @@ class Shared:
     ] = None
 
 
-@contextmanager
 def asked_workers(
     count: int | None, cluster: str | None, patience: float | None = None
-) -> Iterator[Workers]:
+) -> AbstractContextManager[Workers]:
     """The workers that `--workers` and `--cluster` ask for.
 
     Args:
@@ -574,10 +517,7 @@ def asked_workers(
     if cluster is not None:
         from calib_pin.workers.cluster import Cluster
 
-        with Cluster(cluster) as workers:
-            yield workers
-        return
+        return Cluster(cluster)
     from calib_pin.workers.local import PATIENCE, LocalProcesses
 
-    with LocalProcesses(count, PATIENCE if patience is None else patience) as local:
-        yield local
+    return LocalProcesses(count, PATIENCE if patience is None else patience)

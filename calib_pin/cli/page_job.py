@@ -17,15 +17,15 @@ from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import quote
 
-from calib_pin.cli.asked import Init
-from calib_pin.cli.files import open_setup
+import calib_pin.guidance as guidance
+from calib_pin.cli.asked import Init, Watch
+from calib_pin.cli.calibrate import Opened, calibrated, opened
+from calib_pin.cli.files import open_chains, open_setup
 from calib_pin.cli.init import looked_at
 from calib_pin.cli.options import Request, same
 from calib_pin.cli.printing import complaint, notice, stage, taken_notices
-from calib_pin.cli.requests import Opened, calibrated, opened
 from calib_pin.cli.watch import watched
 from calib_pin.errors import CalibPinError
-from calib_pin.guidance import Event, Watch
 from calib_pin.io.columns import ANGLE, LENGTH, Column
 from calib_pin.io.first_look import draft
 from calib_pin.io.json_text import merged
@@ -125,10 +125,9 @@ class Job:
         self.scene: Scene | None = None
         self.result: CalibrationResult | None = None
         self.files = dict[str, bytes]()
-        self._remarks, self._events = list[str](), list[Event]()
+        self._remarks, self._events = list[str](), list[guidance.Event]()
         self._stage: tuple[str, float | None] | None = None
-        self._watch: Watch | None = None
-        self._seen: Opened | None = None
+        self._watch: guidance.Watch | None = None
 
     # --- what a person does --------------------------------------------------------
 
@@ -175,8 +174,8 @@ class Job:
     def follow(self) -> None:
         """Follow the measurements while they are written."""
         assert self.read.opened is not None
-        request, self._events = self.read.opened.request, []
-        self._watch = watched(request, seen=partial(setattr, self, "_seen"))
+        self._events = []
+        self._watch = watched(Watch(**same(self.read.opened.request, Watch)))
 
     # --- what is done then ---------------------------------------------------------
 
@@ -212,7 +211,7 @@ class Job:
         if not chosen.robot:
             return
         self._bar("robot", None)
-        chains = chosen.chains(setup := Setup())
+        chains = open_chains(chosen, setup := Setup())
         self.read = read = Read(chains.robot, text=chosen.text)
         if self.scene is None or not files:
             self.scene = self._drawn(chains, setup)
@@ -266,32 +265,32 @@ class Job:
     def _calibrate(self) -> None:
         given = self.read.opened
         assert given is not None
-        found = calibrated(given, given.request.words(OUT), bar=self._bar)
-        files = {path.name: data for path, data in found.contents.items()}
+        result, contents = calibrated(given, bar=self._bar)
+        files = {path.name: data for path, data in contents.items()}
         files[SETUP.name], stream = self.read.text.encode(), io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, data in files.items():
                 archive.writestr(f"{OUT}/{name}", data)
         self.files = {ALL: stream.getvalue(), **files}
-        self.result, model = found.result, found.result.model
+        self.result, model = result, result.model
         self.scene = self._drawn(model.chains, given.setup, model)
 
     def _look(self) -> None:
+        """Look whether there is more in the files, and read it."""
         if self._watch is None or (before := self.read.opened) is None:
             return
         if found := [*self._watch.look()]:
             self._events += found
-            given = replace(self._seen or before, output=before.output)
-            self.read.opened = given
+            self.read.opened = given = opened(before.request, OUT, force=True)
             self.scene = self._drawn(given.chains, given.setup)
 
     def _drawn(
         self, chains: Chains, setup: Setup, model: CalibratedModel | None = None
     ) -> Scene:
         given, folders = self.read.opened, self.chosen.package_dir or ()
-        read, tells = None if given is None else given.again, partial(stage, self._bar)
+        data, tells = given.measurements if given else None, partial(stage, self._bar)
         return make_scene(
-            chains, model, setup, read, None, folders, tell=notice, stage=tells
+            chains, model, setup, data, None, folders, tell=notice, stage=tells
         )
 
     # --- what is shown -------------------------------------------------------------

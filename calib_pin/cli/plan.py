@@ -33,7 +33,9 @@ from calib_pin.validation.robot_state import expected_setup
 
 def plan(asked: Plan, words: Sequence[str]) -> int:
     """Do what `Plan` asks for."""
-    older, stated = files.open_older(asked.start, asked.stated(), planned=True)
+    older, stated = files.open_older(
+        asked.start, files.stated_setup(asked), planned=True
+    )
     if not (asked.accept or asked.count):
         raise OptionError("say how many configurations to plan with --count N")
     inputs = [asked.robot, asked.setup, asked.srdf, asked.tests, asked.start]
@@ -49,7 +51,7 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
             srdf=asked.srdf,
             package_dirs=asked.package_dir or [],
             clearance=asked.clearance,
-            notice=None if asked.quiet else printing.notice,
+            notice=asked.tell,
             file=stated.file,
         )
     if asked.accept:
@@ -90,14 +92,14 @@ def _opened(
     rows: Observations | None = None
     keys: Sequence[BlockKey]
     if asked.to:
-        chains = asked.chains(stated, asked.chain)
+        chains = files.open_chains(asked, stated, asked.chain)
         with printing.progress_bar(quiet=asked.quiet) as bar:
-            chains, rows = asked.read(asked.to, chains, stated, bar=bar)
+            chains, rows = files.open_rows(asked, asked.to, chains, stated, bar=bar)
         rows = fitted_and_held_out(rows)[0]
         keys = rows.keys
     else:
         keys = files.stated_blocks(stated, *filter(None, [asked.chain]))
-        chains = asked.chains(stated, keys)
+        chains = files.open_chains(asked, stated, keys)
     if older is not None:
         stated = expected_setup(chains, stated, older)
     if not asked.quiet:

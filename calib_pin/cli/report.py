@@ -23,7 +23,7 @@ def report(asked: Report) -> int:
         require_pdf()
     files.require_folders(asked.package_dir or [])
     file = document_file(asked.calibration)
-    result, document, suggestions = read_written(file)
+    result, document = read_written(file)
     robot, there = result.model.chains.robot, document.get("files", {})
     page = asked.output or file.parent / REPORT
     own = asked.output is None and REPORT in there
@@ -37,18 +37,18 @@ def report(asked: Report) -> int:
         )
     with printing.progress_bar(quiet=asked.quiet) as bar:
         drawn = draw_calibration(result, bar, asked.package_dir)
-        text = html_report(result, document, figures=drawn, suggestions=suggestions)
+        text = html_report(result, document, figures=drawn)
         contents = {page: text}
         if pdf is not None:
             stated = results.dated(result.model.setup.report)
             cover = calibration_cover(result, stated, drawn)
-            annex = blocks(result, suggestions, details=True, formulae=False)
+            annex = blocks(result, details=True, formulae=False)
             contents[pdf] = pdf_report(cover, [*annex, *provenance_blocks(document)])
         made = [f"wrote {file}" for file in contents]
         contents |= results.figure_contents(drawn, pictures)
     replace(asked, force=asked.force or own).give(
         contents,
-        blocks(result, suggestions),
+        blocks(result),
         [*made, *results.told_figures(contents, pictures)],
     )
     return asked.ended(result.verdict, result.reason, told=not asked.quiet)

@@ -19,7 +19,7 @@ from calib_pin.io.measurement_errors import MEASUREMENTS
 from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name, written_before
 from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import ReportSetup
-from calib_pin.validation.result import CalibrationResult, Provenance, Suggestion
+from calib_pin.validation.result import CalibrationResult, Provenance
 
 if TYPE_CHECKING:  # Drawing loads slowly, and is not always asked for.
     from calib_pin.report.figures import Drawn
@@ -60,7 +60,6 @@ def result_contents(
     made: Provenance,
     figures: Sequence[Drawn] | None,
     pictures: Mapping[Path, bytes],
-    suggestions: Sequence[Suggestion],
 ) -> dict[Path, bytes]:
     """All files of a result, of which the last one knows the hashes of the others.
 
@@ -69,7 +68,7 @@ def result_contents(
     """
     from calib_pin.report.html import html_report
 
-    document = results.calibration_document(result, made, suggestions)
+    document = results.calibration_document(result, made)
     # The same input and seed lead to the same id.
     unlike = {"solver": ["seconds"], "provenance": ["command", "created"]}
     left = {key: dict.fromkeys(names) for key, names in unlike.items()}
@@ -83,9 +82,7 @@ def result_contents(
         contents[corrected] = results.encode_urdf(result.geometry, corrected)
     contents[rows] = measurement_errors.encode_errors(result, document["run"])
     if figures is not None:
-        contents[page] = html_report(
-            result, document, figures=figures, suggestions=suggestions
-        )
+        contents[page] = html_report(result, document, figures=figures)
     contents |= pictures
     document["files"] = {
         name: None if path == page else sha256(data)

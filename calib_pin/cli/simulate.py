@@ -25,7 +25,7 @@ PLACES = ("chain", "station", "tool")
 
 def simulate(asked: Simulate, words: Sequence[str]) -> int:
     """Do what `Simulate` asks for."""
-    stated, file, truth = asked.stated(), asked.configurations, asked.truth
+    stated, file, truth = files.stated_setup(asked), asked.configurations, asked.truth
     keys = files.stated_blocks(stated)
     if (asked.count is None) == (file is None):
         raise OptionError("give either --count or --configurations")
@@ -36,7 +36,7 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
         named = table.texts(("target", *PLACES))
         arms = named["chain"].distinct if "chain" in table else ()
         keys = files.stated_blocks(stated, *arms)
-    chains = asked.chains(stated, keys)
+    chains = files.open_chains(asked, stated, keys)
     # With a map of joints the file has the columns of their controller.
     with stated_in(stated.file):
         own = JointColumns.of(chains, stated.joints) if stated.joints else None

@@ -25,16 +25,23 @@ def view(asked: View) -> int:
 
     folders = asked.package_dir or []
     files.require_folders(folders)
-    calibrated, chains, stated = asked.subject(asked.chain)
-    if doubt := doubt_of(calibrated, asked.calibration):
+    calibrated, chains, stated = files.open_subject(asked, asked.chain)
+    if doubt := doubt_of(calibrated, files.calibration_file(asked)):
         printing.notice(doubt)
     with printing.progress_bar() as bar:
-        read = partial(asked.read, asked.measurements or [], bar=bar)
+        model, rows = None if calibrated is None else calibrated.model, None
+        if asked.measurements:
+            known = {} if model is None else model.references
+            sockets = [reference.name for reference in known.values()]
+            measured, rows = files.open_rows(
+                asked, asked.measurements, chains, stated, sockets=sockets, bar=bar
+            )
+            chains = measured if model is None else chains
         scene = make_scene(
             chains,
-            None if calibrated is None else calibrated.model,
+            model,
             stated,
-            read if asked.measurements else None,
+            rows,
             asked.plan,
             folders,
             tell=printing.notice,

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from json import dumps
 from pathlib import Path
@@ -20,11 +21,11 @@ from rich.text import Text
 import calib_pin.cli.options as options
 import calib_pin.guidance as guidance
 from calib_pin.cli.asked import Calibrate, Watch
-from calib_pin.cli.calibrate import calibrate
+from calib_pin.cli.calibrate import Opened, calibrate, opened
+from calib_pin.cli.files import open_chains, stated_setup
 from calib_pin.cli.init import reading
 from calib_pin.cli.options import Request
 from calib_pin.cli.printing import console, notice, say, taken_notices
-from calib_pin.cli.requests import Opened, opened
 from calib_pin.errors import InputError, OptionError, RobotError, enumerated
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.guidance import Event
@@ -42,35 +43,20 @@ PAUSE = 0.2
 Tell = Callable[[Event], None]
 
 
-def watched(
-    request: Request,
-    plan: Path | None = None,
-    limit: float | None = None,
-    *,
-    srdf: Path | None = None,
-    seen: Callable[[Opened], object] = lambda _: None,
-) -> guidance.Watch:
-    """The watch of a calibration as `calibrate` takes it.
-
-    Args:
-        request: The calibration.
-        plan: Configurations to measure.
-        limit: Expected error of the tool point that is to be reached [m].
-        srdf: Pairs of links that need no collision check.
-        seen: Told the input whenever it was read.
-    """
+def watched(asked: Watch) -> guidance.Watch:
+    """The watch of a calibration as `calibrate` takes it."""
 
     def read() -> Any:
         try:
-            seen(found := opened(request, None))
+            found = opened(asked, None)
             return found.chains, _so_far(found), found.measurements
         finally:
             taken_notices()
 
-    files, folders = request.measurements, request.package_dir or ()
-    proposals = Proposals(files[0], plan, srdf, folders, True)
-    followed = [*files, *filter(None, [request.setup])]
-    return guidance.Watch(read, followed, proposals, limit, request.seed)
+    files, folders = asked.measurements, asked.package_dir or ()
+    proposals = Proposals(files[0], asked.plan, asked.srdf, folders, True)
+    followed = [*files, *filter(None, [asked.setup])]
+    return guidance.Watch(read, followed, proposals, asked.limit, asked.seed)
 
 
 def _so_far(found: Opened) -> Setup:
@@ -89,18 +75,16 @@ def _so_far(found: Opened) -> Setup:
 
 def watch(asked: Watch) -> int:
     """Do what `Watch` asks for."""
-    own = options.same(asked, Request)
     before: Callable[[], object] = partial(time.sleep, PAUSE)
     if asked.board is not None:
         from calib_pin.cli.detect import images_of
 
         folder = asked.measurements[0]
         file, before = images_of(folder, asked.board, asked.joints, PAUSE)
-        own["measurements"] = [file]
-    request = Request(**own)
-    job = watched(request, asked.plan, asked.limit, srdf=asked.srdf)
+        asked = replace(asked, measurements=[file])
+    job = watched(asked)
     try:
-        found = opened(request, asked.output, force=asked.force)
+        found = opened(asked, asked.output, force=asked.force)
     except (OptionError, RobotError):
         raise
     except InputError:
@@ -109,51 +93,36 @@ def watch(asked: Watch) -> int:
         job.proposals.check(found.chains, found.setup)
     taken_notices()
     if asked.type and asked.plan is not None:
-        if len(request.measurements) != 1:
+        if len(asked.measurements) != 1:
             raise OptionError("--type needs one file of measurements")
-        before = typed(request, asked.plan)
+        before = typed(asked, asked.plan)
     lines = asked.type or asked.json or asked.quiet or not sys.stdout.isatty()
     live = None if lines else console()
     if live is not None and not asked.once:
         end = f"writes {asked.output}" if asked.output else "prints the result"
         live.print(
-            f"following {enumerated(map(str, request.measurements))}; Ctrl-C {end}"
+            f"following {enumerated(map(str, asked.measurements))}; Ctrl-C {end}"
         )
-    with display(json=asked.json, quiet=asked.quiet, live=live) as tell:
-
-        def told(event: Event) -> None:
-            # Where rows are typed, the question says where to go.
-            if not (asked.type and event.kind == "next"):
-                tell(event)
-
-        follow(job, told, before if not asked.once else None)
+    with (
+        display(json=asked.json, quiet=asked.quiet, live=live) as tell,
+        suppress(KeyboardInterrupt, EOFError),
+    ):
+        while True:
+            for event in job.look(last=asked.once):
+                # Where rows are typed, the question says where to go.
+                if not (asked.type and event.kind == "next"):
+                    tell(event)
+            if asked.once:
+                break
+            before()
     if job.fit is None:
         notice("no result: nothing could be fitted yet")
         return 2 if job.rows else 1
     if asked.once:
         trusted = job.state is not None and job.state.verdict in TRUSTED
         return 0 if trusted else 2
-    whole = Calibrate(**options.same(asked, Calibrate) | own)
-    return calibrate(whole, request.words(asked.output or Path())[1:])
-
-
-def follow(
-    job: guidance.Watch, tell: Tell, before: Callable[[], object] | None
-) -> None:
-    """Look at the files again and again, until somebody interrupts.
-
-    Args:
-        job: The job.
-        tell: Told its events.
-        before: Called before each look but the first one; None to look once.
-    """
-    with suppress(KeyboardInterrupt, EOFError):
-        while True:
-            for event in job.look(last=before is None):
-                tell(event)
-            if before is None:
-                return
-            before()
+    whole = Calibrate(**options.same(asked, Calibrate))
+    return calibrate(whole, asked.words(asked.output or Path())[1:])
 
 
 STYLES = {
@@ -218,8 +187,8 @@ def typed(request: Request, plan: Path) -> Callable[[], None]:
         InputError: If the plan or the file cannot be used.
         OptionError: If nothing says what is measured.
     """
-    (file,), setup = request.measurements, request.stated()
-    chains = request.chains(setup, "")
+    (file,), setup = request.measurements, stated_setup(request)
+    chains = open_chains(request, setup, "")
     table = read_table(plan, columns=setup.columns)
     models = asked_models(setup.model)
     if not models and not file.exists():

@@ -37,9 +37,6 @@ again takes 25 (`scripts/benchmark watch`, its part `plan`)."""
 NEAR = 0.02
 """Difference of a joint up to which a planned configuration was measured [rad, m]."""
 
-Place = tuple[Floats, str]
-"""A configuration, shape (n,) [rad, m], and its target."""
-
 Planned = tuple[Floats, Sequence[str]]
 """Configurations, shape (N, n) [rad, m], and their targets."""
 
@@ -98,10 +95,15 @@ class Proposals:
         Raises:
             InputError: If one of the files cannot be used.
         """
-        if self.plan is not None:
-            _read(read_table(self.plan, columns=setup.columns), chains, setup)
+        self._planned(chains, setup)
         if self.srdf is not None:
             self._collisions(chains, setup)
+
+    def _planned(self, chains: Chains, setup: Setup) -> Planned:
+        """The configurations of the plan; none without one."""
+        if self.plan is None:
+            return np.zeros((0, len(chains.joints))), []
+        return _read(read_table(self.plan, columns=setup.columns), chains, setup)
 
     def _collisions(self, chains: Chains, setup: Setup) -> Collisions | None:
         folders = self.package_dirs
@@ -120,16 +122,19 @@ class Proposals:
         Raises:
             CalibPinError: If a file cannot be used, or no configuration is allowed.
         """
-        left = planned(self.plan, fitted, every)
-        first = self._shown(fitted, *left[0], len(left)) if left else None
+        q, targets = self._planned(fitted.chains, fitted.setup)
+        left, first = _left((q, targets), (every.q, every.target)), None
+        if left:
+            first = self._shown(fitted, q[left[0]], targets[left[0]], len(left))
         if fitted.model is None:
             return first, ()
         try:
             search, names = self._search(fitted)
             table = None
             if left:
-                aim = [names.index(name) if name in names else 0 for _, name in left]
-                table = search.rows.rows(np.array([q for q, _ in left]), np.array(aim))
+                aimed = [targets[k] for k in left]
+                aim = [names.index(name) if name in names else 0 for name in aimed]
+                table = search.rows.rows(q[left], np.array(aim))
             selection = search.selection(table=table)
             errors = [selection.value]
             for k in range(min(MORE, selection.left)):
@@ -141,7 +146,9 @@ class Proposals:
             return first, ()
         return first, tuple(errors)
 
-    def _best(self, search: Search, names: list[str], every: Observations) -> Place:
+    def _best(
+        self, search: Search, names: list[str], every: Observations
+    ) -> tuple[Floats, str]:
         """The best one of those that were planned together and are left, if any."""
         q, aim = self._together or (np.zeros((0, 0)), np.zeros(0, np.intp))
         left = _left((q, [names[k] for k in aim]), (every.q, every.target))
@@ -204,19 +211,6 @@ class Proposals:
             for name, cell in zip(header, row, strict=True)
         }
         return Proposal(q, chains.joints, cells, left)
-
-
-def planned(plan: Path | None, fitted: Fitted, rows: Observations) -> list[Place]:
-    """The configurations of a plan that were not measured yet, in their order.
-
-    Raises:
-        InputError: If the plan cannot be read.
-    """
-    if plan is None:
-        return []
-    table = read_table(plan, columns=fitted.setup.columns)
-    q, names = _read(table, fitted.chains, fitted.setup)
-    return [(q[k], names[k]) for k in _left((q, names), (rows.q, rows.target))]
 
 
 def remaining(plan: Table, rows: Table, chains: Chains, setup: Setup) -> list[int]:

@@ -108,13 +108,14 @@ class Watch:
             chains, setup, rows = self._read()
             setup = replace(setup, reading=ReadingSetup())
             chains, (rows,) = fitting(chains, setup, fitted_and_held_out(rows)[0])
+            job = Fitted(chains, rows, setup, self._seed)
             found = {key: rows.source(k) for k, key in enumerate(_keys(rows))}
             gone = [place for key, place in self._known.items() if key not in found]
             if new and gone != self._gone:
                 self._gone = gone
                 return  # A file that is written anew begins with nothing.
             self._stamp, self._told, self._gone = stamp, "", []
-            yield from self._changed(chains, setup, rows, found, gone)
+            yield from self._changed(job, found, gone)
         except (CalibPinError, np.linalg.LinAlgError) as error:
             if new and self._stamp != stamp:
                 return  # It may be half written.
@@ -124,15 +125,10 @@ class Watch:
                 yield Event("problem" if self._known else "waiting", told)
 
     def _changed(
-        self,
-        chains: Chains,
-        setup: Setup,
-        rows: Observations,
-        found: dict[Key, str],
-        gone: Sequence[str],
+        self, job: Fitted, found: dict[Key, str], gone: Sequence[str]
     ) -> Iterator[Event]:
         """Tell of rows that came and went, then of the job."""
-        keys = [*found]
+        rows, keys = job.rows, [*found]
         self._aside &= {*keys}
         used = np.array([key in self._known and key not in self._aside for key in keys])
         new = [k for k in rows.in_order.tolist() if keys[k] not in self._known]
@@ -142,10 +138,9 @@ class Watch:
             text = f"{what}: removed or corrected, no longer used as before"
             yield Event("removed", text, {"places": [*gone]})
         units = _units(rows, new)
-        fit = partial(self._fit, chains, setup, rows)
         if gone or self._fitted is None or len(units) > FEW:
             used[new] = len(units) > FEW
-            self._fitted = fit(used, True)
+            self._fitted = self._fit(job, used, robust=True)
         for unit in units if len(units) <= FEW else ():
             deviation = self._fitted.deviation(rows.rows(np.array(unit)))
             again = any(keys[k][2] for k in unit)
@@ -154,27 +149,20 @@ class Watch:
             yield self._row(rows.source(unit[0]), deviation, again)
             used[unit] = keys[unit[0]] not in self._aside
             if used[unit[0]]:
-                self._fitted = fit(used)
+                self._fitted = self._fit(job, used)
         # Which of several are wrong is for the fit of all to say.
         last = _units(rows, rows.in_order.tolist())[-SEVERAL:]
         if new and all(keys[unit[0]] in self._aside for unit in last):
             self._aside = {key for key in keys if key[2]}
             used = np.array([not key[2] for key in keys])
-            self._fitted = fit(used, True)
+            self._fitted = self._fit(job, used, robust=True)
         yield from self._reconsidered(rows, keys, used)
         yield from self._guided(rows)
 
-    def _fit(
-        self,
-        chains: Chains,
-        setup: Setup,
-        rows: Observations,
-        used: Booleans,
-        robust: bool = False,
-    ) -> Fitted:
+    def _fit(self, job: Fitted, used: Booleans, *, robust: bool = False) -> Fitted:
         """Fit the rows that are used, now and then robustly."""
         known = self._fitted is not None and self._fitted.model is not None
-        found = Fitted(chains, rows.rows(used), setup, self._seed)
+        found = replace(job, rows=job.rows.rows(used))
         robust = robust or used.sum() >= AGAIN * self._reviewed
         if robust:
             self._reviewed = max(int(used.sum()), 2 * FEW)

@@ -57,7 +57,6 @@ from calib_pin.validation.result import (
     MeasurementErrors,
     NamedArray,
     Provenance,
-    Suggestion,
     UrdfResult,
 )
 
@@ -179,7 +178,6 @@ class Document:
         manifest: SHA-256 of the files that were written with it, by name; None for
             those that are known by the id.
         reference: Where the fit began, from which its parameters deviate.
-        suggestions: Suggested measurements.
     """
 
     format: str = FORMAT
@@ -196,9 +194,6 @@ class Document:
     reference: Mapping[str, Any]
     residual_model: LearnedRecord | None
     urdf_model: ModelRecord | None
-    suggestions: tuple[Suggestion, ...] = field(
-        metadata={"key": "identifiability.remedies"}
-    )
     chi2_interval: tuple[float, ...] = field(
         metadata={"key": "statistics.chi2_interval"}
     )
@@ -206,9 +201,7 @@ class Document:
 
 
 def calibration_document(
-    result: CalibrationResult,
-    provenance: Provenance | None = None,
-    suggestions: Sequence[Suggestion] = (),
+    result: CalibrationResult, provenance: Provenance | None = None
 ) -> Json:
     """A result as the JSON document of version 2.
 
@@ -217,7 +210,6 @@ def calibration_document(
     Args:
         result: The result.
         provenance: How it came about; default what the result says.
-        suggestions: Suggested measurements.
 
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
@@ -244,7 +236,6 @@ def calibration_document(
         reference=places_of(result.reference),
         residual_model=learned_record(model),
         urdf_model=None if urdf is None else model_record(urdf),
-        suggestions=tuple(suggestions),
         chi2_interval=chi2_interval(dof) if dof > 0 else (),
         setup_file=Source.of(setup) if setup else None,
     )
@@ -301,7 +292,7 @@ def read_calibration(
     Raises:
         InputError, OutputError, RobotError: As `read_result`.
     """
-    result, *_ = read_written(path, measured=False)
+    result, _ = read_written(path, measured=False)
     if notice is not None and (doubt := doubt_of(result, path)):
         notice(doubt)
     return result.model
@@ -317,8 +308,8 @@ def doubt_of(result: CalibrationResult | None, path: str | Path | None) -> str:
 @serial_blas
 def read_written(
     path: str | Path, *, measured: bool = True
-) -> tuple[CalibrationResult, Json, tuple[Suggestion, ...]]:
-    """A result, the document that it was read from, and what that suggests.
+) -> tuple[CalibrationResult, Json]:
+    """A result, and the document that it was read from.
 
     Args:
         path: The folder of the result, or its `calibration.json`.
@@ -355,7 +346,7 @@ def read_written(
                 urdf=None if urdf is None else typed(UrdfResult, urdf, model=geometry),
                 provenance=typed(Provenance, document, file=str(file), hashes=hashes),
             )
-            return result, document, record.suggestions
+            return result, document
 
 
 def _chains(record: Document, robot: Robot) -> Chains:

@@ -24,7 +24,7 @@ from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.result import Identification, Suggestion
+from calib_pin.validation.result import CalibrationResult, Identification, Suggestion
 
 LARGEST = 1000
 """Most parameters of which suggestions are sought; each takes the time of an analysis,
@@ -119,6 +119,13 @@ def suggestions(
     if any(r.complete and r.change != EVERYTHING for r in result):
         result = [r for r in result if r.change != EVERYTHING]
     return tuple(result)
+
+
+def with_suggestions(result: CalibrationResult) -> CalibrationResult:
+    """A calibration, with the changes by which more of its robot could be known."""
+    model, seed = result.model, result.solver.seed
+    about = model.chains, tuple(model.terms), calibrated_setup(model)
+    return replace(result, suggestions=suggestions(*about, result, seed=seed))
 
 
 def _changes(

@@ -23,7 +23,7 @@ from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.files import write_atomically
 from calib_pin.io.results import calibration_document, read_written
 from calib_pin.io.robot_shapes import robot_shapes
-from calib_pin.planning.suggestions import calibrated_setup, suggestions
+from calib_pin.planning.suggestions import with_suggestions
 from calib_pin.report.accuracy import subject
 from calib_pin.report.blocks import Block, Code, Facts, Line, Table, note, table
 from calib_pin.report.figures import Drawn, drawn
@@ -31,7 +31,7 @@ from calib_pin.report.tables import STATUS, parameter_overview
 from calib_pin.report.text import Section, sections
 from calib_pin.report.tiles import tiles
 from calib_pin.report.trust import FIRST, findings, next_step, opening, serious
-from calib_pin.validation.result import CalibrationResult, Provenance, Suggestion
+from calib_pin.validation.result import CalibrationResult, Provenance
 
 if TYPE_CHECKING:
     from calib_pin.report.cover import Cover
@@ -45,7 +45,6 @@ def html_report(
     document: Mapping[str, Any],
     *,
     figures: Sequence[Drawn] = (),
-    suggestions: Sequence[Suggestion] = (),
 ) -> bytes:
     """The report of a calibration as UTF-8 text of one HTML file without references.
 
@@ -63,7 +62,7 @@ def html_report(
     others = found or [note("There are no findings.")]
     told = [
         replace(s, blocks=[*others, *s.blocks]) if s.key == "findings" else s
-        for s in sections(result, suggestions)
+        for s in sections(result)
     ]
     told.append(Section("provenance", "Provenance", [*provenance_blocks(document)]))
     parameters = parameter_overview(result.parameters, result.unknown)
@@ -152,23 +151,16 @@ def report(
         True
     """
     if isinstance(result, CalibrationResult):
-        model = result.model
-        suggested = suggestions(
-            model.chains,
-            tuple(model.terms),
-            calibrated_setup(model),
-            result,
-            seed=result.solver.seed,
-        )
+        result = with_suggestions(result)
         made = result.provenance
         if not made.calib_pin:
             made = Provenance.at(datetime.now(UTC).isoformat(timespec="seconds"))
-        document = calibration_document(result, made, suggestions=suggested)
+        document = calibration_document(result, made)
     else:
-        result, document, suggested = read_written(result)
+        result, document = read_written(result)
     shapes = robot_shapes(result.model.chains.robot).parts
     figures = list(drawn("calibration", result, shapes=shapes))
-    page = html_report(result, document, figures=figures, suggestions=suggested)
+    page = html_report(result, document, figures=figures)
     write_atomically(Path(file), page, force=force)
 
 

@@ -30,7 +30,6 @@ def identified(
     found: Identification,
     *,
     fitted: bool,
-    suggestions: Sequence[Suggestion] = (),
     details: bool = False,
 ) -> Iterator[Block]:
     """Ranks, the errors of the robot, what is not known, suggested measurements.
@@ -38,7 +37,6 @@ def identified(
     Args:
         found: The identifiability of a robot.
         fitted: Whether there are estimates.
-        suggestions: Suggested measurements.
         details: Also the parameters, and all combinations of them in full.
     """
     yield ranks(found, fitted=fitted)
@@ -55,18 +53,18 @@ def identified(
     for status in ("weak", "unidentifiable", "fixed"):
         names = [p.name for p in found.parameters if p.status == status]
         yield from listed(STATUS[status] + REMARKS.get(status, ""), names)
-    yield from _remedied(found, suggestions)
+    yield from _remedied(found)
 
 
-def summary(result: Identification, suggestions: Sequence[Suggestion]) -> Line:
-    """How much of the robot is known, and how more would be."""
+def summary(result: Identification, *, advised: bool) -> Line:
+    """How much of the robot is known and, if advised, how more would be."""
     found = result.identifiability
     said = f"Identifiability: {found.robot_rank - found.weak} of {found.robot_rank}"
     said += " independent errors of the robot are known"
     if not found.scale_observable:
         said += "; its absolute scale is unobservable, add a known length"
-    better = [s for s in suggestions if s.count > found.robot_rank]
-    if better:
+    better = [s for s in result.suggestions if s.count > found.robot_rank]
+    if advised and better:
         best = max(better, key=lambda s: s.count)
         said += f"; {best.count} would be if you {best.change}"
     return Line(f"{said}.")
@@ -107,22 +105,20 @@ def of_place(group: CoupledGroup) -> bool:
     return kind in ("socket", "sphere", "anchor")
 
 
-def _remedied(
-    found: Identification, suggestions: Sequence[Suggestion]
-) -> Iterator[Block]:
+def _remedied(found: Identification) -> Iterator[Block]:
     """Suggested measurements, and how many robot parameters each would identify."""
     known, weak = found.identifiability.robot_rank, found.identifiability.weak
     rows = [("no change", known - weak)]
     if weak:
         rows.append((f"more or other configurations: {ADDING}", known))
-    rows += [(remedy.change, remedy.count) for remedy in suggestions]
+    rows += [(remedy.change, remedy.count) for remedy in found.suggestions]
     if len(rows) > 1:
         titles = ("|remark", "identifiable robot parameters")
         yield table("Suggested measurements", titles, rows)
     if found.identifiability.parameters > LARGEST:
         many = f"more than {LARGEST} parameters"
         yield note(f"No measurements are suggested for {many}.")
-    if any(remedy.complete for remedy in suggestions):
+    if any(remedy.complete for remedy in found.suggestions):
         yield note(
             "The combinations that remain move the tool point only together: no "
             "measurement of it can separate them, and no task requires it."
@@ -185,15 +181,8 @@ CAUSES = {
 """Why an offset is not known, by the status of its parameter."""
 
 
-def offsets(
-    result: CalibrationResult, suggestions: Sequence[Suggestion] = ()
-) -> Iterator[Block]:
-    """Offsets of the joints, in degrees and in steps of their encoders.
-
-    Args:
-        result: The calibration.
-        suggestions: Suggested measurements, which say how an unknown offset is found.
-    """
+def offsets(result: CalibrationResult) -> Iterator[Block]:
+    """Offsets of the joints, in degrees and in steps of their encoders."""
     found = joint_offsets(result)
     known = [offset for offset in found if offset.sigma is not None]
     stepped = any(offset.steps is not None for offset in known)
@@ -204,7 +193,7 @@ def offsets(
         yield note(USE)
     for offset in found:
         if offset.sigma is None:
-            yield Line(_unknown(offset, suggestions), "strong")
+            yield Line(_unknown(offset, result.suggestions), "strong")
         if offset.reverses:
             yield Line(f"{offset.reverses}.", "strong")
 

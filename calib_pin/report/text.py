@@ -28,7 +28,6 @@ from calib_pin.validation.result import (
     CalibrationResult,
     Evaluation,
     Identification,
-    Suggestion,
 )
 
 LINES = 16
@@ -83,7 +82,6 @@ def brief(found: Any) -> str:
 
 def report(
     result: CalibrationResult,
-    suggestions: Sequence[Suggestion] = (),
     *,
     details: bool = False,
     formulae: bool = True,
@@ -92,14 +90,13 @@ def report(
 
     Args:
         result: The calibration.
-        suggestions: Suggested measurements.
         details: All sections, instead of what a person sees first.
         formulae: With these also all parameters and combinations of them.
     """
     yield from trust.opening(result, None if details else trust.FIRST)
     yield accurate.subject(result)
     if details:
-        for section in sections(result, suggestions, LISTED[0]):
+        for section in sections(result, LISTED[0]):
             if section.key != "measured":
                 yield from section.blocks
         if formulae:
@@ -116,12 +113,12 @@ def report(
     yield from corrections(result)
     yield from frame_blocks(result)
     yield from told(result)
-    yield summary(result, () if alone else suggestions)
+    yield summary(result, advised=not alone)
     if not alone:
         yield from held(result.robot_errors, details=False)
     yield from listed("at a bound", result.solver.at_bounds)
     # Last on the terminal: what is to be typed in, and what to do.
-    yield from offsets(result, suggestions)
+    yield from offsets(result)
     yield from trust.next_step(result)
 
 
@@ -135,30 +132,25 @@ class Section:
     figures: tuple[str, ...] = ()
 
 
-def sections(
-    result: CalibrationResult,
-    suggestions: Sequence[Suggestion] = (),
-    most: int = LISTED[1],
-) -> Iterator[Section]:
+def sections(result: CalibrationResult, most: int = LISTED[1]) -> Iterator[Section]:
     """All that is told of a calibration behind its verdict.
 
     First what a customer takes home, then what a statistician asks for.
 
     Args:
         result: The calibration.
-        suggestions: Suggested measurements.
         most: How many outliers are listed.
     """
-    frames = [*offsets(result, suggestions), *frame_blocks(result)]
+    frames = [*offsets(result), *frame_blocks(result)]
     accuracy = (
         *(accurate.accuracy(result), accurate.recalibrated(result), parts(result)),
         *(accurate.moves(result), trust.expected(result), accurate.beyond(result)),
     )
     remedies = (
         listed(f"identifiable if you {remedy.change}", remedy.parameters)
-        for remedy in suggestions
+        for remedy in result.suggestions
     )
-    known = identified(result, fitted=True, suggestions=suggestions)
+    known = identified(result, fitted=True)
     identifiable = (known, told(result), *remedies)
     bounded = listed("at a bound", result.solver.at_bounds)
     noise = trust.noise(result), trust.statistics(result)

@@ -857,6 +857,7 @@ class Identification(Printed):
         groups: Coupled groups.
         identifiability: Ranks and observability.
         robot_errors: The same for people: each independent error of the robot once.
+        suggestions: Suggested measurements; none before they were sought.
     """
 
     parameters: tuple[ParameterEstimate, ...]
@@ -866,6 +867,9 @@ class Identification(Printed):
     identifiability: Identifiability
     robot_errors: tuple[RobotError, ...] = field(
         default=(), kw_only=True, metadata={"key": "identifiability.robot_errors"}
+    )
+    suggestions: tuple[Suggestion, ...] = field(
+        default=(), kw_only=True, metadata={"key": "identifiability.remedies"}
     )
 
 

@@ -246,7 +246,7 @@ def make_scene(
     chains: Chains,
     model: CalibratedModel | None,
     setup: Setup,
-    read: Callable[..., tuple[Chains, Observations]] | None,
+    data: Observations | None,
     plan: Path | None,
     package_dirs: Sequence[Path],
     *,
@@ -259,19 +259,14 @@ def make_scene(
         chains: The chains of the robot.
         model: The calibration, if there is one.
         setup: The setup.
-        read: Reads the measurements, as `cli.files.open_measurements` does, if there
-            are any.
+        data: The measurements, if there are any.
         plan: File of configurations, if there is one.
         package_dirs: Folders of packages, see `io.packages.locate_mesh`.
         tell: Called with one line for what may be otherwise than one thinks.
         stage: Told what begins.
     """
     rows, planned, ready = None, None, list[Registered]()
-    if read is not None:
-        known = {} if model is None else model.references
-        sockets = (reference.name for reference in known.values())
-        measured, data = read(chains, setup, sockets=sockets)
-        chains = measured if model is None else chains
+    if data is not None:
         stage("errors")
         ready.append(prepared(chains, data, setup))
         if reason := ready[0].reason:

@@ -33,6 +33,7 @@ import calib_pin
 from benchmarks.layouts import WRITERS, Files, Job, job, table
 from calib_pin.cli import main as command
 from calib_pin.cli.files import open_chains, open_measurements
+from calib_pin.cli.options import OfRobot
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.workers.local import LocalProcesses
@@ -395,7 +396,7 @@ def calibrated(files: Mapping[str, bytes], of: Job) -> tuple[str, str, float]:
             rows = Path(tables[0])
         _said(["init", of.robot, str(rows), "-o", "s.yaml"])
         setup = calib_pin.read_setup("s.yaml")
-        chains = open_chains(of.robot, setup)
+        chains = open_chains(OfRobot(robot=of.robot), setup)
         chains, data = open_measurements([rows], chains, setup, quiet=True)
         result = calib_pin.calibrate(chains, data, setup)
         if result.verdict not in TRUSTED:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import calib_pin
 from benchmarks.timing import best, show, simulated
 from calib_pin.io.results import calibration_document
-from calib_pin.planning.suggestions import calibrated_setup, suggestions
+from calib_pin.planning.suggestions import with_suggestions
 from calib_pin.report.figures import drawn
 from calib_pin.report.html import html_report
 from calib_pin.setup import FrameSetup, Setup
@@ -49,12 +49,11 @@ def _result(count: int) -> CalibrationResult:
 
 def page_of(result: CalibrationResult) -> bytes:
     """The page as a command makes it."""
-    chains, setup = result.model.chains, calibrated_setup(result.model)
+    result = with_suggestions(result)
     return html_report(
         result,
         calibration_document(result, PROVENANCE),
         figures=list(drawn("calibration", result)),
-        suggestions=suggestions(chains, "pose", setup, result),
     )
 
 

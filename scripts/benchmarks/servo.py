@@ -33,8 +33,8 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+import calib_pin.cli.calibrate as calibrate
 from benchmarks.round_trips.trip import Internal, Refused, said
-from calib_pin.cli import requests
 from calib_pin.io.urdf import locate_robot
 
 Floats = NDArray[np.float64]
@@ -328,7 +328,7 @@ def run(seed: int, keep: Path | None = None) -> tuple[int, str, str]:
             Path(folder).mkdir(parents=True, exist_ok=True)
         stack.enter_context(contextlib.chdir(folder))
         # Figures take most of the time.
-        stack.enter_context(patch.object(requests, "draw_calibration", lambda *_: []))
+        stack.enter_context(patch.object(calibrate, "draw_calibration", lambda *_: []))
         one = beginner(seed)
         kind = f"{one.robot} {'known' if one.known else 'estimated'}"
         kind += " reversed" * (-1 in one.signs.values())

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 import calib_pin
-from calib_pin.cli.options import Request
+from calib_pin.cli.asked import Watch
 from calib_pin.cli.watch import styled, watched
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chains import Chains
@@ -58,8 +58,12 @@ def text() -> str:
             joints = ",".join(every.joints)
             np.savetxt("plan.csv", PLAN, "%.4f", ",", header=joints, comments="")
             job = watched(
-                Request(robot="space6", measurements=[Path("tracker.csv")], tip="tool"),
-                Path("plan.csv"),
+                Watch(
+                    robot="space6",
+                    measurements=[Path("tracker.csv")],
+                    tip="tool",
+                    plan=Path("plan.csv"),
+                )
             )
             last = {}
             for count in range(FIRST, ROWS + 1):

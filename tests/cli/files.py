@@ -60,7 +60,7 @@ def marked(path: str, every: int) -> None:
     )
 
 
-DRAW = [f"calib_pin.cli.{name}.draw_calibration" for name in ("requests", "report")]
+DRAW = [f"calib_pin.cli.{name}.draw_calibration" for name in ("calibrate", "report")]
 """What commands draw the figures of a calibration with."""
 
 

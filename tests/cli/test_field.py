@@ -16,6 +16,7 @@ import pytest
 import calib_pin
 from calib_pin.cli import main
 from calib_pin.cli.files import open_chains, open_measurements
+from calib_pin.cli.options import OfRobot
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.setup import FrameSetup, Setup
@@ -162,7 +163,7 @@ READ: Mapping[str, Callable[[Job], str | bytes]] = {
 def calibrated() -> CalibrationResult:
     """The result of the file as the setup file reads it."""
     setup = calib_pin.read_setup("s.yaml")
-    chains = open_chains(ROBOT, setup)
+    chains = open_chains(OfRobot(robot=ROBOT), setup)
     chains, rows = open_measurements([Path("rows.csv")], chains, setup, quiet=True)
     return calib_pin.calibrate(chains, rows, setup)
 

@@ -33,7 +33,7 @@ class More(request.Request):
 request.Request = More
 from calib_pin import robot_file
 from calib_pin.cli import main
-from calib_pin.cli.jobs import Orders, read_jobs, request_of
+from calib_pin.cli.jobs import read_jobs, request_of
 
 def fitted(*chains, pose_weight, **others):
     print("python:", pose_weight)
@@ -43,7 +43,7 @@ calib_pin.calibration.calibrate = fitted
 main(["calibrate", "--help"])
 Path("jobs.csv").write_text("robot,measurements,pose_weight\\nspace7,a.csv,2.5\\n")
 (job,) = read_jobs("jobs.csv")
-asked = request_of(Orders(Path.cwd(), Path("out")), job)
+asked = request_of(job, Path("out"))
 print("job:", asked.pose_weight, *asked.words(Path("out")))
 rows = str(robot_file("space7", "measurements.csv"))
 main(["calibrate", "space7", rows, "--pose-weight", "2.5"])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from calib_pin.cli import main
-from calib_pin.cli.jobs import Orders, read_jobs, request_of
+from calib_pin.cli.jobs import read_jobs, request_of
 from calib_pin.io.results import read_result
 from calib_pin.setup import JointPrior
 from tests.cli.files import document, planned_uncertainty, undrawn
@@ -154,5 +154,4 @@ def test_a_fleet_goes_on(run, inside) -> None:
         "space6,later.csv,A,2026-08-01,previous\n"
     )
     (job,) = read_jobs("more.csv")
-    orders = Orders(Path.cwd(), Path("out"))
-    assert request_of(orders, job).start == Path("out/A-2026-07-01")
+    assert request_of(job, Path("out")).start == Path("out/A-2026-07-01")

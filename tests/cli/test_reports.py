@@ -61,7 +61,7 @@ def test_nothing_is_drawn_for_nobody(here, run, monkeypatch):
     def draw(*about: object) -> list[object]:
         raise AssertionError
 
-    monkeypatch.setattr("calib_pin.cli.requests.draw_calibration", draw)
+    monkeypatch.setattr("calib_pin.cli.calibrate.draw_calibration", draw)
     assert run(CALIBRATE).status == 0
 
 

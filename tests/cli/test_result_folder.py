@@ -335,7 +335,7 @@ TEMPORARY = ".calib-pin-*"
 @pytest.fixture
 def two_inputs(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two inputs by turns, so that the old set is never the new one."""
-    monkeypatch.setattr("calib_pin.cli.requests.draw_calibration", figures)
+    monkeypatch.setattr("calib_pin.cli.calibrate.draw_calibration", figures)
     for seed, name in enumerate(INPUTS):
         words = (
             "simulate arm.urdf --model position --count 30 --noise 2e-5 --seed "

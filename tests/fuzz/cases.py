@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
-import calib_pin.cli.requests
+import calib_pin.cli.calibrate
 from calib_pin.cli import main
 from tests.fuzz.corpus import JOBS, needed
 from tests.fuzz.mutators import damaged
@@ -210,7 +210,7 @@ def _serve(ours: Connection, pipe: Connection) -> None:
     ours.close()
     _limit_memory()
     # Figures take a hundred times longer than reading what they show.
-    calib_pin.cli.requests.draw_calibration = lambda *about: []  # type: ignore
+    calib_pin.cli.calibrate.draw_calibration = lambda *about: []  # type: ignore
     signal.signal(signal.SIGPROF, _stop)
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder, "work")

@@ -471,7 +471,7 @@ def checked(calibrated_robot: Callable[..., Any]) -> CalibrationResult:
 
 
 def test_a_checked_result_comes_back(checked: CalibrationResult) -> None:
-    found, document, _ = read_written(written(checked))
+    found, document = read_written(written(checked))
     assert found.robot_errors == checked.robot_errors != ()
     assert (found.validation.method, len(found.fitted)) == ("5-fold", 40)
     assert found.provenance.created == PROVENANCE.created

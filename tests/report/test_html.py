@@ -14,7 +14,7 @@ import pytest
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import calibration_document
-from calib_pin.planning.suggestions import calibrated_setup, suggestions
+from calib_pin.planning.suggestions import with_suggestions
 from calib_pin.report.figures import NAMES, Drawn
 from calib_pin.report.figures import drawn as draw_all
 from calib_pin.report.html import FRONT, html_report
@@ -68,12 +68,9 @@ class Page(HTMLParser):
 def page_of(
     result: CalibrationResult, figures: Sequence[Drawn] = ()
 ) -> tuple[bytes, dict[str, Any]]:
-    model = result.model
-    better = suggestions(
-        model.chains, list(model.terms), calibrated_setup(model), result
-    )
-    document = calibration_document(result, PROVENANCE, suggestions=better)
-    page = html_report(result, document, figures=figures, suggestions=better)
+    result = with_suggestions(result)
+    document = calibration_document(result, PROVENANCE)
+    page = html_report(result, document, figures=figures)
     return page, json.loads(encode(document))
 
 

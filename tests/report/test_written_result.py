@@ -10,7 +10,7 @@ import pytest
 from calib_pin.cli.results import result_contents
 from calib_pin.io.measurement_errors import decode_errors, encode_errors
 from calib_pin.io.results import read_written
-from calib_pin.planning.suggestions import calibrated_setup, suggestions
+from calib_pin.planning.suggestions import with_suggestions
 from calib_pin.report.figures import Drawn
 from calib_pin.report.figures import drawn as draw_all
 from calib_pin.report.figures.errors import cumulative_errors, errors_per_measurement
@@ -32,10 +32,7 @@ def test_page_and_figures_from_files_are_the_same_bytes(
     name, calibrated_robot, draw, tmp_path
 ):
     result = KINDS[name](calibrated_robot)
-    model = result.model
-    better = suggestions(
-        model.chains, list(model.terms), calibrated_setup(model), result
-    )
+    result = with_suggestions(result)
 
     def figures(of: CalibrationResult) -> list[Drawn]:
         if name in SLOW:
@@ -47,21 +44,21 @@ def test_page_and_figures_from_files_are_the_same_bytes(
     run = Provenance.at(
         "2026-01-01T00:00:00+00:00", ("calib-pin", "calibrate", "a b.csv"), 1.25
     )
-    for path, data in result_contents(result, folder, run, drawn, {}, better).items():
+    for path, data in result_contents(result, folder, run, drawn, {}).items():
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(data)
 
-    found, document, stated = read_written(tmp_path / "out")
+    found, document = read_written(tmp_path / "out")
     for side in ("fitted", "held_out"):
         one, other = getattr(found, side), getattr(result, side)
         for part in ("before", "after", "sigma", "points", "leverage"):
             np.testing.assert_array_equal(getattr(one, part), getattr(other, part))
     again = figures(found)
     assert [f.name for f in again] == [f.name for f in drawn]
-    assert stated == better
-    page = html_report(found, document, figures=again, suggestions=stated)
+    assert found.suggestions == result.suggestions
+    page = html_report(found, document, figures=again)
     assert page == (folder / "report.html").read_bytes()
-    assert plain_text(report(found, stated)) == plain_text(report(result, better))
+    assert plain_text(report(found)) == plain_text(report(result))
 
 
 def test_conditions_come_back(calibrated_robot):

@@ -52,7 +52,7 @@ class Tab:
 @pytest.fixture
 def tab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Tab:
     # Pages of results are not looked at here.
-    draw = "calib_pin.cli.requests.draw_calibration"
+    draw = "calib_pin.cli.calibrate.draw_calibration"
     monkeypatch.setattr(draw, lambda *about: [])
     return Tab(tmp_path)
 

@@ -79,7 +79,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A calibration of the panda, its measurements and a plan, in the folder."""
     monkeypatch.chdir(tmp_path)
     # Its page is not looked at here.
-    draw = "calib_pin.cli.requests.draw_calibration"
+    draw = "calib_pin.cli.calibrate.draw_calibration"
     monkeypatch.setattr(draw, lambda *about: [])
     (tmp_path / "setup.yaml").write_text(SETUP)
     simulate = "simulate example:panda --model position --setup setup.yaml"

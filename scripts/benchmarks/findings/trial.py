@@ -18,6 +18,7 @@ from benchmarks.verdict.jobs import Job, stream
 from benchmarks.verdict.truth import Outcome as Judged
 from benchmarks.verdict.truth import judged
 from calib_pin.cli.files import open_chains, open_measurements
+from calib_pin.cli.options import OfRobot
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED, Finding
 from calib_pin.io.setup import read_setup
@@ -87,7 +88,7 @@ def criterion(number: int, defect: Defect) -> Criterion[Outcome]:
 def calibrated(of: Input) -> CalibrationResult:
     """The result of an input that goes through files."""
     with TemporaryDirectory() as folder:
-        chains = open_chains(of.robot, of.setup)
+        chains = open_chains(OfRobot(robot=of.robot), of.setup)
         files = written(Path(folder), of.files)
         chains, rows = open_measurements(files, chains, of.setup, quiet=True)
         validation = None

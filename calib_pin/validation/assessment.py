@@ -136,20 +136,15 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
     """
     if result.status is Status.NOT_FINITE:
         return result.status.advice
-    rank, values = registered_rank(problem, result), distinct_values(problem)
+    parameters, values = problem.parameters, distinct_values(problem)
+    A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
+    rank = int(np.linalg.matrix_rank(A)) if A.size else 0
     if rank and values <= rank:
         return (
             f"{values} measured values are used up by the {rank} unknowns of base, "
             "tool and instrument; measure more configurations"
         )
     return "" if result.status.success else result.status.advice
-
-
-def registered_rank(problem: Problem, result: LeastSquaresResult) -> int:
-    """Number of unknowns of base, tool and instrument that a registration told."""
-    parameters = problem.parameters
-    A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
-    return int(np.linalg.matrix_rank(A)) if A.size else 0
 
 
 def estimates(

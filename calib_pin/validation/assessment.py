@@ -409,7 +409,7 @@ class _Parts:
     Attributes:
         covariance: Of all parameters, averaged over the likely sizes of errors, shape
             (P, P).
-        open: The directions that are left open, see `left_open`.
+        left_open: Directions that are left open, see the function.
     """
 
     def __init__(self, model: FittedModel, errors: ModelErrors) -> None:
@@ -418,7 +418,7 @@ class _Parts:
         self.problem = model.fit.problem
         likely = [one.covariance for one in model.fit.likely_posteriors]
         self.covariance: Floats = np.mean(likely, axis=0)
-        self.open = left_open(model.fit, self.covariance)
+        self.left_open = left_open(model.fit, self.covariance)
 
     def frames(self, end: int) -> Iterator[FrameSummary]:
         """The stations, end 0, or the tools, end 1."""
@@ -486,23 +486,19 @@ class _Parts:
 
     def _unknown(self, index: Indices, rows: Floats) -> NDArray[np.bool_]:
         """Which sums of some parameters, rows (k, len(index)), nobody knows, (k,)."""
-        parts = (rows @ found[index] for found in self.open)
-        nothing, little = (np.linalg.norm(part, axis=1) for part in parts)
-        # A thousandth of a motion that nothing shows.
-        none = nothing > 1e-3 * np.linalg.norm(rows, axis=1)
-        return np.asarray(none | (little > 1.0))
+        sizes = np.linalg.norm(rows @ self.left_open[index], axis=1)
+        return np.asarray(sizes > 1.0)
 
 
-def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
-    """Directions of frames and instruments that measurements leave open.
+def left_open(fitted: Fit, covariance: Floats) -> Floats:
+    """Directions of frames and instruments that measurements leave open, (P, k).
+
+    They are as long as their deviations by `LIMITS`, and those that nothing shows a
+    thousand times as long as an orthonormal one.
 
     Args:
         fitted: The fit.
         covariance: Of its parameters, shape (P, P).
-
-    Returns:
-        Those that nothing shows, orthonormal in scaled parameters, shape (P, k); and
-        deviations of others that are hardly known, by `LIMITS`, shape (P, l).
     """
     problem, parameters = fitted.problem, fitted.problem.parameters
     kept = parameters.free & problem.referred
@@ -517,7 +513,6 @@ def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
     index = free[np.diag(relative)[free] > 1.0]
     squares, V = np.linalg.eigh(relative[np.ix_(index, index)])
     far = squares > FAR**2
-    nothing = np.zeros((len(parameters), rest.shape[1]))
-    little = np.zeros((len(parameters), int(far.sum())))
-    nothing[free], little[index] = rest, V[:, far] * np.sqrt(squares[far])
-    return nothing, little
+    every = np.eye(len(parameters))
+    little = V[:, far] * np.sqrt(squares[far])
+    return np.hstack([every[:, free] @ (1e3 * rest), every[:, index] @ little])

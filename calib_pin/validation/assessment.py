@@ -37,7 +37,7 @@ from calib_pin.estimation.identifiability import (
     visible_nuisances,
 )
 from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.problem import Problem, absorbed, distinct_values, known_count
+from calib_pin.estimation.problem import Problem, absorbed, known_count
 from calib_pin.estimation.statistics.variance_components import leverages
 from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.chains import Robots
@@ -46,8 +46,6 @@ from calib_pin.observations import BlockKey, Indices
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameterizations.linearization import ordered_screws
 from calib_pin.parameters import ParameterSet
-from calib_pin.solvers import LeastSquaresResult
-from calib_pin.solvers.status import Status
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.facts import still_joints
 from calib_pin.validation.model_errors import ModelErrors, quantity_errors
@@ -125,26 +123,6 @@ def identify(
     parameters, groups = estimates(problem.parameters, found)
     errors = robot_errors(problem, found)
     return Identification(parameters, groups, ranks, robot_errors=errors)
-
-
-def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
-    """The reason why a registration must not be trusted; empty where it may be.
-
-    Args:
-        problem: The problem whose nuisances were fitted.
-        result: Outcome of the fit.
-    """
-    if result.status is Status.NOT_FINITE:
-        return result.status.advice
-    parameters, values = problem.parameters, distinct_values(problem)
-    A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
-    rank = int(np.linalg.matrix_rank(A)) if A.size else 0
-    if rank and values <= rank:
-        return (
-            f"{values} measured values are used up by the {rank} unknowns of base, "
-            "tool and instrument; measure more configurations"
-        )
-    return "" if result.status.success else result.status.advice
 
 
 def estimates(

@@ -13,7 +13,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, Posterior
 from calib_pin.estimation.identifiability import column_space
-from calib_pin.estimation.nominal import extended
+from calib_pin.estimation.nominal import extended, register
 from calib_pin.estimation.problem import (
     SAMPLE,
     Problem,
@@ -28,6 +28,8 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Observations
 from calib_pin.setup import DistanceSetup
+from calib_pin.solvers import LeastSquaresResult
+from calib_pin.solvers.status import Status
 from calib_pin.validation.result import Accuracy, FoundDistance, QuantityErrors
 
 ARRAYS = ("positions", "before", "after", "variance")
@@ -244,7 +246,7 @@ class Registered:
 
 
 def registered(
-    problem: Problem, theta: Floats, measurements: Observations
+    problem: Problem, theta: Floats, measurements: Observations, anew: bool = False
 ) -> Registered:
     """A fitted problem on other measurements, with what only these name registered.
 
@@ -256,21 +258,49 @@ def registered(
         problem: The problem.
         theta: Parameter values, shape (P,).
         measurements: The other measurements.
+        anew: Whether base, tool and instrument are fitted to these as well.
 
     Raises:
         InputError: If a new station or reference object uses up all that its
             measurements say, or they are of something that was not fitted.
     """
-    known = set(problem.parameters.names)
+    known, before = set(problem.parameters.names), set(located_names(problem))
     problem, theta = extended(problem, theta, measurements)
+    located = tuple(n for n in located_names(problem) if n not in before)
+    if anew:
+        problem, result = register(problem, theta)
+        reason = registration_reason(problem, result)
+        found = Registered(problem, result.x, registered=True, reason=reason)
+        return replace(found, located=located)
     names, free = problem.parameters.names, problem.parameters.free
     new = tuple(k for k, name in enumerate(names) if name not in known and free[k])
     if not new:
-        return Registered(problem, theta)
+        return Registered(problem, theta, located=located)
     plain = replace(problem, setup=replace(problem.setup, distances=()))
     _require_redundancy(plain, theta, new)
     basis = np.diag(problem.parameters.scales)[:, list(new)]
-    return Registered(problem, least_squares(plain, theta, basis).x, new)
+    theta = least_squares(plain, theta, basis).x
+    return Registered(problem, theta, new, located=located)
+
+
+def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
+    """The reason why a registration must not be trusted; empty where it may be.
+
+    Args:
+        problem: The problem whose nuisances were fitted.
+        result: Outcome of the fit.
+    """
+    if result.status is Status.NOT_FINITE:
+        return result.status.advice
+    parameters, values = problem.parameters, distinct_values(problem)
+    A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
+    rank = int(np.linalg.matrix_rank(A)) if A.size else 0
+    if rank and values <= rank:
+        return (
+            f"{values} measured values are used up by the {rank} unknowns of base, "
+            "tool and instrument; measure more configurations"
+        )
+    return "" if result.status.success else result.status.advice
 
 
 def both(

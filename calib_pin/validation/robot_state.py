@@ -38,8 +38,8 @@ from calib_pin.parameterizations.base import LENGTH_SCALE, expected_size, owner
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
 from calib_pin.setup.population import ExpectedParameter
-from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.evaluation import error_sizes
+from calib_pin.validation.model_errors import registration_reason
 from calib_pin.validation.result import (
     Accuracy,
     CalibrationResult,

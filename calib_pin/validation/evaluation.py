@@ -86,9 +86,17 @@ def evaluate(
         CalibratedChain(term.error, ready.theta, plain).outside(data.q).sum()
         for term, data, _, _ in ready.problem.blocks
     )
-    verdict, counts = "untrusted" if reason else "good", [len(own) for *_, own in sizes]
-    judged = ready.registered, verdict, reason, int(sum(outside)), ready.located
-    return Evaluation(errors, len(rows), *judged, tuple(counts), findings)
+    return Evaluation(
+        errors,
+        rows=len(rows),
+        registered=ready.registered,
+        verdict="untrusted" if reason else "good",
+        reason=reason,
+        outside=int(sum(outside)),
+        located=ready.located,
+        counts=tuple(len(own) for *_, own in sizes),
+        findings=findings,
+    )
 
 
 def error_sizes(problem: Problem, theta: Floats) -> list[tuple[str, str, Floats]]:

@@ -174,25 +174,24 @@ def errors_of_registered(
     old, new = (error_table(at.problem, at.theta) for at in (before, after))
     spread, stated = np.full(new.shape, np.nan), problem.setup.distances
     placed = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
-    known = set(located_names(model.problem)) - placed
+    known = {name for _, name in model.problem.references} - placed
     if not fitted:
         stated = tuple(d for d in stated if known.isdisjoint(d.between))
         estimated = *after.refitted, *after.new
         variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
         spread = problem.layout.table(variance, len(problem.data))
     lengths = found_distances(before, after, stated, fitted)
-    known |= {n for (_, n), at in problem.references.items() if not at.parameters}
-    own = tuple(name for name in located_names(problem) if name not in known)
-    return ModelErrors(positions, old, new, spread, lengths, own)
+    return ModelErrors(positions, old, new, spread, lengths, after.located)
 
 
 def located_names(problem: Problem) -> tuple[str, ...]:
-    """Names of the stations that are estimated, and of all reference objects."""
+    """Names of the stations and reference objects that can be estimated."""
     free = dict(zip(problem.given.names, problem.parameters.free, strict=True))
     terms = problem.terms.values()
     found = [t for t in terms if any(free[p.name] for p in t.parameters[:FRAME])]
     words = (" ".join(reversed(t.frames.station.rsplit(".", 1))) for t in found)
-    return (*dict.fromkeys(words), *(name for _, name in problem.references))
+    objects = problem.references.items()
+    return (*dict.fromkeys(words), *(name for (_, name), o in objects if o.parameters))
 
 
 def found_distances(

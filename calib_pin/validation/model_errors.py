@@ -268,9 +268,13 @@ def registered(
     located = tuple(n for n in located_names(problem) if n not in before)
     if anew:
         problem, result = register(problem, theta)
-        reason = registration_reason(problem, result)
-        found = Registered(problem, result.x, registered=True, reason=reason)
-        return replace(found, located=located)
+        return Registered(
+            problem,
+            result.x,
+            registered=True,
+            reason=registration_reason(problem, result),
+            located=located,
+        )
     names, free = problem.parameters.names, problem.parameters.free
     new = tuple(k for k, name in enumerate(names) if name not in known and free[k])
     if not new:

@@ -426,7 +426,7 @@ def started(
     problem, result = register(problem, theta)
     if reason := registration_reason(problem, result):
         reason = f"cannot go on from the older calibration: {reason}"
-        allowed = "more configurations, or base and tool that are stated as known"
+        allowed = "base and tool that are stated as known"
         raise InputError(reason, file=data.files[0] or None, allowed=allowed)
     step, prior = Innovations(problem, result.x, older).explained(len(data))
     sizes = error_sizes(problem, result.x)

@@ -22,7 +22,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations, states_sigmas
 from calib_pin.setup import JointPrior, Setup
-from calib_pin.validation.assessment import registration_reason, robot_errors
+from calib_pin.validation.assessment import robot_errors
 from calib_pin.validation.findings import find
 from calib_pin.validation.findings.case import FOREIGN, Case, Others
 from calib_pin.validation.held_out import check
@@ -32,6 +32,7 @@ from calib_pin.validation.model_errors import (
     mahalanobis,
     predicted_variance,
     registered,
+    registration_reason,
 )
 
 LEVEL = 1e-3

@@ -39,7 +39,7 @@ from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.suggestions import ASSUMED_TOOL
 from calib_pin.planning.workspace import Aims, Candidates, sides_tried
 from calib_pin.setup import Setup
-from calib_pin.validation.assessment import registration_reason
+from calib_pin.validation.model_errors import registration_reason
 from calib_pin.validation.result import RobotError
 
 

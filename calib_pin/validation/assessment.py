@@ -37,7 +37,7 @@ from calib_pin.estimation.identifiability import (
     visible_nuisances,
 )
 from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.problem import Problem, absorbed, distinct_values, known_count
+from calib_pin.estimation.problem import Problem, absorbed, known_count
 from calib_pin.estimation.statistics.variance_components import leverages
 from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.chains import Robots
@@ -46,8 +46,6 @@ from calib_pin.observations import BlockKey, Indices
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameterizations.linearization import ordered_screws
 from calib_pin.parameters import ParameterSet
-from calib_pin.solvers import LeastSquaresResult
-from calib_pin.solvers.status import Status
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.facts import still_joints
 from calib_pin.validation.model_errors import ModelErrors, quantity_errors
@@ -125,31 +123,6 @@ def identify(
     parameters, groups = estimates(problem.parameters, found)
     errors = robot_errors(problem, found)
     return Identification(parameters, groups, ranks, robot_errors=errors)
-
-
-def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
-    """The reason why a registration must not be trusted; empty where it may be.
-
-    Args:
-        problem: The problem whose nuisances were fitted.
-        result: Outcome of the fit.
-    """
-    if result.status is Status.NOT_FINITE:
-        return result.status.advice
-    rank, values = registered_rank(problem, result), distinct_values(problem)
-    if rank and values <= rank:
-        return (
-            f"{values} measured values are used up by the {rank} unknowns of base, "
-            "tool and instrument; measure more configurations"
-        )
-    return "" if result.status.success else result.status.advice
-
-
-def registered_rank(problem: Problem, result: LeastSquaresResult) -> int:
-    """Number of unknowns of base, tool and instrument that a registration told."""
-    parameters = problem.parameters
-    A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
-    return int(np.linalg.matrix_rank(A)) if A.size else 0
 
 
 def estimates(
@@ -414,7 +387,7 @@ class _Parts:
     Attributes:
         covariance: Of all parameters, averaged over the likely sizes of errors, shape
             (P, P).
-        open: The directions that are left open, see `left_open`.
+        left_open: Directions that are left open, see the function.
     """
 
     def __init__(self, model: FittedModel, errors: ModelErrors) -> None:
@@ -423,7 +396,7 @@ class _Parts:
         self.problem = model.fit.problem
         likely = [one.covariance for one in model.fit.likely_posteriors]
         self.covariance: Floats = np.mean(likely, axis=0)
-        self.open = left_open(model.fit, self.covariance)
+        self.left_open = left_open(model.fit, self.covariance)
 
     def frames(self, end: int) -> Iterator[FrameSummary]:
         """The stations, end 0, or the tools, end 1."""
@@ -491,23 +464,19 @@ class _Parts:
 
     def _unknown(self, index: Indices, rows: Floats) -> NDArray[np.bool_]:
         """Which sums of some parameters, rows (k, len(index)), nobody knows, (k,)."""
-        parts = (rows @ found[index] for found in self.open)
-        nothing, little = (np.linalg.norm(part, axis=1) for part in parts)
-        # A thousandth of a motion that nothing shows.
-        none = nothing > 1e-3 * np.linalg.norm(rows, axis=1)
-        return np.asarray(none | (little > 1.0))
+        sizes = np.linalg.norm(rows @ self.left_open[index], axis=1)
+        return np.asarray(sizes > 1.0)
 
 
-def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
-    """Directions of frames and instruments that measurements leave open.
+def left_open(fitted: Fit, covariance: Floats) -> Floats:
+    """Directions of frames and instruments that measurements leave open, (P, k).
+
+    They are as long as their deviations by `LIMITS`, and those that nothing shows a
+    thousand times as long as an orthonormal one.
 
     Args:
         fitted: The fit.
         covariance: Of its parameters, shape (P, P).
-
-    Returns:
-        Those that nothing shows, orthonormal in scaled parameters, shape (P, k); and
-        deviations of others that are hardly known, by `LIMITS`, shape (P, l).
     """
     problem, parameters = fitted.problem, fitted.problem.parameters
     kept = parameters.free & problem.referred
@@ -522,7 +491,6 @@ def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
     index = free[np.diag(relative)[free] > 1.0]
     squares, V = np.linalg.eigh(relative[np.ix_(index, index)])
     far = squares > FAR**2
-    nothing = np.zeros((len(parameters), rest.shape[1]))
-    little = np.zeros((len(parameters), int(far.sum())))
-    nothing[free], little[index] = rest, V[:, far] * np.sqrt(squares[far])
-    return nothing, little
+    every = np.eye(len(parameters))
+    little = V[:, far] * np.sqrt(squares[far])
+    return np.hstack([every[:, free] @ (1e3 * rest), every[:, index] @ little])

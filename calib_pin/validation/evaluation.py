@@ -17,7 +17,6 @@ from calib_pin.estimation.formulation import (
     require_conditions,
     setup_of,
 )
-from calib_pin.estimation.nominal import extended, register
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
@@ -25,14 +24,13 @@ from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import Measurements, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
-from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.findings import explained, find
 from calib_pin.validation.findings.case import Case, Others, some_of
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.findings.sentences import told as finding
 from calib_pin.validation.judgement import CHECK, told, too_large
-from calib_pin.validation.model_errors import Registered, located_names, registered
+from calib_pin.validation.model_errors import Registered, registered
 from calib_pin.validation.result import Accuracy, Evaluation
 
 MOVED = 0.5
@@ -88,9 +86,17 @@ def evaluate(
         CalibratedChain(term.error, ready.theta, plain).outside(data.q).sum()
         for term, data, _, _ in ready.problem.blocks
     )
-    verdict, counts = "untrusted" if reason else "good", [len(own) for *_, own in sizes]
-    judged = ready.registered, verdict, reason, int(sum(outside)), ready.located
-    return Evaluation(errors, len(rows), *judged, tuple(counts), findings)
+    return Evaluation(
+        errors,
+        rows=len(rows),
+        registered=ready.registered,
+        verdict="untrusted" if reason else "good",
+        reason=reason,
+        outside=int(sum(outside)),
+        located=ready.located,
+        counts=tuple(len(own) for *_, own in sizes),
+        findings=findings,
+    )
 
 
 def error_sizes(problem: Problem, theta: Floats) -> list[tuple[str, str, Floats]]:
@@ -155,22 +161,13 @@ def prepared(
     Raises:
         InputError: If there are no measurements, or they do not fit the model.
     """
-    model, setup = isinstance(robot, CalibratedModel), setup or Setup()
     if isinstance(robot, CalibratedModel):
         require_conditions(rows, robot.setup, of_robot=True)
         problem, theta = robot.problem(rows), robot.theta
     else:
-        setup = replace(setup, parameters=(), fixed=(), bounds={}, prior={})
-        problem = make_problem(robot, rows, setup)
+        plain = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
+        problem, registration = make_problem(robot, rows, plain), True
         theta = np.zeros(len(problem.parameters))
     if len(rows) == 0:
         raise InputError("there are no measurements to evaluate")
-    reason, known = "", located_names(problem)
-    if anew := registration or not model:
-        if model:
-            problem, theta = extended(problem, theta, rows)
-        problem, result = register(problem, theta)
-        theta, reason = result.x, registration_reason(problem, result)
-    there = registered(problem, theta, rows)
-    new = tuple(n for n in located_names(there.problem) if n not in known)
-    return replace(there, registered=anew, reason=reason, located=new)
+    return registered(problem, theta, rows, registration)

@@ -72,16 +72,14 @@ class Linear:
         problem: The problem.
         theta: The solution, shape (P,).
         fun: Whitened residual, the M components of the N measurements first, (M',).
-        jac: Its Jacobian J, shape (M', P).
         factor: F of `N^-1 = F F^T`, shape (P, k).
-        columns: `J F`, shape (M', k).
+        columns: `J F` with the Jacobian J of the residual, shape (M', k).
         unit: Standard deviation of unit weight.
     """
 
     problem: Problem
     theta: Floats
     fun: Floats
-    jac: Floats
     factor: Floats
     columns: Floats
     unit: float
@@ -93,10 +91,10 @@ class Linear:
         fun, J = problem.linearize(fitted.before)
         F = half_covariance(J, visible_nuisances(J, parameters), parameters)
         unit = float(np.sqrt(fun @ fun / max(known_count(problem) - F.shape[1], 1)))
-        nominal = cls(problem, fitted.before, fun, J, F, J @ F, unit)
+        nominal = cls(problem, fitted.before, fun, F, J @ F, unit)
         problem, held, moved = fitted.held
-        J, F = held.jac, half_covariance(held.jac, moved, parameters)
-        return nominal, cls(problem, held.x, held.fun, J, F, J @ F, fitted.unit)
+        F = half_covariance(held.jac, moved, parameters)
+        return nominal, cls(problem, held.x, held.fun, F, held.jac @ F, fitted.unit)
 
 
 def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
@@ -173,14 +171,12 @@ def left_out(
         before, after = (without(robot, mask) for robot in robots)
         if before is not None and after is not None:
             found[k] = before, after
-    effects, anew = None, dict[int, LearnedCorrection]()
+    anew = dict[int, LearnedCorrection]()
     if learned is not None:
         rng = np.random.default_rng(seed)
         parts = [masks[k] for k in found]
         taught = learned_without(learned, fit, parts, rng)
         anew = dict(zip(found, taught, strict=True))
-    elif not fit.problem.many:
-        effects = fit.effect_rows
     for k, (nominal, fitted) in found.items():
         rows, theta = fit.problem.data.rows(masks[k]), fitted.theta
         problem, deviations = fit.problem, fit.posterior
@@ -193,7 +189,7 @@ def left_out(
             problem = with_learned(model.problem, correction)
             theta = model.theta + step
         elif not problem.many:
-            deviations = _deviations(fit, robots[1], fitted, effects)
+            deviations = _deviations(fit, robots[1], fitted, masks[k])
         known = Registered(replace(fit.problem, data=rows), nominal.theta)
         there = Registered(replace(problem, data=rows), theta)
         given = np.flatnonzero(masks[k]), deviations
@@ -215,12 +211,10 @@ class Rest(NamedTuple):
     Attributes:
         theta: Parameter values, shape (P,).
         inner: K of `N_g^-1 = (F K) (F K)^T`, shape (k, k').
-        out: The residual rows that are left out, shape (M',); of very many none.
     """
 
     theta: Floats
     inner: Floats
-    out: NDArray[np.bool_]
 
 
 def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
@@ -236,41 +230,34 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
         `BENT`. Of so many measurements that they are not linearized one by one, one
         step is all there is to make.
     """
-    problem, F = robot.problem, robot.factor
-    fun, out = robot.fun, np.zeros(0, bool)
-    if problem.many:
-        some = replace(problem, data=problem.data.rows(mask))
-        r, jac = some.linearize(robot.theta)
-        count = len(r) - len(some.further)
-        B, r = jac[:count] @ F, r[:count]
-    else:
-        own = mask[problem.layout.row]
-        out = np.append(own, np.zeros(len(fun) - len(own), bool))
-        B, r = robot.columns[out], fun[out]
+    problem, F, fun = robot.problem, robot.factor, robot.fun
+    some = replace(problem, data=problem.data.rows(mask))
+    r, jac = some.linearize(robot.theta)
+    count = len(r) - len(some.further)
+    B = jac[:count] @ F
     # N_g = 1 - B^T B in the columns of F.
     left, Q = np.linalg.eigh(np.eye(B.shape[1]) - B.T @ B)
     if (left < ALONE).any():
         return None
     inner, theta = Q / np.sqrt(left), robot.theta
     for k in range(STEPS):
-        step = inner.T @ (robot.columns.T @ fun - B.T @ r)
+        step = inner.T @ (robot.columns.T @ fun - B.T @ r[:count])
         if k and np.linalg.norm(step) <= BENT * max(robot.unit, EXACT):
             break
         theta = theta - F @ (inner @ step)
         if problem.many:
             break
-        fun = problem.residual(theta)
-        r = fun[out]
+        fun, r = problem.residual(theta), some.residual(theta)
     else:
         return None
     least, most = problem.parameters.bounds
     if ((theta < least) | (theta > most)).any():
         return None
-    return Rest(theta, inner, out)
+    return Rest(theta, inner)
 
 
 def _deviations(
-    fit: Fit, robot: Linear, rest: Rest, effects: Floats | None
+    fit: Fit, robot: Linear, rest: Rest, mask: NDArray[np.bool_]
 ) -> Posterior:
     """Deviations of a fit without a group of measurements, see `fitted.posterior`.
 
@@ -278,16 +265,14 @@ def _deviations(
         fit: The fit of all measurements.
         robot: Its solution.
         rest: That without the group.
-        effects: Effects of gears and compliance in all rows, shape (M, S).
+        mask: The group, shape (N,).
     """
     problem, layout, noise = fit.problem, fit.problem.layout, fit.posterior.noise
     shared = shared_variances(problem, fit.noise, noise)
     count, moved = len(layout.row), robot.factor @ rest.inner
     others = robot.columns[:count] @ rest.inner
-    others[rest.out[:count]] = 0.0
-    by_effects = np.zeros((len(moved), 0))
-    if effects is not None:
-        by_effects = moved @ (others.T @ effects)
+    others[mask[layout.row]] = 0.0
+    by_effects = moved @ (others.T @ fit.effect_rows)
     # Where their noise is not one, and repetitions have a part of it in common.
     less = (1.0 - noise + shared)[layout.component]
     if less.any():
@@ -316,12 +301,10 @@ def gains(
         labels: Label of each in the test, shape (N,); those of one label are one
             observation.
     """
-    weight, layout = problem.data.weight, problem.layout
-    checks = [check.counted(weight) for check in checks]
-    checks = [check for check in checks if (weight[check.positions] > 0.0).all()]
     if not checks:
         return ()
-    joined = ModelErrors.joined(checks)
+    layout, joined = problem.layout, ModelErrors.joined(checks)
+    joined = joined.at(problem.data.weight[joined.positions] > 0.0)
     sigma = layout.table(problem.sigma, len(problem.data))[joined.positions]
     label = labels[joined.positions]
     present = np.isfinite(sigma)

@@ -13,7 +13,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, Posterior
 from calib_pin.estimation.identifiability import column_space
-from calib_pin.estimation.nominal import extended
+from calib_pin.estimation.nominal import extended, register
 from calib_pin.estimation.problem import (
     SAMPLE,
     Problem,
@@ -28,6 +28,8 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Observations
 from calib_pin.setup import DistanceSetup
+from calib_pin.solvers import LeastSquaresResult
+from calib_pin.solvers.status import Status
 from calib_pin.validation.result import Accuracy, FoundDistance, QuantityErrors
 
 ARRAYS = ("positions", "before", "after", "variance")
@@ -172,25 +174,24 @@ def errors_of_registered(
     old, new = (error_table(at.problem, at.theta) for at in (before, after))
     spread, stated = np.full(new.shape, np.nan), problem.setup.distances
     placed = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
-    known = set(located_names(model.problem)) - placed
+    known = {name for _, name in model.problem.references} - placed
     if not fitted:
         stated = tuple(d for d in stated if known.isdisjoint(d.between))
         estimated = *after.refitted, *after.new
         variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
         spread = problem.layout.table(variance, len(problem.data))
     lengths = found_distances(before, after, stated, fitted)
-    known |= {n for (_, n), at in problem.references.items() if not at.parameters}
-    own = tuple(name for name in located_names(problem) if name not in known)
-    return ModelErrors(positions, old, new, spread, lengths, own)
+    return ModelErrors(positions, old, new, spread, lengths, after.located)
 
 
 def located_names(problem: Problem) -> tuple[str, ...]:
-    """Names of the stations that are estimated, and of all reference objects."""
+    """Names of the stations and reference objects that can be estimated."""
     free = dict(zip(problem.given.names, problem.parameters.free, strict=True))
     terms = problem.terms.values()
     found = [t for t in terms if any(free[p.name] for p in t.parameters[:FRAME])]
     words = (" ".join(reversed(t.frames.station.rsplit(".", 1))) for t in found)
-    return (*dict.fromkeys(words), *(name for _, name in problem.references))
+    objects = problem.references.items()
+    return (*dict.fromkeys(words), *(name for (_, name), o in objects if o.parameters))
 
 
 def found_distances(
@@ -244,7 +245,7 @@ class Registered:
 
 
 def registered(
-    problem: Problem, theta: Floats, measurements: Observations
+    problem: Problem, theta: Floats, measurements: Observations, anew: bool = False
 ) -> Registered:
     """A fitted problem on other measurements, with what only these name registered.
 
@@ -256,21 +257,53 @@ def registered(
         problem: The problem.
         theta: Parameter values, shape (P,).
         measurements: The other measurements.
+        anew: Whether base, tool and instrument are fitted to these as well.
 
     Raises:
         InputError: If a new station or reference object uses up all that its
             measurements say, or they are of something that was not fitted.
     """
-    known = set(problem.parameters.names)
+    known, before = set(problem.parameters.names), set(located_names(problem))
     problem, theta = extended(problem, theta, measurements)
+    located = tuple(n for n in located_names(problem) if n not in before)
+    if anew:
+        problem, result = register(problem, theta)
+        return Registered(
+            problem,
+            result.x,
+            registered=True,
+            reason=registration_reason(problem, result),
+            located=located,
+        )
     names, free = problem.parameters.names, problem.parameters.free
     new = tuple(k for k, name in enumerate(names) if name not in known and free[k])
     if not new:
-        return Registered(problem, theta)
+        return Registered(problem, theta, located=located)
     plain = replace(problem, setup=replace(problem.setup, distances=()))
     _require_redundancy(plain, theta, new)
     basis = np.diag(problem.parameters.scales)[:, list(new)]
-    return Registered(problem, least_squares(plain, theta, basis).x, new)
+    theta = least_squares(plain, theta, basis).x
+    return Registered(problem, theta, new, located=located)
+
+
+def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
+    """The reason why a registration must not be trusted; empty where it may be.
+
+    Args:
+        problem: The problem whose nuisances were fitted.
+        result: Outcome of the fit.
+    """
+    if result.status is Status.NOT_FINITE:
+        return result.status.advice
+    parameters, values = problem.parameters, distinct_values(problem)
+    A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
+    rank = int(np.linalg.matrix_rank(A)) if A.size else 0
+    if rank and values <= rank:
+        return (
+            f"{values} measured values are used up by the {rank} unknowns of base, "
+            "tool and instrument; measure more configurations"
+        )
+    return "" if result.status.success else result.status.advice
 
 
 def both(

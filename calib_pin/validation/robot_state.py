@@ -9,7 +9,7 @@ of the next calibration, or of a plan for it (`prior`).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from calib_pin.estimation.evidence import TRUSTED, VarianceComponent, rms
 from calib_pin.estimation.fitted import robot_rows
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
-from calib_pin.estimation.problem import Problem, distinct_values
+from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.population_prior import (
     Cause,
     Explanation,
@@ -38,9 +38,8 @@ from calib_pin.parameterizations.base import LENGTH_SCALE, expected_size, owner
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
 from calib_pin.setup.population import ExpectedParameter
-from calib_pin.solvers import LeastSquaresResult
-from calib_pin.validation.assessment import registered_rank
 from calib_pin.validation.evaluation import error_sizes
+from calib_pin.validation.model_errors import registration_reason
 from calib_pin.validation.result import (
     Accuracy,
     CalibrationResult,
@@ -95,8 +94,8 @@ on its axis first of all, and instruments and tools are set up anew."""
 FRAMES, SIMPLE = ("base", "tool"), ("offset", "base", "tool")
 """Changes of frames, and of one thing, which few measurements tell from each other."""
 
-NOISE, NOISE_GREW = "noise", "noisier"
-"""Causes: the noise as it is known, and more of it by another instrument."""
+NOISE = "noise"
+"""The cause that always acts beside drifts."""
 
 JUMPS = 4
 """Most causes beside drift and noise that are told, sudden changes and wrong
@@ -406,6 +405,7 @@ def started(
         new measurements.
 
     Raises:
+        InputError: If frames and instrument use up the measurements.
         OptionError: If there is no older calibration, or it is of another robot or of
             other parameters, or must not be trusted.
     """
@@ -424,27 +424,15 @@ def started(
     theta = np.zeros(len(robot))
     theta[robot] = older.values[older.places(problem.given, robot)]
     problem, result = register(problem, theta)
-    _require_some(problem, result)
+    if reason := registration_reason(problem, result):
+        reason = f"cannot go on from the older calibration: {reason}"
+        allowed = "base and tool that are stated as known"
+        raise InputError(reason, file=data.files[0] or None, allowed=allowed)
     step, prior = Innovations(problem, result.x, older).explained(len(data))
     sizes = error_sizes(problem, result.x)
     errors = tuple((name, unit, Accuracy.of(own)) for name, unit, own in sizes)
     steps = () if start.recalibration is None else start.recalibration.steps
     return replace(setup, prior=prior), Recalibration(errors, (*steps, step))
-
-
-def _require_some(problem: Problem, result: LeastSquaresResult) -> None:
-    """Refuse measurements that frames and instrument fit exactly, whatever the robot.
-
-    Raises:
-        InputError: If they are such.
-    """
-    unknowns, values = registered_rank(problem, result), distinct_values(problem)
-    if values > unknowns:
-        return
-    reason = "too few measurements to go on from the older calibration: of their "
-    reason += f"{values} values base, tool and instrument use up {unknowns}"
-    allowed = "more configurations, or base and tool that are stated as known"
-    raise InputError(reason, file=problem.data.files[0] or None, allowed=allowed)
 
 
 def expected_setup(
@@ -554,12 +542,12 @@ class Innovations:
     Attributes:
         state: The older calibration about the references of the new measurements.
         parameters: All P parameters, frames among the errors of the robot.
-        rows: W, what measurements see of the parameters in scales, and below that the
-            frames which are known now and were not, shape (r, P).
-        measured: Noise of the measurements in the rows, shape (r, m).
+        measured: Noise of the m measured values among the r rows, shape (r, m); the
+            others are of frames which are known now and were not.
         sudden: What may have changed at once, by name.
         drifting: How the parameters drift, shapes (P, k), by the names of drifts.
-        wrong: What may be wrong of the measurements.
+        causes: The sudden changes as causes of innovations, by the same names.
+        wrong: That single measurements are wrong.
         first: The innovations, with drift and noise as they are expected.
     """
 
@@ -580,29 +568,36 @@ class Innovations:
             given[k] = replace(given[k], nuisance=False, scale=scale)
         units = _factors(problem, older.sigmas)
         problem = replace(problem, given=ParameterSet(tuple(given)), units=units)
-        self.parameters, known = (
-            problem.parameters,
-            np.diag(self.state.covariance) > 0.0,
-        )
-        scales = self.parameters.scales
+        self.parameters, scales = problem.parameters, problem.parameters.scales
+        known = np.diag(self.state.covariance) > 0.0
         told, every = robot_rows(problem, theta, ()), np.eye(len(scales))
         below = np.diag(scales / KNOWN)[~self.parameters.free & known]
-        self.rows = np.vstack([told.rows @ every[told.robot], below])
-        self.measured = M = np.eye(len(self.rows))[:, : len(told.values)]
+        rows = np.vstack([told.rows @ every[told.robot], below])
+        self.measured = M = np.eye(len(rows))[:, : len(told.values)]
         self.sudden = changes(problem, robot)
         self.drifting = drifts(problem, robot, self.sudden.values())
         for (kind, name), own in frames.items():
             self.sudden[f"{kind} {name}"] = Change(name, kind, every[:, own])
+        counts = Counter(change.kind for change in self.sudden.values())
+        self.causes = {
+            name: Cause(
+                name,
+                rows @ change.directions,
+                sizes=SIZES["frames" if change.kind in FRAMES else "changes"],
+                chance=CHANCES[change.kind] / counts[change.kind],
+            )
+            for name, change in self.sudden.items()
+        }
         groups, along = problem.data.groups(), M @ told.along
         labels, of_value = np.unique(groups).tolist(), groups[problem.layout.row]
         wrong = ((f"measurement {k}", along[:, of_value == k]) for k in labels)
         sizes, chance = SIZES["wrong"], 1.0 / len(labels)
         self.wrong = [Cause(n, E, sizes=sizes, chance=chance) for n, E in wrong]
         # In scales, of which frames that have been free had others.
-        W, most = self.rows / scales, {d.name: 4.0 * d.size for d in EXPECTED}
+        W, most = rows / scales, {d.name: 4.0 * d.size for d in EXPECTED}
         V = W @ self.state.covariance @ W.T + np.eye(len(W)) - M @ M.T
         drifting = (
-            Cause(d.name, self.rows @ self.drifting[d.name], d.size, d.worth, limit)
+            Cause(d.name, rows @ self.drifting[d.name], d.size, d.worth, limit)
             for d in older.drifts
             for limit in [max(most[d.name], d.size)]
         )
@@ -624,8 +619,12 @@ class Innovations:
             The step, and the prior that the older calibration is.
         """
         first, state = self.first, self.state
-        families = SIMPLE, (*SIMPLE, NOISE_GREW), (*CHANCES, NOISE_GREW)
-        tried = (explained(first, self._sparse(f), SURE, JUMPS) for f in families)
+        simple = [c for n, c in self.causes.items() if self.sudden[n].kind in SIMPLE]
+        noisier = Cause("noisier", self.measured, sizes=SIZES["noise"])
+        families = simple, [*simple, noisier], [*self.causes.values(), noisier]
+        tried = (
+            explained(first, [*family, *self.wrong], SURE, JUMPS) for family in families
+        )
         found, sparse, _ = max(tried, key=lambda one: one[2])
         names = {drift.name for drift in state.drifts}
         calm, _ = found.without(names).fitted()
@@ -678,19 +677,6 @@ class Innovations:
         )
         return step, state.prior(effects, grown)
 
-    def _sparse(self, kinds: Collection[str]) -> tuple[Cause, ...]:
-        """Causes of some kinds that are there or not, and wrong measurements."""
-        counts = Counter(change.kind for change in self.sudden.values())
-        found = list[Cause]()
-        for name, change in self.sudden.items():
-            if change.kind in kinds:
-                sizes = SIZES["frames" if change.kind in FRAMES else "changes"]
-                chance = CHANCES[change.kind] / counts[change.kind]
-                effects = self.rows @ change.directions
-                found.append(Cause(name, effects, sizes=sizes, chance=chance))
-        noisier = Cause(NOISE_GREW, self.measured, sizes=SIZES["noise"])
-        return *found, *self.wrong, *[noisier] * (NOISE_GREW in kinds)
-
     def _others(
         self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
     ) -> tuple[list[str], list[str]]:
@@ -702,7 +688,7 @@ class Innovations:
         without, E = found.without({cause.name}), cause.effects
         limit, told = without.misfit(E) + CLOSE, {other.name for other in sudden}
         for name, change in self.sudden.items():
-            moved = self.rows @ change.directions
+            moved = self.causes[name].effects
             simple = {change.kind, self.sudden[cause.name].kind} <= {*SIMPLE}
             # Nothing that is measured now depends on where a known frame has stood.
             if name in told or not simple or not (self.measured.T @ moved).any():
@@ -715,24 +701,30 @@ class Innovations:
                 beside.append(name)
         return instead, beside
 
-    def _jump(self, found: Explanation, cause: Cause, *others: Sequence[str]) -> Jump:
+    def _jump(
+        self, found: Explanation, cause: Cause, instead: list[str], beside: list[str]
+    ) -> Jump:
         """A sudden change as the innovations tell it, and what it may be instead."""
         change, parameters = self.sudden[cause.name], self.parameters
         effects, covariance = found.effects(cause)
-        instead, beside = (
-            tuple(self.sudden[n].label for n in names) for names in others
-        )
-        named = change.name, change.kind
+        size, sigma, turn = change.size * float(effects[0]), np.nan, 0.0
         if change.kind == "offset":
             sigma = change.size * float(covariance[0, 0]) ** 0.5
-            jump = Jump(*named, change.unit, change.size * float(effects[0]), sigma)
         else:
             moved = change.directions @ effects * parameters.scales
             units = np.array([parameter.unit for parameter in parameters])
             parts = (moved[units == unit] for unit in ("m", "rad"))
-            shift, turn = (float(np.linalg.norm(part)) for part in parts)
-            jump = Jump(*named, "m", shift, np.nan, turn)
-        return replace(jump, instead=instead, beside=beside)
+            size, turn = (float(np.linalg.norm(part)) for part in parts)
+        return Jump(
+            change.name,
+            change.kind,
+            change.unit,
+            size,
+            sigma,
+            turn,
+            instead=tuple(self.sudden[name].label for name in instead),
+            beside=tuple(self.sudden[name].label for name in beside),
+        )
 
 
 def _factors(problem: Problem, sigmas: Mapping[str, float]) -> Floats:

@@ -27,8 +27,8 @@ FOLDS = 5
 """Parts of a cross-validation."""
 
 MOST = 4000
-"""Measurements that a part of a cross-validation of very many holds out, in whole
-groups: the error of twenty thousand is known to half a percent."""
+"""Measurements that a part of a cross-validation holds out, in whole groups, at most
+about twice as many: the error of twenty thousand is known to half a percent."""
 
 FEWEST = 4
 """Configurations of every target without which there is no cross-validation, and of a
@@ -177,9 +177,7 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     fold = np.empty(len(order), np.int64)
     fold[order] = np.arange(len(order)) % count
     parts = (grouping.spared(fold[grouping.groups] == k) for k in range(count))
-    masks = [mask for mask in parts if mask.any()]
-    if fitted.problem.many:
-        masks = [_few(mask, grouping.groups) for mask in masks]
+    masks = [_few(mask, grouping.groups) for mask in parts if mask.any()]
     # Only what is estimated must be seen in every part.
     sought = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
     # What priors hold counts among what is known and among what is needed.

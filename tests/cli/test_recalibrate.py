@@ -123,7 +123,7 @@ def test_rows_are_watched_by_the_older_calibration(run) -> None:
 def test_measurements_that_frames_use_up_are_refused(fails) -> None:
     lines = Path("later.csv").read_text().splitlines(keepends=True)
     Path("three.csv").write_text("".join(lines[:5]))
-    fails("calibrate space6 three.csv --start first", "three.csv", "use up 9")
+    fails("calibrate space6 three.csv --start first", "three.csv", "used up by the 9")
 
 
 def test_the_corrected_robot_is_not_the_nominal_one(fails) -> None:

@@ -9,11 +9,12 @@ import pytest
 
 import calib_pin
 from calib_pin.cli.evaluate import evaluation_document
-from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.report.accuracy import evaluated
 from calib_pin.report.terminal import plain_text
-from calib_pin.setup import Setup
+from calib_pin.setup import BoardSetup, CameraSetup, FrameSetup, Setup
+from calib_pin.validation.model_errors import registered
 
 
 @pytest.fixture(scope="module")
@@ -89,3 +90,21 @@ def test_an_outlier_is_named_and_moves_nothing(job) -> None:
         (finding,) = found.findings
         assert (finding.code, finding.severity) == ("outliers", "warning")
         assert finding.setup == {"reading": {"without": [75]}}
+
+
+def test_corners_that_a_board_states_are_not_placed_by_measurements() -> None:
+    """The fitted images show some of them, those that are evaluated all."""
+    camera = CameraSetup("world", (900.0, 900.0), (640.0, 480.0), size=(1280.0, 960.0))
+    board = BoardSetup("charuco", columns=7, rows=5, square=0.03)
+    frames = {"base_frame": FrameSetup((0.0, 1.0, 3.0), (np.pi / 2, 0.0, 0.0))}
+    setup = Setup(parameters=(), camera=camera, board=board, **frames)
+    chain = calib_pin.load_chain("space6")
+    nominal = nominal_problem(chain, "camera", setup)
+    theta, rng = np.zeros(len(nominal.parameters)), np.random.default_rng(0)
+    rows = calib_pin.simulate(nominal, theta, rng, count=60, noise=0.0)
+    some = np.isin(np.array(rows.target), ("3", "17", "20"))
+    assert some.any() and not some.all()
+    problem = make_problem(chain, rows.rows(some), setup)
+    there = registered(problem, np.zeros(len(problem.parameters)), rows)
+    assert len(there.problem.references) > len(problem.references)
+    assert there.located == ()

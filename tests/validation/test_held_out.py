@@ -277,7 +277,7 @@ def test_press_is_exact_where_the_problem_is_linear() -> None:
     theta, C = solved(slice(None))
     labels = np.array([0, 0, 1, 1, 1, 2, 3, 3, 3])
     F, fun = np.linalg.cholesky(C), line.linearize_rows(theta)[0]
-    every = Linear(cast(Problem, line), theta, fun, J, F, J @ F, 1.0)
+    every = Linear(cast(Problem, line), theta, fun, F, J @ F, 1.0)
     errors, variance = press(every, labels)
     for label in range(4):
         left = labels == label

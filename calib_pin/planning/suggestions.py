@@ -67,9 +67,8 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
     try:
         return replace(setup, **found)
     except OptionError:
-        return (
-            setup  # A fit to what was read wrong may end farther off than anything is.
-        )
+        # A fit to what was read wrong may end farther off than anything is.
+        return setup
 
 
 @serial_blas

@@ -40,8 +40,8 @@ from calib_pin.estimation.solve import Solution, least_squares
 from calib_pin.estimation.terms import (
     FRAME,
     Block,
+    RowByRow,
     Term,
-    ToolPoses,
     assembled,
     with_shared_references,
 )
@@ -177,8 +177,11 @@ def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> 
     """
     rows = []
     for some in at:
-        sigma = sigma_at(problem, some.key, len(some.q))
-        rows.append(problem.jacobian(theta, some, sigma).reshape(-1, len(theta)))
+        term = problem.terms[some.key]
+        exact = replace(term.on_chain(some), values=problem.predict(theta, some))
+        sigma = sigma_at(problem, some.key, len(some))
+        _, J = RowByRow(term, exact, sigma).factorize(theta)
+        rows.append(problem.spread(term, J))
     return np.concatenate([*rows, problem.further.jacobian(theta)])
 
 
@@ -237,12 +240,11 @@ def _growing(
     changed, moved, grown = [], [], []
     for some in at:
         term = problem.terms[some.key]
-        of_robot = term.values(theta)[0]
-        poses = ToolPoses(term.error, term.on_chain(some)).linearize(of_robot).poses
+        poses = RowByRow(term, term.on_chain(some)).tool(theta).poses
         count = len(poses.T)
         by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
         by_own = np.zeros((6 * count, len(term.index)))
-        by_own[:, : len(of_robot)] = by_error.reshape(6 * count, -1)
+        by_own[:, : by_error.shape[2]] = by_error.reshape(6 * count, -1)
         changed.append(problem.spread(term, by_own) * problem.parameters.scales)
         displaced = np.zeros((6 * count, 6 * len(ends)))
         first, last = first_of[term.frames.station], first_of[term.frames.tool]
@@ -301,15 +303,14 @@ def growth(problem: Problem, theta: Floats) -> Floats:
     """
     changes = []
     for term, data, _, _ in problem.blocks:
-        of_robot, instrument = term.values(theta)
-        tool = ToolPoses(term.error, data).linearize(of_robot)
+        tool = RowByRow(term, data).tool(theta)
         T, poses, start = tool.T, tool.poses, tool.start
         grown = _grown(poses, poses.to_base @ invert(poses.to_tip))
         if start is not None:
             # The twist of T_0^-1 T is that of T without that of T_0, transformed there.
             begins = _grown(start, start.to_base @ invert(start.to_tip))
             grown -= (adjoint(invert(T)) @ begins[:, :, None])[:, :, 0]
-        J_pose = term.measurement.linearize(T, instrument, data).J_pose
+        J_pose = term.measurement.linearize(T, term.values(theta)[1], data).J_pose
         changes.append((J_pose @ grown[:, :, None]).reshape(-1))
     return np.asarray(np.concatenate(changes) / problem.sigma)
 

@@ -110,62 +110,6 @@ class ToolLinearization:
         return result
 
 
-class ToolPoses:
-    """Tool poses of an error model, with what does not change between evaluations.
-
-    Args:
-        error: The error model.
-        at: The configurations.
-    """
-
-    def __init__(self, error: ErrorModel, at: Measurements) -> None:
-        """Prepare nothing: what does not change is computed where it is needed."""
-        self._error, self._at = error, at
-
-    def __call__(self, of_robot: Floats) -> Floats:
-        """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
-
-        Args:
-            of_robot: Parameter values of the error model, shape (P,).
-        """
-        T, *start = (self._error.poses(q, of_robot, basis) for q, basis in self._ends)
-        return np.asarray(invert(start[0]) @ T) if start else T
-
-    def linearize(self, of_robot: Floats) -> ToolLinearization:
-        """The poses with their derivatives."""
-        linearize = self._error.linearize
-        poses, *start = (linearize(q, of_robot, basis) for q, basis in self._ends)
-        if not start:
-            return ToolLinearization(poses.T, poses, None)
-        return ToolLinearization(invert(start[0].T) @ poses.T, poses, start[0])
-
-    @cached_property
-    def _ends(self) -> list[tuple[Floats, Floats]]:
-        """Configurations, and of relative measurements where they start.
-
-        With the basis functions of joint corrections, which depend on commands alone.
-        """
-        at, basis = self._at, self._error.basis
-        ends = [(at.q, basis(at.q, at.conditions))]
-        if at.start.size:
-            ends.append((at.start, basis(at.start, at.conditions.at_start)))
-        return ends
-
-
-def whitened_jacobian(
-    tool: ToolLinearization, linear: Linearization, sigma: Floats
-) -> Floats:
-    """Whitened Jacobian by all parameters, shape (N, d, P).
-
-    Args:
-        tool: Tool poses.
-        linear: Linearized measurements of them.
-        sigma: Standard deviations of the residual components, shape (N, d).
-    """
-    J = tool.derivative(whitened(linear.J_pose, sigma))
-    return np.concatenate([J, whitened(linear.J_instrument, sigma)], axis=2)
-
-
 def whitened(values: Floats, sigma: Floats) -> Floats:
     """Values of components in their standard deviations, (N, d, ...) and (N, d)."""
     weight = 1.0 / sigma.reshape(*sigma.shape, *[1] * (values.ndim - 2))
@@ -274,7 +218,7 @@ class Term:
             theta: Values of all parameters, shape (P,).
             at: Configurations of its chain.
         """
-        return ToolPoses(self.error, self.on_chain(at))(self.values(theta)[0])
+        return RowByRow(self, self.on_chain(at)).poses(theta)
 
     def linearized(
         self, T: Floats, instrument: Floats, q: Floats, target: Targets
@@ -293,20 +237,6 @@ class Term:
         data = Measurements(joints, q, model.name, values, target=names)
         return model.linearize(T, instrument, data)
 
-    def jacobian(self, theta: Floats, at: Measurements, sigma: Floats) -> Floats:
-        """Whitened Jacobian of noise-free measurements by its parameters, (N, d, p).
-
-        Args:
-            theta: Values of all parameters, shape (P,).
-            at: Configurations of its chain.
-            sigma: Standard deviations of the residual components, shape (N, d).
-        """
-        of_robot, instrument = self.values(theta)
-        at = self.on_chain(at)
-        tool = ToolPoses(self.error, at).linearize(of_robot)
-        linear = self.linearized(tool.T, instrument, at.q, at.target)
-        return whitened_jacobian(tool, linear, sigma)
-
     def rebased(self, theta: Floats) -> Self:
         """The same term about other values of its frames and its instrument.
 
@@ -318,6 +248,77 @@ class Term:
         error = self.error.with_frames(self.error.base * base, self.error.tool * tool)
         measurement = self.measurement.rebased(instrument)
         return replace(self, error=error, measurement=measurement)
+
+
+class RowByRow:
+    """Measurements of a term by Pinocchio, a residual row for each value.
+
+    Args:
+        term: The term.
+        data: The measurements, with the joints of the term's chain.
+        sigma: Standard deviations of their residual components, shape (N, d); by
+            default they are not whitened.
+    """
+
+    def __init__(
+        self, term: Term, data: Measurements, sigma: Floats | None = None
+    ) -> None:
+        """Prepare nothing: what does not change is computed where it is needed."""
+        self._term, self._data = term, data
+        self._sigma = np.ones((len(data), term.components)) if sigma is None else sigma
+
+    def poses(self, theta: Floats) -> Floats:
+        """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
+
+        Args:
+            theta: Values of all parameters, shape (P,).
+        """
+        error, of_robot = self._term.error, self._term.values(theta)[0]
+        T, *start = (error.poses(q, of_robot, basis) for q, basis in self._ends)
+        return np.asarray(invert(start[0]) @ T) if start else T
+
+    def tool(self, theta: Floats) -> ToolLinearization:
+        """The poses with their derivatives."""
+        error, of_robot = self._term.error, self._term.values(theta)[0]
+        poses, *start = (error.linearize(q, of_robot, basis) for q, basis in self._ends)
+        if not start:
+            return ToolLinearization(poses.T, poses, None)
+        return ToolLinearization(invert(start[0].T) @ poses.T, poses, start[0])
+
+    def points(self, theta: Floats) -> Floats:
+        """Tool points in the measurement frame, shape (N, 3)."""
+        q, basis = self._ends[0]
+        return self._term.error.poses(q, self._term.values(theta)[0], basis)[:, :3, 3]
+
+    def errors(self, theta: Floats) -> Floats:
+        """Residuals in their units, predicted minus measured, shape (N, d)."""
+        instrument = self._term.values(theta)[1]
+        return self._term.measurement.residual(
+            self.poses(theta), instrument, self._data
+        )
+
+    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
+        term, tool = self._term, self.tool(theta)
+        linear = term.measurement.linearize(tool.T, term.values(theta)[1], self._data)
+        r, J_pose, J_instrument = (
+            whitened(values, self._sigma)
+            for values in (linear.residual, linear.J_pose, linear.J_instrument)
+        )
+        J = np.concatenate([tool.derivative(J_pose), J_instrument], axis=2)
+        return r.reshape(-1), J.reshape(-1, len(term.index))
+
+    @cached_property
+    def _ends(self) -> list[tuple[Floats, Floats]]:
+        """Configurations, and of relative measurements where they start.
+
+        With the basis functions of joint corrections, which depend on commands alone.
+        """
+        at, basis = self._data, self._term.error.basis
+        ends = [(at.q, basis(at.q, at.conditions))]
+        if at.start.size:
+            ends.append((at.start, basis(at.start, at.conditions.at_start)))
+        return ends
 
 
 class Block(NamedTuple):
@@ -422,17 +423,6 @@ class Terms:
         term = self.terms[at.key]
         T, instrument = term.poses(theta, at), term.values(theta)[1]
         return term.measurement.observable(T, instrument, at.target)
-
-    def jacobian(self, theta: Floats, at: Measurements, sigma: Floats) -> Floats:
-        """Whitened Jacobian of noise-free measurements of a block, shape (N, d, P).
-
-        Args:
-            theta: Parameter values, shape (P,).
-            at: Configurations of one block.
-            sigma: Standard deviations of the residual components, shape (N, d).
-        """
-        term = self.terms[at.key]
-        return self.spread(term, term.jacobian(theta, at, sigma))
 
     def spread(self, term: Term, J: Floats) -> Floats:
         """Columns of the parameters of a term among those of all, (..., p) -> (..., P).

@@ -11,7 +11,6 @@ into contact.
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -442,7 +441,6 @@ def observable_configurations(
             # Some targets are hardly ever observable; others take their place.
             for i in left:
                 target[i] = names[(i + tries) % len(names)]
-        # More candidates than missing ones: the observable ones are shared out below.
         some = np.resize(left, max(count, AT_ONCE * len(left)) if tries > 1 else count)
         drawn += len(some)
         q = problem.chains.random_configurations(len(some), rng)
@@ -452,14 +450,10 @@ def observable_configurations(
             q, seen = brought_to_contact(problem, theta, at)
         else:
             seen = problem.observable(theta, at)
-        found = defaultdict[tuple[str, str], deque[int]](deque)
-        for k in np.flatnonzero(seen).tolist():
-            found[looked[k], carried[k]].append(k)
-        still = np.ones(len(left), bool)
-        for k, i in enumerate(left):
-            if ready := found[target[i], loads[i]]:
-                q_found[i], still[k] = q[ready.popleft()], False
-        left = left[still]
+        # Of several for one the first that can be measured.
+        found, first = np.unique(some[seen], return_index=True)
+        q_found[found] = q[seen][first]
+        left = np.setdiff1d(left, found)
     if len(left):
         what = "brought into contact" if declared.contact else "measured"
         few = (

@@ -710,19 +710,3 @@ def with_response(stations: Mapping[str, Station], factor: Floats) -> Floats:
     for station in stations.values():
         result[station.own] = station.response @ factor[station.shared]
     return result
-
-
-def own_deviations(stations: Mapping[str, Station], count: int) -> Floats:
-    """Deviations of parameters by the measurements of their own station, shape (P, k).
-
-    A column has one noise for each station: stations are independent of each other.
-
-    Args:
-        stations: The stations.
-        count: Number of parameters P.
-    """
-    width = max((one.root.shape[1] for one in stations.values()), default=0)
-    result = np.zeros((count, width))
-    for station in stations.values():
-        result[station.own, : station.root.shape[1]] = station.root
-    return result

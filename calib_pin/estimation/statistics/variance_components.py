@@ -65,6 +65,7 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.identifiability import Directions, half_covariance
 from calib_pin.estimation.problem import (
+    EXACT,
     Problem,
     completed,
     current_units,
@@ -119,9 +120,8 @@ With as few the evidence of a handful of well determined errors prevails."""
 REPEATED = 4
 """Degrees of freedom from which repetitions tell the pure error, to a factor of two."""
 
-SIGNIFICANT = 5.41
-"""Twice the gain in log-likelihood that an effect must bring: chance brings as much
-once in a hundred (half of it has none at all, Self and Liang 1987)."""
+CHANCE = 0.01
+"""Probability at which chance passes for an effect."""
 
 SPARE = 10
 """Values of distinct configurations that must be left over beside what was fitted."""
@@ -192,24 +192,27 @@ class Groups:
         return estimate_variances(self.components(kinds), start)
 
     def selected(
-        self, kinds: Iterable[str], gain: float, always: Sequence[str] = ()
+        self, kinds: Iterable[str], chance: float, always: Sequence[str] = ()
     ) -> tuple[dict[str, float], Variances]:
         """The kinds of effects that raise the likelihood enough, the best one first.
 
         Args:
             kinds: Kinds to choose from; those without an effect are left out.
-            gain: Twice the logarithm of the likelihood that each must bring.
+            chance: Probability at which chance raises it as much as each must: twice
+                its logarithm by chi-square of one variance, or half of the time by
+                nothing (Self and Liang 1987).
             always: Kinds that act whether they do or not.
 
         Returns:
             The variances of those that are chosen, and the model with them.
         """
         left = [kind for kind in kinds if kind in self.kind_of]
+        gain = 0.5 * chi_square_quantile(1.0, 2.0 * chance)
         chosen, best = [*always], self.estimated(always)
         while left:
             tried = {kind: self.estimated([*chosen, kind]) for kind in left}
             kind = max(tried, key=lambda key: tried[key].likelihood)
-            if tried[kind].likelihood - best.likelihood < 0.5 * gain:
+            if tried[kind].likelihood - best.likelihood < gain:
                 break
             chosen.append(kind)
             left.remove(kind)
@@ -568,7 +571,7 @@ def rows_with_effects(
     """
     fun, jac = sample.linearize_rows(theta)
     measured = fun[: len(effects)]
-    if float(measured @ measured) <= EXACT * measured_count(sample):
+    if float(measured @ measured) <= EXACT**2 * measured_count(sample):
         return None
     X = np.zeros((len(fun), len(kind_of)))
     X[: len(effects)] = effects
@@ -602,7 +605,7 @@ def systematic(
     groups = rows_with_effects(sample, theta, directions.basis, X, effects.kinds)
     if groups is None:
         return None
-    chosen, found = groups.selected(PARAMETERIZATIONS, SIGNIFICANT)
+    chosen, found = groups.selected(PARAMETERIZATIONS, CHANCE)
     if not chosen:
         return None
     noise = found.values[: len(groups.counts)] / groups.current
@@ -714,9 +717,6 @@ DONE = 1e-6
 
 SMALLEST = 1e-8
 """Least variance, as a part of the one it started with: what is zero stays there."""
-
-EXACT = 1e-12
-"""Least variance at all; a millionth of the standard deviation given is rounding."""
 
 
 @dataclass(frozen=True)
@@ -876,7 +876,7 @@ def estimate_variances(
         upper: Largest ones, shape (K,).
     """
     if lower is None:
-        lower = np.maximum(SMALLEST * start, EXACT)
+        lower = np.maximum(SMALLEST * start, EXACT**2)
     lower, upper = (np.broadcast_to(bound, start.shape) for bound in (lower, upper))
     best = Variances.at(components, start)
     for _ in range(ROUNDS):

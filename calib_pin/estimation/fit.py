@@ -52,7 +52,7 @@ from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.drift import USUAL, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp, passed
-from calib_pin.progress import Progress, portion
+from calib_pin.progress import Progress
 from calib_pin.residual_models import (
     RESIDUAL_MODELS,
     LearnedCorrection,
@@ -63,9 +63,6 @@ from calib_pin.residual_models import (
 )
 from calib_pin.setup import Setup
 from calib_pin.solvers.status import Status
-
-FIT_PART = 0.2
-"""Part of the time that the parameters take where a correction is learned as well."""
 
 
 @serial_blas
@@ -152,9 +149,9 @@ def fit_model(
     """
     if setup.learned is not None:
         require_learnable(setup.learned, setup, measurements)
-    part = 1.0 if setup.learned is None else FIT_PART
     problem = make_problem(chains, measurements, setup)
-    tell = portion(progress, 0.0, part)
+    # Where a correction is learned, that takes the time.
+    tell = progress if setup.learned is None else None
     fitted = fit(problem, np.random.default_rng(seed), progress=tell)
     known = None if effects_of is None else replace(fitted, effects=effects_of.effects)
     fitted = known or with_effects(fitted)
@@ -168,8 +165,7 @@ def fit_model(
         return FittedModel(fitted, problem, theta)
     # A generator of its own: what a search drew must not change what is learned.
     rng = np.random.default_rng(seed)
-    tell = portion(progress, part, 1.0 - part)
-    learned = learned_correction(setup.learned, fitted, rng, tell)
+    learned = learned_correction(setup.learned, fitted, rng, progress)
     if learned is None:
         plain = replace(problem, setup=replace(setup, learned=None))
         return FittedModel(fitted, plain, theta, rejected=setup.learned)

@@ -30,9 +30,10 @@ from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,
     Problem,
+    assumed_sigma,
+    current_units,
     fitted_components,
     representative,
-    sigma_at,
     station_kinds,
 )
 from calib_pin.estimation.solve import Solution, least_squares
@@ -66,9 +67,6 @@ from calib_pin.setup import WORLD, FrameSetup
 
 LEAST = 50
 """Least number of configurations that show a structure."""
-
-FEWEST = 12
-"""Least number of these of each block, twice what two frames need."""
 
 MOST = 5000
 """Most parameters that are analyzed, in gigabytes and minutes already."""
@@ -130,7 +128,7 @@ def analyze_structure(
         quantities = problem.terms[key].measurement.quantities
         least = min(q.columns.stop - q.columns.start for q in quantities)
         enough = -(-3 * parameters // (blocks * least))
-        count = max(-(-LEAST // blocks), FEWEST, enough)
+        count = max(-(-LEAST // blocks), enough)
         at.append(observable_configurations(problem, key, theta, count, rng))
     return structure_at(problem, theta, at)
 
@@ -174,12 +172,12 @@ def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> 
         theta: Parameter values, shape (P,).
         at: Configurations of blocks.
     """
-    rows = []
+    rows, units, layout = [], current_units(problem), problem.layout
     for some in at:
         term = problem.terms[some.key]
         exact = replace(term.on_chain(some), values=problem.predict(theta, some))
-        sigma = sigma_at(problem, some.key, len(some))
-        _, J = RowByRow(term, exact, sigma).factorize(theta)
+        sigma = assumed_sigma(term, problem.setup) * units[layout.of_keys[some.key]]
+        _, J = RowByRow(term, exact, sigma[None]).factorize(theta)
         rows.append(problem.spread(term, J))
     return np.concatenate([*rows, problem.further.jacobian(theta)])
 
@@ -239,7 +237,7 @@ def _growing(
     changed, moved, grown = [], [], []
     for some in at:
         term = problem.terms[some.key]
-        poses = RowByRow(term, term.on_chain(some)).tool(theta).poses
+        _, poses, _ = RowByRow(term, term.on_chain(some)).linear_poses(theta)
         count = len(poses.T)
         by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
         by_own = np.zeros((6 * count, len(term.index)))
@@ -302,8 +300,7 @@ def growth(problem: Problem, theta: Floats) -> Floats:
     """
     changes = []
     for term, data, _, _ in problem.blocks:
-        tool = RowByRow(term, data).tool(theta)
-        T, poses, start = tool.T, tool.poses, tool.start
+        T, poses, start = RowByRow(term, data).linear_poses(theta)
         grown = _grown(poses, poses.to_base @ invert(poses.to_tip))
         if start is not None:
             # The twist of T_0^-1 T is that of T without that of T_0, transformed there.

@@ -578,19 +578,6 @@ def assumed_sigma(term: Term, setup: Setup) -> Floats:
     return np.repeat([setup.noise.get(q.name, q.sigma) for q in quantities], widths)
 
 
-def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
-    """Standard deviations of measurements of a block that state none, shape (count, d).
-
-    Args:
-        problem: The problem, with the unit weights of its quantities.
-        key: The block.
-        count: Number of measurements.
-    """
-    term = problem.terms[key]
-    units = current_units(problem)[problem.layout.of_keys[key]]
-    return np.tile(assumed_sigma(term, problem.setup) * units, (count, 1))
-
-
 def station_kinds(problem: Problem) -> Mapping[frozenset[BlockKey], Sequence[str]]:
     """Stations by the blocks that are measured from them, but for their names."""
     blocks: dict[str, list[BlockKey]] = {}

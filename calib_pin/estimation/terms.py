@@ -81,35 +81,6 @@ class Frames:
         return reference.section, self.reference(reference)
 
 
-@dataclass(frozen=True)
-class ToolLinearization:
-    """Tool poses of N configurations and their derivatives.
-
-    Attributes:
-        T: Tool poses in the measurement frame, those of relative measurements in the
-            tool at their start, shape (N, 4, 4).
-        poses: All as if they were absolute.
-        start: Where relative ones start; None for absolute ones.
-    """
-
-    T: Floats
-    poses: PoseLinearization
-    start: PoseLinearization | None
-
-    def derivative(self, J_pose: Floats) -> Floats:
-        """Derivative by the error parameters, (N, d, 6) -> (N, d, P).
-
-        Args:
-            J_pose: Derivative by the body twist of `T`.
-        """
-        result = self.poses.derivative(J_pose)
-        if self.start is not None:
-            # The twist of T_0^-1 T is that of T without that of T_0, transformed by the
-            # adjoint.
-            result -= self.start.derivative(J_pose @ adjoint(invert(self.T)))
-        return result
-
-
 def whitened(values: Floats, sigma: Floats) -> Floats:
     """Values of components in their standard deviations, (N, d, ...) and (N, d)."""
     weight = 1.0 / sigma.reshape(*sigma.shape, *[1] * (values.ndim - 2))
@@ -212,7 +183,7 @@ class Term:
         return with_joints(at, self.error.chain.joints)
 
     def poses(self, theta: Floats, at: Measurements) -> Floats:
-        """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
+        """Tool poses as of `RowByRow`, shape (N, 4, 4).
 
         Args:
             theta: Values of all parameters, shape (P,).
@@ -256,8 +227,8 @@ class RowByRow:
     Args:
         term: The term.
         data: The measurements, with the joints of the term's chain.
-        sigma: Standard deviations of their residual components, shape (N, d); by
-            default they are not whitened.
+        sigma: Standard deviations of their residual components, shape (N, d), or (1, d)
+            where those of all are equal; by default they are not whitened.
     """
 
     def __init__(
@@ -265,10 +236,12 @@ class RowByRow:
     ) -> None:
         """Prepare nothing: what does not change is computed where it is needed."""
         self._term, self._data = term, data
-        self._sigma = np.ones((len(data), term.components)) if sigma is None else sigma
+        self._sigma = np.ones((1, 1)) if sigma is None else sigma
 
     def poses(self, theta: Floats) -> Floats:
-        """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
+        """Tool poses in the measurement frame, shape (N, 4, 4).
+
+        Those of relative measurements are in the tool at their start.
 
         Args:
             theta: Values of all parameters, shape (P,).
@@ -277,13 +250,18 @@ class RowByRow:
         T, *start = (error.poses(q, of_robot, basis) for q, basis in self._ends)
         return np.asarray(invert(start[0]) @ T) if start else T
 
-    def tool(self, theta: Floats) -> ToolLinearization:
-        """The poses with their derivatives."""
+    def linear_poses(
+        self, theta: Floats
+    ) -> tuple[Floats, PoseLinearization, PoseLinearization | None]:
+        """The poses, with those where measurements end and where relative ones start.
+
+        The latter two have derivatives, as if they were absolute.
+        """
         error, of_robot = self._term.error, self._term.values(theta)[0]
         poses, *start = (error.linearize(q, of_robot, basis) for q, basis in self._ends)
         if not start:
-            return ToolLinearization(poses.T, poses, None)
-        return ToolLinearization(invert(start[0].T) @ poses.T, poses, start[0])
+            return poses.T, poses, None
+        return invert(start[0].T) @ poses.T, poses, start[0]
 
     def points(self, theta: Floats) -> Floats:
         """Tool points in the measurement frame, shape (N, 3)."""
@@ -299,13 +277,18 @@ class RowByRow:
 
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
-        term, tool = self._term, self.tool(theta)
-        linear = term.measurement.linearize(tool.T, term.values(theta)[1], self._data)
+        term, (T, poses, start) = self._term, self.linear_poses(theta)
+        linear = term.measurement.linearize(T, term.values(theta)[1], self._data)
         r, J_pose, J_instrument = (
             whitened(values, self._sigma)
             for values in (linear.residual, linear.J_pose, linear.J_instrument)
         )
-        J = np.concatenate([tool.derivative(J_pose), J_instrument], axis=2)
+        J_error = poses.derivative(J_pose)
+        if start is not None:
+            # The twist of T_0^-1 T is that of T without that of T_0, transformed by the
+            # adjoint.
+            J_error -= start.derivative(J_pose @ adjoint(invert(T)))
+        J = np.concatenate([J_error, J_instrument], axis=2)
         return r.reshape(-1), J.reshape(-1, len(term.index))
 
     @cached_property

@@ -102,12 +102,9 @@ REJECTED = 0.05
 """Probability at which a stated standard deviation is rejected by mistake, of those of
 all stations any; part of the errors that are told apart which chance may have made."""
 
-LEAST_DOF = 0.5
-"""Degrees of freedom below which an estimated variance tells nothing."""
-
 FEW = 2.0
-"""Redundancy below which a quantity keeps its given ratio to the others: a variance
-estimated from one value may be anything."""
+"""Redundancy below which a variance may be anything, and a quantity keeps its given
+ratio to the others."""
 
 LEAST = 1e-3
 """Least part of the largest unit weight: an exact quantity leaves the others a say."""
@@ -354,7 +351,7 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
         return found, np.sqrt(groups.current)
     tail = 0.5 * REJECTED / stations
     above = [
-        chi_square_tail(v * f, f) if f >= LEAST_DOF else 0.5
+        chi_square_tail(v * f, f) if f >= FEW else 0.5
         for v, f in zip(found.values, found.dof, strict=True)
     ]
     stands = np.abs(np.array(above) - 0.5) <= 0.5 - tail
@@ -373,7 +370,7 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
 
 def _interval(variance: float, dof: float) -> tuple[float, float]:
     """The 95 % interval of a variance by its estimate."""
-    if dof < LEAST_DOF:
+    if dof < FEW:
         return 0.0, np.inf
     tails = 0.5 * REJECTED, 1.0 - 0.5 * REJECTED
     low, high = (variance * dof / chi_square_quantile(dof, tail) for tail in tails)

@@ -304,6 +304,8 @@ class Fit:
 
         These absorb as much of effects as all of them do.
         """
+        if not self.problem.many:
+            return self.result.jac, self.effect_rows
         few = replace(self, problem=replace(self.problem, data=sampled(self.problem)))
         return few.problem.linearize_rows(self.theta)[1], few.effect_rows
 
@@ -331,11 +333,10 @@ def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
     noise = variances(problem, effects)
     shared = shared_variances(problem, fitted.noise, noise)
     core, by_effects = np.eye(half.shape[1]), np.zeros((len(theta), 0))
-    if effects is not None or shared.any():
-        groups, prior = by_quantity(problem, theta, fun, jac, half), held @ half
-        weights = (noise - shared) / current_units(problem) ** 2
-        core = prior.T @ prior + groups.known[:-1, :-1]
-        core += np.tensordot(weights, groups.products[:, :-1, :-1], axes=1)
+    less = (1.0 - noise + shared) / current_units(problem) ** 2
+    if less.any():
+        products = by_quantity(problem, theta, fun, jac, half).products
+        core -= np.tensordot(less, products[:, :-1, :-1], axes=1)
     if shared.any():
         core += by_configuration(problem, jac @ half, shared)
     if effects is not None:

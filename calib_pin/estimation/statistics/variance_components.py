@@ -75,14 +75,15 @@ from calib_pin.estimation.problem import (
     representative,
     with_response,
 )
+from calib_pin.estimation.row_blocks import feet
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
     f_tail,
 )
-from calib_pin.estimation.terms import Term, assembled, kept
+from calib_pin.estimation.terms import FRAME, Term, assembled, kept
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import (
     NOTHING,
@@ -541,7 +542,7 @@ class Systematic:
         for k, name in enumerate(there.parameters.names):
             if name in self.names:
                 own = self.names.index(name)
-                result[:, :, own] = J[:, :, k] * self.sizes[own]
+                result[:, :, own] += J[:, :, k] * self.sizes[own]
         return result
 
     def _about(self, term: Term) -> ErrorModel:
@@ -678,11 +679,13 @@ def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None
         kinds = {k: c for k, c in kinds.items() if "payloads" not in required_keys([k])}
     errors: dict[str, ErrorModel] = {}
     sizes: dict[str, float] = {}
+    placed: dict[str, Floats] = {}
     for name, chain in ((name, chains[name]) for name in chains.names):
         loaded = [kind for kind in kinds if suits(kind, chain)]
-        errors[name] = ErrorModel.create(
+        error = ErrorModel.create(
             chain, loaded, setup=setup, estimate_base=False, estimate_tool=False
         )
+        errors[name] = _at_feet(error, placed)
         if len(setup.payloads) > 1:
             carried = problem.only.error.payload or next(iter(setup.payloads))
             errors[name] = errors[name].carrying(carried)
@@ -696,6 +699,24 @@ def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None
     if not sizes:
         return None
     return Systematic(errors, tuple(sizes), np.array([*sizes.values()]), np.ones(0))
+
+
+def _at_feet(error: ErrorModel, placed: dict[str, Floats]) -> ErrorModel:
+    """Errors of placements at the places that the axes tell, see `feet`.
+
+    Args:
+        error: The errors of a chain.
+        placed: Twists of those that chains before it have too; its own are added.
+    """
+    places, screws = feet(error.chain), list(error.screws)
+    for k, screw in enumerate(screws):
+        name = screw.parameter.name
+        if name.rsplit(".", 2)[1] == Placement.name:
+            about = np.eye(FRAME)
+            about[:3, 3:] = skew(places[screw.frame - 1])
+            twist = placed.setdefault(name, about @ screw.twist)
+            screws[k] = replace(screw, twist=twist)
+    return replace(error, screws=tuple(screws))
 
 
 Labels = NDArray[np.intp]

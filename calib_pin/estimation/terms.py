@@ -270,10 +270,8 @@ class RowByRow:
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (N, d)."""
-        instrument = self._term.values(theta)[1]
-        return self._term.measurement.residual(
-            self.poses(theta), instrument, self._data
-        )
+        T, instrument = self.poses(theta), self._term.values(theta)[1]
+        return self._term.measurement.residual(T, instrument, self._data)
 
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""

@@ -11,6 +11,7 @@ import numpy as np
 from calib_pin.control.joints import Kinematics
 from calib_pin.errors import OptionError, require_known
 from calib_pin.estimation.terms import FRAME
+from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.spatial import Floats, adjoint, interpolate, invert
 from calib_pin.observations import UNSTATED, BlockKey, Conditions, Signs
 from calib_pin.parameterizations import NOTHING
@@ -24,9 +25,6 @@ NOTHING_LEFT = 1e-9
 
 MUCH = 2.0
 """Deviations of the measured point from which those of another are worth a word."""
-
-SAMPLES = 100
-"""Configurations over which deviations are averaged."""
 
 Frame: TypeAlias = Literal["measuring", "base"]
 Point: TypeAlias = Literal["tool", "tip"]

@@ -17,7 +17,7 @@ accuracy.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
@@ -38,6 +38,7 @@ from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.estimation.robust import robustly
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.statistics.variance_components import (
+    CHANCE,
     candidates,
     rows_with_effects,
     sampled,
@@ -51,7 +52,7 @@ from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.drift import USUAL, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp, passed
-from calib_pin.progress import Progress, portion
+from calib_pin.progress import Progress
 from calib_pin.residual_models import (
     RESIDUAL_MODELS,
     LearnedCorrection,
@@ -62,9 +63,6 @@ from calib_pin.residual_models import (
 )
 from calib_pin.setup import Setup
 from calib_pin.solvers.status import Status
-
-FIT_PART = 0.2
-"""Part of the time that the parameters take where a correction is learned as well."""
 
 
 @serial_blas
@@ -151,9 +149,9 @@ def fit_model(
     """
     if setup.learned is not None:
         require_learnable(setup.learned, setup, measurements)
-    part = 1.0 if setup.learned is None else FIT_PART
     problem = make_problem(chains, measurements, setup)
-    tell = portion(progress, 0.0, part)
+    # Where a correction is learned, that takes the time.
+    tell = progress if setup.learned is None else None
     fitted = fit(problem, np.random.default_rng(seed), progress=tell)
     known = None if effects_of is None else replace(fitted, effects=effects_of.effects)
     fitted = known or with_effects(fitted)
@@ -167,8 +165,7 @@ def fit_model(
         return FittedModel(fitted, problem, theta)
     # A generator of its own: what a search drew must not change what is learned.
     rng = np.random.default_rng(seed)
-    tell = portion(progress, part, 1.0 - part)
-    learned = learned_correction(setup.learned, fitted, rng, tell)
+    learned = learned_correction(setup.learned, fitted, rng, progress)
     if learned is None:
         plain = replace(problem, setup=replace(setup, learned=None))
         return FittedModel(fitted, plain, theta, rejected=setup.learned)
@@ -181,11 +178,6 @@ passes for a straight line, and a shorter one for nothing."""
 
 CLOSE = 0.03
 """Relative difference of time constants that no measurements tell apart."""
-
-SIGNIFICANT = 6.63
-"""Twice the gain in log-likelihood that a drift must bring: chance brings as much once
-in two hundred (half of it has none at all, Self and Liang 1987), and once in a hundred
-for either of two."""
 
 KINDS = {"m": "shift", "rad": "turn"}
 """Names of all that may drift, as a setup states it, by their units."""
@@ -239,7 +231,8 @@ def with_warm_up(
         return replace(setup, thermal=replace(setup.thermal, warm_up_time=time))
 
     def left(logarithm: float) -> float:
-        noise = _fitted(chains, measurements, stated(logarithm), seed).noise
+        problem = make_problem(chains, measurements, stated(logarithm))
+        noise = fit(problem, np.random.default_rng(seed)).noise
         known = [one for one in noise if one.estimate > 0.0]
         return float(sum(one.values * np.log(one.estimate) for one in known))
 
@@ -260,59 +253,48 @@ def with_drift(
     """
     require_conditions(measurements, setup)
     setup = at_conditions(chains, measurements, setup)
-    drift, kinds = setup.drift, KINDS.values()
-    unknown = [kind for kind in kinds if getattr(drift, kind) is None]
+    unknown = [kind for kind in KINDS.values() if getattr(setup.drift, kind) is None]
+    sizes: dict[str, Any] = dict.fromkeys(unknown, 0.0)
     if InstrumentDrift.name not in setup.parameters or not unknown:
         return setup
-    sizes: dict[str, Any] = dict.fromkeys(unknown, 0.0)
-    some: dict[str, Any] = dict.fromkeys(unknown, USUAL)
-    still, usual = replace(drift, **sizes), replace(drift, **some)
-    fitted = _fitted(chains, measurements, replace(setup, drift=still), seed)
-    sample = replace(fitted.problem, data=sampled(fitted.problem))
-    # The problem with a drift of the usual size, about the references of the fit.
-    moving, terms = replace(setup, drift=usual, learned=None), {}
-    found = make_problem(chains, sample.data, moving)
-    for key, term in found.terms.items():
-        other = sample.terms[key]
-        error = term.error.with_frames(other.error.base, other.error.tool)
-        terms[key] = replace(term, error=error, measurement=other.measurement)
-    found = replace(found, terms=terms, units=sample.units)
-    sizes |= _drift_sizes(fitted, sample, found)
-    return replace(setup, drift=replace(still, **sizes))
+    problem = make_problem(chains, measurements, setup)
+    drifting = {
+        parameter.name: KINDS[parameter.unit]
+        for parameter, kind in zip(problem.given, problem.given.kinds, strict=True)
+        if kind == InstrumentDrift.name and KINDS[parameter.unit] in unknown
+    }
+    if drifting:
+        sizes |= _drift_sizes(problem, drifting, seed)
+    return replace(setup, drift=replace(setup.drift, **sizes))
 
 
-def _fitted(chains: Chains, data: Observations, setup: Setup, seed: int) -> Fit:
-    """The fit of the parameters, without what would be learned."""
-    problem = make_problem(chains, data, replace(setup, learned=None))
-    return fit(problem, np.random.default_rng(seed))
-
-
-def _drift_sizes(fitted: Fit, still: Problem, moving: Problem) -> dict[str, float]:
+def _drift_sizes(
+    problem: Problem, drifting: Mapping[str, str], seed: int
+) -> dict[str, float]:
     """Standard deviations of what drifts by more than chance.
 
     Args:
-        fitted: The fit of an instrument that stands still.
-        still: Its problem, see `sampled`.
-        moving: The same with a drift of the usual size.
+        problem: The problem, with increments of the usual size.
+        drifting: These increments and the kind of each.
+        seed: Seed of the fit of an instrument that stands still.
     """
-    drifting = [p for p in moving.given if p.name not in still.given.names]
-    if not drifting:
-        return {}
-    count, theta = len(still.layout.row), fitted.theta
-    values = dict(zip(still.given.names, theta, strict=True))
-    _, J = moving.linearize_rows(moving.given.vector(values))
-    columns = [moving.given.index(p.name) for p in drifting]
-    X: Floats = J[:count, columns] * moving.given.scales[columns]
-    kind_of = [KINDS[p.unit] for p in drifting]
-    robot = candidates(still)
-    always: list[str] = []
-    if robot is not None and np.isfinite(rows := robot.rows(still, theta)).all():
+    fixed = *problem.setup.fixed, *drifting
+    still = replace(problem, setup=replace(problem.setup, fixed=fixed))
+    fitted = fit(still, np.random.default_rng(seed))
+    sample, theta = replace(fitted.problem, data=sampled(fitted.problem)), fitted.theta
+    _, J = sample.linearize_rows(theta)
+    columns = [sample.given.index(name) for name in drifting]
+    X: Floats = (J * sample.given.scales)[: len(sample.layout.row), columns]
+    kind_of, always = [*drifting.values()], list[str]()
+    robot = candidates(sample)
+    if robot is not None and np.isfinite(rows := robot.rows(sample, theta)).all():
         always = list(dict.fromkeys(robot.kinds))
         X, kind_of = np.hstack([rows, X]), [*robot.kinds, *kind_of]
-    groups = rows_with_effects(still, theta, fitted.directions.basis, X, kind_of)
+    groups = rows_with_effects(sample, theta, fitted.directions.basis, X, kind_of)
     if groups is None:
         return {}
-    chosen, _ = groups.selected(KINDS.values(), SIGNIFICANT, always)
+    # Either of two may pass for one by chance.
+    chosen, _ = groups.selected(KINDS.values(), CHANCE / len(KINDS), always)
     return {kind: USUAL * variance**0.5 for kind, variance in chosen.items()}
 
 

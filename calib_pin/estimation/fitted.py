@@ -57,10 +57,10 @@ from calib_pin.estimation.nominal import analyze_structure, register
 from calib_pin.estimation.problem import (
     EXACT,
     Problem,
+    Station,
     absorbed,
     current_units,
     known_count,
-    own_deviations,
     with_response,
 )
 from calib_pin.estimation.row_blocks import Priors, expected_places
@@ -102,18 +102,17 @@ class Posterior:
         by_noise: Deviations of the parameters by independent noises of deviation one,
             shape (P, r).
         by_effects: The same by the effects of gears and compliance, shape (P, S).
-        by_station: The same of parameters that were eliminated, by the noise of their
-            own station, shape (P, k); in a column stations are independent.
-        stations: Positions of these parameters, station by station.
-        systematic: These effects; None for none.
+        stations: What was eliminated, with the noise of its own station beside these.
+        unit: Standard deviation of unit weight of that.
+        systematic: The effects of gears and compliance; None for none.
         noise: Variance of a measured value of each quantity at a new configuration,
             relative to that of its row, shape (K,).
     """
 
     by_noise: Floats
     by_effects: Floats
-    by_station: Floats
-    stations: Sequence[NDArray[np.intp]]
+    stations: Sequence[Station]
+    unit: float
     systematic: Systematic | None
     noise: Floats
 
@@ -122,9 +121,9 @@ class Posterior:
         """Covariance of the parameters, shape (P, P)."""
         half = np.column_stack([self.by_noise, self.by_effects])
         result = half @ half.T
-        for own in self.stations:
-            alone = self.by_station[own]
-            result[np.ix_(own, own)] += alone @ alone.T
+        for station in self.stations:
+            alone = self.unit * station.root
+            result[np.ix_(station.own, station.own)] += alone @ alone.T
         return np.asarray(result)
 
     def twists(self, term: Term, q: Floats, J: Floats) -> Floats:
@@ -305,6 +304,8 @@ class Fit:
 
         These absorb as much of effects as all of them do.
         """
+        if not self.problem.many:
+            return self.result.jac, self.effect_rows
         few = replace(self, problem=replace(self.problem, data=sampled(self.problem)))
         return few.problem.linearize_rows(self.theta)[1], few.effect_rows
 
@@ -332,11 +333,10 @@ def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
     noise = variances(problem, effects)
     shared = shared_variances(problem, fitted.noise, noise)
     core, by_effects = np.eye(half.shape[1]), np.zeros((len(theta), 0))
-    if effects is not None or shared.any():
-        groups, prior = by_quantity(problem, theta, fun, jac, half), held @ half
-        weights = (noise - shared) / current_units(problem) ** 2
-        core = prior.T @ prior + groups.known[:-1, :-1]
-        core += np.tensordot(weights, groups.products[:, :-1, :-1], axes=1)
+    less = (1.0 - noise + shared) / current_units(problem) ** 2
+    if less.any():
+        products = by_quantity(problem, theta, fun, jac, half).products
+        core -= np.tensordot(less, products[:, :-1, :-1], axes=1)
     if shared.any():
         core += by_configuration(problem, jac @ half, shared)
     if effects is not None:
@@ -348,9 +348,8 @@ def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
     # Without redundancy nobody knows, and the unit is not a number.
     stations, unit = problem.stations(theta), fitted.unit
     by_noise = unit * with_response(stations, by_noise)
-    by_station = unit * own_deviations(stations, len(theta))
-    places = tuple(problem.own_of_stations.values())
-    return Posterior(by_noise, by_effects, by_station, places, effects, noise)
+    apart = tuple(stations.values())
+    return Posterior(by_noise, by_effects, apart, unit, effects, noise)
 
 
 SURPRISE = 10.0

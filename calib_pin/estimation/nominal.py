@@ -11,7 +11,6 @@ into contact.
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -31,17 +30,18 @@ from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,
     Problem,
+    assumed_sigma,
+    current_units,
     fitted_components,
     representative,
-    sigma_at,
     station_kinds,
 )
 from calib_pin.estimation.solve import Solution, least_squares
 from calib_pin.estimation.terms import (
     FRAME,
     Block,
+    RowByRow,
     Term,
-    ToolPoses,
     assembled,
     with_shared_references,
 )
@@ -67,9 +67,6 @@ from calib_pin.setup import WORLD, FrameSetup
 
 LEAST = 50
 """Least number of configurations that show a structure."""
-
-FEWEST = 12
-"""Least number of these of each block, twice what two frames need."""
 
 MOST = 5000
 """Most parameters that are analyzed, in gigabytes and minutes already."""
@@ -131,7 +128,7 @@ def analyze_structure(
         quantities = problem.terms[key].measurement.quantities
         least = min(q.columns.stop - q.columns.start for q in quantities)
         enough = -(-3 * parameters // (blocks * least))
-        count = max(-(-LEAST // blocks), FEWEST, enough)
+        count = max(-(-LEAST // blocks), enough)
         at.append(observable_configurations(problem, key, theta, count, rng))
     return structure_at(problem, theta, at)
 
@@ -175,10 +172,13 @@ def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> 
         theta: Parameter values, shape (P,).
         at: Configurations of blocks.
     """
-    rows = []
+    rows, units, layout = [], current_units(problem), problem.layout
     for some in at:
-        sigma = sigma_at(problem, some.key, len(some.q))
-        rows.append(problem.jacobian(theta, some, sigma).reshape(-1, len(theta)))
+        term = problem.terms[some.key]
+        exact = replace(term.on_chain(some), values=problem.predict(theta, some))
+        sigma = assumed_sigma(term, problem.setup) * units[layout.of_keys[some.key]]
+        _, J = RowByRow(term, exact, sigma[None]).factorize(theta)
+        rows.append(problem.spread(term, J))
     return np.concatenate([*rows, problem.further.jacobian(theta)])
 
 
@@ -237,12 +237,11 @@ def _growing(
     changed, moved, grown = [], [], []
     for some in at:
         term = problem.terms[some.key]
-        of_robot = term.values(theta)[0]
-        poses = ToolPoses(term.error, term.on_chain(some)).linearize(of_robot).poses
+        _, poses, _ = RowByRow(term, term.on_chain(some)).linear_poses(theta)
         count = len(poses.T)
         by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
         by_own = np.zeros((6 * count, len(term.index)))
-        by_own[:, : len(of_robot)] = by_error.reshape(6 * count, -1)
+        by_own[:, : by_error.shape[2]] = by_error.reshape(6 * count, -1)
         changed.append(problem.spread(term, by_own) * problem.parameters.scales)
         displaced = np.zeros((6 * count, 6 * len(ends)))
         first, last = first_of[term.frames.station], first_of[term.frames.tool]
@@ -301,15 +300,13 @@ def growth(problem: Problem, theta: Floats) -> Floats:
     """
     changes = []
     for term, data, _, _ in problem.blocks:
-        of_robot, instrument = term.values(theta)
-        tool = ToolPoses(term.error, data).linearize(of_robot)
-        T, poses, start = tool.T, tool.poses, tool.start
+        T, poses, start = RowByRow(term, data).linear_poses(theta)
         grown = _grown(poses, poses.to_base @ invert(poses.to_tip))
         if start is not None:
             # The twist of T_0^-1 T is that of T without that of T_0, transformed there.
             begins = _grown(start, start.to_base @ invert(start.to_tip))
             grown -= (adjoint(invert(T)) @ begins[:, :, None])[:, :, 0]
-        J_pose = term.measurement.linearize(T, instrument, data).J_pose
+        J_pose = term.measurement.linearize(T, term.values(theta)[1], data).J_pose
         changes.append((J_pose @ grown[:, :, None]).reshape(-1))
     return np.asarray(np.concatenate(changes) / problem.sigma)
 
@@ -441,7 +438,6 @@ def observable_configurations(
             # Some targets are hardly ever observable; others take their place.
             for i in left:
                 target[i] = names[(i + tries) % len(names)]
-        # More candidates than missing ones: the observable ones are shared out below.
         some = np.resize(left, max(count, AT_ONCE * len(left)) if tries > 1 else count)
         drawn += len(some)
         q = problem.chains.random_configurations(len(some), rng)
@@ -451,14 +447,10 @@ def observable_configurations(
             q, seen = brought_to_contact(problem, theta, at)
         else:
             seen = problem.observable(theta, at)
-        found = defaultdict[tuple[str, str], deque[int]](deque)
-        for k in np.flatnonzero(seen).tolist():
-            found[looked[k], carried[k]].append(k)
-        still = np.ones(len(left), bool)
-        for k, i in enumerate(left):
-            if ready := found[target[i], loads[i]]:
-                q_found[i], still[k] = q[ready.popleft()], False
-        left = left[still]
+        # Of several for one the first that can be measured.
+        found, first = np.unique(some[seen], return_index=True)
+        q_found[found] = q[seen][first]
+        left = np.setdiff1d(left, found)
     if len(left):
         what = "brought into contact" if declared.contact else "measured"
         few = (

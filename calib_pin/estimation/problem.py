@@ -25,12 +25,10 @@ from calib_pin.estimation.identifiability import RANK
 from calib_pin.estimation.row_blocks import Further, KnownDistances, Priors
 from calib_pin.estimation.terms import (
     Block,
+    RowByRow,
     Term,
     Terms,
-    ToolPoses,
     compilable,
-    whitened,
-    whitened_jacobian,
 )
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
@@ -428,7 +426,8 @@ class Problem(Terms):
             return self.linearize(theta)
         parts = []
         for block in self.blocks:
-            r, J = RowByRow(block, self.sigma).factorize(theta)
+            rows = RowByRow(block.term, block.data, block.table(self.sigma))
+            r, J = rows.factorize(theta)
             parts.append((r, self.spread(block.term, J)))
         return self._whole(theta, parts)
 
@@ -487,7 +486,8 @@ class Problem(Terms):
 
                 found.append(ManyRows(block, self.sigma, last))
             else:
-                found.append(RowByRow(block, self.sigma))
+                sigma = block.table(self.sigma)
+                found.append(RowByRow(block.term, block.data, sigma))
         self._known.evaluators = found
         return found
 
@@ -578,19 +578,6 @@ def assumed_sigma(term: Term, setup: Setup) -> Floats:
     return np.repeat([setup.noise.get(q.name, q.sigma) for q in quantities], widths)
 
 
-def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
-    """Standard deviations of measurements of a block that state none, shape (count, d).
-
-    Args:
-        problem: The problem, with the unit weights of its quantities.
-        key: The block.
-        count: Number of measurements.
-    """
-    term = problem.terms[key]
-    units = current_units(problem)[problem.layout.of_keys[key]]
-    return np.tile(assumed_sigma(term, problem.setup) * units, (count, 1))
-
-
 def station_kinds(problem: Problem) -> Mapping[frozenset[BlockKey], Sequence[str]]:
     """Stations by the blocks that are measured from them, but for their names."""
     blocks: dict[str, list[BlockKey]] = {}
@@ -652,43 +639,6 @@ returns fewer rows than there are values.
 """
 
 
-class RowByRow:
-    """Measurements of a block by Pinocchio, a residual row for each value.
-
-    Args:
-        block: The block.
-        sigma: Standard deviations of the residual components of all blocks of the
-            problem, shape (M,).
-    """
-
-    def __init__(self, block: Block, sigma: Floats) -> None:
-        """Prepare nothing: what does not change is computed where it is needed."""
-        self._block, self._sigma = block, block.table(sigma)
-        self._tool = ToolPoses(block.term.error, block.data)
-
-    def errors(self, theta: Floats) -> Floats:
-        """Residuals in their units, predicted minus measured, shape (N, d)."""
-        term, data = self._block.term, self._block.data
-        of_robot, instrument = term.values(theta)
-        return term.measurement.residual(self._tool(of_robot), instrument, data)
-
-    def points(self, theta: Floats) -> Floats:
-        """Tool points in the measurement frame, shape (N, 3)."""
-        error, data = self._block.term.error, self._block.data
-        basis = error.basis(data.q, data.conditions)
-        return error.poses(data.q, self._block.term.values(theta)[0], basis)[:, :3, 3]
-
-    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
-        term, data = self._block.term, self._block.data
-        of_robot, instrument = term.values(theta)
-        tool = self._tool.linearize(of_robot)
-        linear = term.measurement.linearize(tool.T, instrument, data)
-        J = whitened_jacobian(tool, linear, self._sigma)
-        r = whitened(linear.residual, self._sigma)
-        return r.reshape(-1), J.reshape(-1, len(term.index))
-
-
 @dataclass(frozen=True)
 class Station:
     """The parameters of one station alone, about a linearization.
@@ -746,20 +696,4 @@ def with_response(stations: Mapping[str, Station], factor: Floats) -> Floats:
     result = factor.copy()
     for station in stations.values():
         result[station.own] = station.response @ factor[station.shared]
-    return result
-
-
-def own_deviations(stations: Mapping[str, Station], count: int) -> Floats:
-    """Deviations of parameters by the measurements of their own station, shape (P, k).
-
-    A column has one noise for each station: stations are independent of each other.
-
-    Args:
-        stations: The stations.
-        count: Number of parameters P.
-    """
-    width = max((one.root.shape[1] for one in stations.values()), default=0)
-    result = np.zeros((count, width))
-    for station in stations.values():
-        result[station.own, : station.root.shape[1]] = station.root
     return result

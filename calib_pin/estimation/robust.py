@@ -65,6 +65,7 @@ from calib_pin.estimation.problem import (
 from calib_pin.estimation.row_blocks import Priors, expected_places
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
+from calib_pin.estimation.terms import RowByRow
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations, states_sigmas
 from calib_pin.parameterizations.base import expected_size
@@ -651,14 +652,11 @@ def _exchanged(
         labels, codes = found.labels[block.rows], block.data.target.codes
         alike = (codes[i] == codes[j]) & (labels[i] != labels[j])
         i, j = i[alike], j[alike]
-        instrument = block.term.values(theta)[1]
-        poses = block.term.poses(theta, block.data.rows(rows))
         fits = []
         for a, b in ((i, j), (j, i)):
-            T = poses[np.searchsorted(rows, a)]
             there = replace(block.data.rows(a), values=block.data.values[b])
             with np.errstate(invalid="ignore", over="ignore"):
-                r = block.term.measurement.residual(T, instrument, there)
+                r = RowByRow(block.term, there).errors(theta)
                 size = np.linalg.norm(r / block.table(sigma)[a], axis=1)
             # The parts of wrong values are anywhere in a ball of two pairs of values.
             by_chance = (OPTIONS.stated_chance / max(len(i), 1)) ** (0.5 / r.shape[1])

@@ -34,6 +34,7 @@ from calib_pin.solvers import (
     differential_evolution,
     gauss_newton,
 )
+from calib_pin.solvers.gauss_newton import OPTIONS
 
 MARGIN = 4.0
 """Size of the box of an evolution, in sizes of the linear solution.
@@ -50,11 +51,9 @@ NUISANCE_BOX = (0.02, 1.0)
 ROWS = 1000
 """Rows that an evolution looks at when Gauss-Newton follows."""
 
-LEAST_PROMISED = 1e-14
-"""Part of the cost that a step must promise: all that rounding leaves."""
-
 ENOUGH = 1e-12
-"""The same for very many rows; of a million it is a thousandth of a deviation."""
+"""Part of the cost that a step of very many rows must promise; of a million it is a
+thousandth of a deviation."""
 
 INVISIBLE = 1e-3
 """Gain in chi-square, in squared deviations of unit weight, or change of an estimate,
@@ -206,7 +205,7 @@ def refine(
     problem: Problem,
     start: Floats,
     basis: Floats,
-    tolerance: float = LEAST_PROMISED,
+    tolerance: float = OPTIONS.promised,
     most: int = 100,
 ) -> Solution:
     """Gauss-Newton from a start that is close; the arguments as in `least_squares`.

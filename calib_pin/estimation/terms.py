@@ -81,91 +81,6 @@ class Frames:
         return reference.section, self.reference(reference)
 
 
-@dataclass(frozen=True)
-class ToolLinearization:
-    """Tool poses of N configurations and their derivatives.
-
-    Attributes:
-        T: Tool poses in the measurement frame, those of relative measurements in the
-            tool at their start, shape (N, 4, 4).
-        poses: All as if they were absolute.
-        start: Where relative ones start; None for absolute ones.
-    """
-
-    T: Floats
-    poses: PoseLinearization
-    start: PoseLinearization | None
-
-    def derivative(self, J_pose: Floats) -> Floats:
-        """Derivative by the error parameters, (N, d, 6) -> (N, d, P).
-
-        Args:
-            J_pose: Derivative by the body twist of `T`.
-        """
-        result = self.poses.derivative(J_pose)
-        if self.start is not None:
-            # The twist of T_0^-1 T is that of T without that of T_0, transformed by the
-            # adjoint.
-            result -= self.start.derivative(J_pose @ adjoint(invert(self.T)))
-        return result
-
-
-class ToolPoses:
-    """Tool poses of an error model, with what does not change between evaluations.
-
-    Args:
-        error: The error model.
-        at: The configurations.
-    """
-
-    def __init__(self, error: ErrorModel, at: Measurements) -> None:
-        """Prepare nothing: what does not change is computed where it is needed."""
-        self._error, self._at = error, at
-
-    def __call__(self, of_robot: Floats) -> Floats:
-        """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
-
-        Args:
-            of_robot: Parameter values of the error model, shape (P,).
-        """
-        T, *start = (self._error.poses(q, of_robot, basis) for q, basis in self._ends)
-        return np.asarray(invert(start[0]) @ T) if start else T
-
-    def linearize(self, of_robot: Floats) -> ToolLinearization:
-        """The poses with their derivatives."""
-        linearize = self._error.linearize
-        poses, *start = (linearize(q, of_robot, basis) for q, basis in self._ends)
-        if not start:
-            return ToolLinearization(poses.T, poses, None)
-        return ToolLinearization(invert(start[0].T) @ poses.T, poses, start[0])
-
-    @cached_property
-    def _ends(self) -> list[tuple[Floats, Floats]]:
-        """Configurations, and of relative measurements where they start.
-
-        With the basis functions of joint corrections, which depend on commands alone.
-        """
-        at, basis = self._at, self._error.basis
-        ends = [(at.q, basis(at.q, at.conditions))]
-        if at.start.size:
-            ends.append((at.start, basis(at.start, at.conditions.at_start)))
-        return ends
-
-
-def whitened_jacobian(
-    tool: ToolLinearization, linear: Linearization, sigma: Floats
-) -> Floats:
-    """Whitened Jacobian by all parameters, shape (N, d, P).
-
-    Args:
-        tool: Tool poses.
-        linear: Linearized measurements of them.
-        sigma: Standard deviations of the residual components, shape (N, d).
-    """
-    J = tool.derivative(whitened(linear.J_pose, sigma))
-    return np.concatenate([J, whitened(linear.J_instrument, sigma)], axis=2)
-
-
 def whitened(values: Floats, sigma: Floats) -> Floats:
     """Values of components in their standard deviations, (N, d, ...) and (N, d)."""
     weight = 1.0 / sigma.reshape(*sigma.shape, *[1] * (values.ndim - 2))
@@ -268,13 +183,13 @@ class Term:
         return with_joints(at, self.error.chain.joints)
 
     def poses(self, theta: Floats, at: Measurements) -> Floats:
-        """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
+        """Tool poses as of `RowByRow`, shape (N, 4, 4).
 
         Args:
             theta: Values of all parameters, shape (P,).
             at: Configurations of its chain.
         """
-        return ToolPoses(self.error, self.on_chain(at))(self.values(theta)[0])
+        return RowByRow(self, self.on_chain(at)).poses(theta)
 
     def linearized(
         self, T: Floats, instrument: Floats, q: Floats, target: Targets
@@ -293,20 +208,6 @@ class Term:
         data = Measurements(joints, q, model.name, values, target=names)
         return model.linearize(T, instrument, data)
 
-    def jacobian(self, theta: Floats, at: Measurements, sigma: Floats) -> Floats:
-        """Whitened Jacobian of noise-free measurements by its parameters, (N, d, p).
-
-        Args:
-            theta: Values of all parameters, shape (P,).
-            at: Configurations of its chain.
-            sigma: Standard deviations of the residual components, shape (N, d).
-        """
-        of_robot, instrument = self.values(theta)
-        at = self.on_chain(at)
-        tool = ToolPoses(self.error, at).linearize(of_robot)
-        linear = self.linearized(tool.T, instrument, at.q, at.target)
-        return whitened_jacobian(tool, linear, sigma)
-
     def rebased(self, theta: Floats) -> Self:
         """The same term about other values of its frames and its instrument.
 
@@ -318,6 +219,87 @@ class Term:
         error = self.error.with_frames(self.error.base * base, self.error.tool * tool)
         measurement = self.measurement.rebased(instrument)
         return replace(self, error=error, measurement=measurement)
+
+
+class RowByRow:
+    """Measurements of a term by Pinocchio, a residual row for each value.
+
+    Args:
+        term: The term.
+        data: The measurements, with the joints of the term's chain.
+        sigma: Standard deviations of their residual components, shape (N, d), or (1, d)
+            where those of all are equal; by default they are not whitened.
+    """
+
+    def __init__(
+        self, term: Term, data: Measurements, sigma: Floats | None = None
+    ) -> None:
+        """Prepare nothing: what does not change is computed where it is needed."""
+        self._term, self._data = term, data
+        self._sigma = np.ones((1, 1)) if sigma is None else sigma
+
+    def poses(self, theta: Floats) -> Floats:
+        """Tool poses in the measurement frame, shape (N, 4, 4).
+
+        Those of relative measurements are in the tool at their start.
+
+        Args:
+            theta: Values of all parameters, shape (P,).
+        """
+        error, of_robot = self._term.error, self._term.values(theta)[0]
+        T, *start = (error.poses(q, of_robot, basis) for q, basis in self._ends)
+        return np.asarray(invert(start[0]) @ T) if start else T
+
+    def linear_poses(
+        self, theta: Floats
+    ) -> tuple[Floats, PoseLinearization, PoseLinearization | None]:
+        """The poses, with those where measurements end and where relative ones start.
+
+        The latter two have derivatives, as if they were absolute.
+        """
+        error, of_robot = self._term.error, self._term.values(theta)[0]
+        poses, *start = (error.linearize(q, of_robot, basis) for q, basis in self._ends)
+        if not start:
+            return poses.T, poses, None
+        return invert(start[0].T) @ poses.T, poses, start[0]
+
+    def points(self, theta: Floats) -> Floats:
+        """Tool points in the measurement frame, shape (N, 3)."""
+        q, basis = self._ends[0]
+        return self._term.error.poses(q, self._term.values(theta)[0], basis)[:, :3, 3]
+
+    def errors(self, theta: Floats) -> Floats:
+        """Residuals in their units, predicted minus measured, shape (N, d)."""
+        T, instrument = self.poses(theta), self._term.values(theta)[1]
+        return self._term.measurement.residual(T, instrument, self._data)
+
+    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
+        term, (T, poses, start) = self._term, self.linear_poses(theta)
+        linear = term.measurement.linearize(T, term.values(theta)[1], self._data)
+        r, J_pose, J_instrument = (
+            whitened(values, self._sigma)
+            for values in (linear.residual, linear.J_pose, linear.J_instrument)
+        )
+        J_error = poses.derivative(J_pose)
+        if start is not None:
+            # The twist of T_0^-1 T is that of T without that of T_0, transformed by the
+            # adjoint.
+            J_error -= start.derivative(J_pose @ adjoint(invert(T)))
+        J = np.concatenate([J_error, J_instrument], axis=2)
+        return r.reshape(-1), J.reshape(-1, len(term.index))
+
+    @cached_property
+    def _ends(self) -> list[tuple[Floats, Floats]]:
+        """Configurations, and of relative measurements where they start.
+
+        With the basis functions of joint corrections, which depend on commands alone.
+        """
+        at, basis = self._data, self._term.error.basis
+        ends = [(at.q, basis(at.q, at.conditions))]
+        if at.start.size:
+            ends.append((at.start, basis(at.start, at.conditions.at_start)))
+        return ends
 
 
 class Block(NamedTuple):
@@ -422,17 +404,6 @@ class Terms:
         term = self.terms[at.key]
         T, instrument = term.poses(theta, at), term.values(theta)[1]
         return term.measurement.observable(T, instrument, at.target)
-
-    def jacobian(self, theta: Floats, at: Measurements, sigma: Floats) -> Floats:
-        """Whitened Jacobian of noise-free measurements of a block, shape (N, d, P).
-
-        Args:
-            theta: Parameter values, shape (P,).
-            at: Configurations of one block.
-            sigma: Standard deviations of the residual components, shape (N, d).
-        """
-        term = self.terms[at.key]
-        return self.spread(term, term.jacobian(theta, at, sigma))
 
     def spread(self, term: Term, J: Floats) -> Floats:
         """Columns of the parameters of a term among those of all, (..., p) -> (..., P).

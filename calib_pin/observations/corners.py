@@ -135,13 +135,13 @@ def marker_corners(image: Floats, corners: Floats, cells: int) -> tuple[Floats, 
         for reach in (max(NARROWEST, ACROSS * length / cells), NARROWEST):
             y = np.polyval(edge, x)[:, None] + np.arange(-reach, reach + STEP, STEP)
             at = a + length * x[:, None, None] * along + y[..., None] * normal
-            edge, scatter = _curve(x, _steepest(image, at, y), degree)
+            edge, covariance = _curve(x, _steepest(image, at, y), degree)
         slope = np.polyval(np.polyder(edge), [0.0, 1.0]) / length
         for k in range(2):
             place = a + k * length * along + np.polyval(edge, k) * normal
             across = normal - slope[k] * along
-            variance = scatter * _leverage(float(k), x, degree)
-            ends.append((across, across @ place, variance))
+            powers = float(k) ** np.arange(degree, -1, -1)
+            ends.append((across, across @ place, powers @ covariance @ powers))
     found, sigma = np.empty((4, 2)), np.empty((4, 2))
     for k in range(4):
         # The end of the edge before, and the start of its own.
@@ -164,25 +164,19 @@ def _steepest(image: Floats, at: Floats, y: Floats) -> Floats:
     )
 
 
-def _curve(x: Floats, y: Floats, degree: int) -> tuple[Floats, float]:
-    """A polynomial without what is far off, and the variance about it.
+def _curve(x: Floats, y: Floats, degree: int) -> tuple[Floats, Floats]:
+    """A polynomial without what is far off, and the covariance of its coefficients.
 
     Neighbors see the same pixels: their scatter is that of fewer places.
     """
     kept = np.ones(len(x), bool)
     for _ in range(3):
-        curve = np.polyfit(x[kept], y[kept], degree)
+        curve, inverse = np.polyfit(x[kept], y[kept], degree, cov="unscaled")
         left = np.abs(np.polyval(curve, x) - y)
         kept = left <= max(FAR * float(np.median(left)), 1e-3)
     r = y[kept] - np.polyval(curve, x[kept])
-    return curve, ALIKE * float(r @ r) / max(int(kept.sum()) - degree - 1, 1)
-
-
-def _leverage(place: float, x: Floats, degree: int) -> float:
-    """Variance of a fitted polynomial at a place, in that of its values."""
-    X = np.vander(x, degree + 1)
-    at = np.vander([place], degree + 1)[0]
-    return float(at @ np.linalg.solve(X.T @ X, at))
+    dof = max(int(kept.sum()) - degree - 1, 1)
+    return curve, ALIKE * float(r @ r) / dof * inverse
 
 
 def sampled(image: Floats, u: Floats, v: Floats) -> Floats:

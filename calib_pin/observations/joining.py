@@ -16,6 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats, from_quaternion, so3_log
@@ -213,7 +214,8 @@ class _Motion:
         self.settle = settle
         width = max(round(settle / self.step), 2)
         allowed = STILL * max(settle / 0.5, 1.0) + NOISES * noise
-        high, low = _extremes(q, width)
+        high = maximum_filter1d(q, width, axis=0, mode="nearest")
+        low = minimum_filter1d(q, width, axis=0, mode="nearest")
         quiet = np.all(high - low <= allowed, axis=1)
         far = np.searchsorted(time, grid)
         before = time[np.maximum(far - 1, 0)]
@@ -351,25 +353,6 @@ class _Motion:
         # Nothing moves it from zero needlessly.
         ahead = 0.0 if low <= 0.0 <= high else 0.5 * (low + high)
         return Clock(ahead, (high - low + COARSE) / np.sqrt(12.0), 0)
-
-
-def _extremes(values: Floats, width: int) -> tuple[Floats, Floats]:
-    """The largest and the least value around every sample, shapes (N, n).
-
-    Args:
-        values: Samples, shape (N, n); those beyond are as the first and the last.
-        width: Number of samples that a window has.
-    """
-    before = width // 2
-    padded = np.pad(values, ((before, width - before - 1), (0, 0)), "edge")
-    high, low, reach = padded, padded, 1
-    while reach < width:
-        # Two overlapping windows make a longer one.
-        step = min(reach, width - reach)
-        high = np.maximum(high[:-step], high[step:])
-        low = np.minimum(low[:-step], low[step:])
-        reach += step
-    return high, low
 
 
 def _correlated(b: Floats, a: Floats) -> Floats:

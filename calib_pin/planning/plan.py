@@ -45,9 +45,6 @@ from calib_pin.validation.result import CoupledGroup, ParameterEstimate, Printed
 CRITERION_NAMES = (*CRITERIA, "prediction")
 """Names of all criteria."""
 
-MORE = 40
-"""Most configurations beyond those wanted that the table looks at."""
-
 RANDOM_SETS = 25
 """Random sets that a plan is compared with."""
 
@@ -314,7 +311,7 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
             break
         steps.insert(0, step())
     subset.reset(list(members))
-    more = min(len(own), len(search.table), MORE)
+    more = min(len(own), len(search.table))
     for k in range(more):
         # Who stops the search does not want to wait for what more would bring.
         if search.told("table", k / more):

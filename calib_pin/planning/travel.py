@@ -23,14 +23,9 @@ from calib_pin.planning.workspace import Workspace
 ROUNDS = 30
 """Times that a path with blocked moves is improved anew."""
 
-ROUNDING = 1e-12
-"""Gain in length below which two paths count as equally long [rad, m]."""
-
-DETOUR = 1e3
-"""Factor by which a blocked move is longer than the longest free one."""
-
 SAME = 1e-9
-"""Relative change of the information of a configuration up to which it is the same."""
+"""Relative change of the information of a configuration, and gain in length of a path
+[rad, m], up to which it is the same."""
 
 
 def visits(
@@ -119,7 +114,7 @@ def shortest_order(
     closed: list[int] = []
     if blocked is not None:
         known: dict[tuple[int, int], bool] = {}
-        long = DETOUR * max(float(way.max()), 1.0)
+        long = len(path) * float(way.max())  # Than any way of free moves.
         latest, closed = path, list(range(len(path)))
         for _ in range(ROUNDS):
             moves = [(min(move), max(move)) for move in pairwise(latest)]
@@ -164,7 +159,7 @@ def _improved(path: list[int], way: Floats, fixed: int) -> list[int]:
             change = closed[before, tour[j]] + closed[first, tour[j + 1]]
             change -= closed[before, first] + closed[tour[j], tour[j + 1]]
             k = int(change.argmin())
-            if change[k] < -ROUNDING:
+            if change[k] < -SAME:
                 tour[i : j[k] + 1] = tour[i : j[k] + 1][::-1].copy()
                 improved = True
     return [int(place) for place in tour[1:-1]]

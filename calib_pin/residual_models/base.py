@@ -16,6 +16,9 @@ from calib_pin.residual_models.shifts import Shifts
 
 Space = Literal["joint", "tip"]
 
+PARTS = 5
+"""Parts of the measurements, of which one is always held out."""
+
 INDEPENDENT = 1e-8
 """Directions of the shift with a smaller part of the largest effect do not move."""
 
@@ -94,28 +97,27 @@ class TrainingRows:
         zero = np.zeros((len(self.q), size)), np.zeros(self.shifts)
         return self.evaluate(space)(*zero)
 
-    def folds(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Part 0 to count - 1 of each row, groups undivided, shape (N,)."""
+    def folds(self, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Part 0 to `PARTS` - 1 of each row, groups undivided, shape (N,)."""
         names, labels = np.unique(self.groups, return_inverse=True)
         part = np.empty(len(names), np.int64)
-        part[rng.permutation(len(names))] = np.arange(len(names)) % count
+        part[rng.permutation(len(names))] = np.arange(len(names)) % PARTS
         return np.asarray(part[labels])
 
-    def require(self, model: str, directions: int, folds: int) -> None:
+    def require(self, model: str, directions: int) -> None:
         """Refuse too few measurements.
 
         Args:
             model: Name of the residual model.
             directions: Least number of directions that a correction describes.
-            folds: Parts of which one is always held out.
 
         Raises:
             InputError: With the number of configurations that are needed.
         """
         found = len(np.unique(self.groups))
-        count = (folds - 1) * self.values
-        enough = -(-(self.shifts + directions) * folds // count)
-        needed = max(4 * folds, enough)
+        count = (PARTS - 1) * self.values
+        enough = -(-(self.shifts + directions) * PARTS // count)
+        needed = max(4 * PARTS, enough)
         if found < needed:
             raise InputError(
                 f"a {model} needs at least {needed} different configurations to learn "

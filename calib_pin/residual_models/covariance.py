@@ -51,9 +51,6 @@ STARTS = {"own": 0.1, "short": 0.1, "all": 0.3, "long": 1.5, "kinds": 0.3, "nois
 QUIETEST = 1e-5
 """Least noise, as a part of the mean square; few measurements look noise-free."""
 
-JITTER = 1e-10
-"""Variance beside the noise that keeps the covariance positive definite."""
-
 STEPS = 40
 """Steps of the search; by then the likelihood hardly changes."""
 
@@ -211,7 +208,7 @@ class Likelihood:
         K = K + covariance.of_residuals(self.angle, self.A)
         for size, each in zip(covariance.kinds, kinds, strict=True):
             K += size * each
-        K[np.diag_indices_from(K)] += covariance.noise + JITTER
+        K[np.diag_indices_from(K)] += covariance.noise
         try:
             L = cholesky(K, lower=True, check_finite=False)
         except LinAlgError:

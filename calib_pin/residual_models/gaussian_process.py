@@ -46,9 +46,6 @@ from calib_pin.residual_models.covariance import (
 from calib_pin.residual_models.documents import Array, restored, written
 from calib_pin.residual_models.region import TrainedRegion
 
-FEWEST = 5
-"""Configurations per joint without which lengths are guesses."""
-
 
 @dataclass(frozen=True)
 class GaussianProcess:
@@ -219,7 +216,7 @@ def fit_gaussian_process(
         InputError: If there are too few measurements.
     """
     options = options or GaussianProcessOptions()
-    rows.require("Gaussian process", 2 * len(rows.revolute), FEWEST)
+    rows.require("Gaussian process", 2 * len(rows.revolute))
     region = TrainedRegion.of(rows.q, rows.revolute, rng)
     rows = rows.some(evenly(len(rows.q), options.largest // rows.values))
     few = rng.permutation(len(rows.q))[: max(options.searched // rows.values, 1)]

@@ -15,6 +15,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     INDEPENDENT,
+    PARTS,
     Space,
     TrainingRows,
     convincing,
@@ -28,9 +29,6 @@ from calib_pin.residual_models.units import Inputs, Weights, combined, series
 
 FAILED = 2.0
 """Multiple of the best member's held-out mean square from which another has failed."""
-
-PARTS = 5
-"""Parts of the measurements; each member holds out another."""
 
 EAGER = 14
 """Steps before noise and decay are estimated."""
@@ -151,13 +149,13 @@ def fit_network(
         InputError: If there are too few measurements.
     """
     options = options or NetworkOptions()
-    rows.require("network", 2 * len(rows.revolute), PARTS)
+    rows.require("network", 2 * len(rows.revolute))
     region = TrainedRegion.of(rows.q, rows.revolute, rng)
     if len(rows.q) > options.largest:
         rows = rows.some(np.sort(rng.permutation(len(rows.q))[: options.largest]))
     inputs = Inputs.of(region.angles(rows.q), len(np.unique(rows.groups)))
     unit = correction_unit(rows.plain("joint"), rows.revolute)
-    part = rows.folds(PARTS, rng)
+    part = rows.folds(rng)
     members = [
         Member(rows, inputs, part != k, unit, options.units, rng)
         for k in range(options.members)

@@ -32,12 +32,14 @@ class GaussNewtonOptions:
             rounding.
         negligible: Part of the squares that a step may fail to gain by rounding.
         patience: Steps that are judged together.
+        promised: Part of the cost that a step must promise: all that rounding leaves.
     """
 
     shortest: float = 1e-12
     short: float = 1e-7
     negligible: float = 1e-10
     patience: int = 8
+    promised: float = 1e-14
 
 
 OPTIONS = GaussNewtonOptions()
@@ -78,7 +80,7 @@ def gauss_newton(
     x0: Floats,
     basis: Floats,
     *,
-    tolerance: float = 1e-14,
+    tolerance: float = OPTIONS.promised,
     rank_tolerance: float = 1e-12,
     worthwhile: float = 0.0,
     max_iterations: int = 100,

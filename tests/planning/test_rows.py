@@ -11,8 +11,12 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import asked, observable_configurations
-from calib_pin.estimation.problem import Problem, sigma_at
+from calib_pin.estimation.nominal import (
+    asked,
+    jacobian_at,
+    observable_configurations,
+)
+from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
@@ -67,9 +71,9 @@ def rows_of_the_problem(of: IdentificationRows, q: Floats, aim: Indices) -> Floa
             seen = look.seen(q[here], aim[here])[0] | (not look.at_once)
             names = [look.names[code] for code in look.targets(aim[here])[0][seen]]
             key, many = look.term.key, np.repeat(q[here], len(names), axis=0)
-            sigma = sigma_at(of.problem, key, len(names))
             at = asked(of.problem, key, many, names)
-            rows.append(of.problem.jacobian(zero, at, sigma).reshape(-1, len(zero)))
+            J = jacobian_at(of.problem, zero, [at])
+            rows.append(J[: len(J) - len(of.problem.further)])
         U = np.concatenate(rows) @ of.basis
         result.append(U.T @ U)
     return np.array(result)

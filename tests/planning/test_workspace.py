@@ -17,8 +17,8 @@ import calib_pin
 from calib_pin.calibration import calibrate
 from calib_pin.errors import InputError, OptionError, RobotError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import asked
-from calib_pin.estimation.problem import Problem, sigma_at
+from calib_pin.estimation.nominal import asked, jacobian_at
+from calib_pin.estimation.problem import Problem
 from calib_pin.io.measurements import encode_configurations, read_held
 from calib_pin.io.table import read_table
 from calib_pin.kinematics.chains import Chains
@@ -288,8 +288,8 @@ def information(plan: Plan, problem: Problem) -> Floats:
             visible = look.seen(q[None], code)[0]
             for k in look.targets(code)[0][visible]:
                 at = asked(problem, look.term.key, q[None], (look.names[k],))
-                sigma = sigma_at(problem, look.term.key, 1)
-                rows.append(problem.jacobian(zero, at, sigma)[0])
+                J = jacobian_at(problem, zero, [at])
+                rows.append(J[: len(J) - len(problem.further)])
     J = np.concatenate(rows) * problem.parameters.scales
     return np.where(problem.parameters.free, J, 0.0)
 

@@ -163,7 +163,7 @@ def test_of_very_many_measurements_some_are_enough(study: Arm) -> None:
 def test_repetitions_stay_together(study: Arm) -> None:
     rows = study().rows(60, NOISE, 0)
     rows = replace(rows, groups=np.arange(60) // 3 * 7)
-    part = rows.folds(5, np.random.default_rng(0))
+    part = rows.folds(np.random.default_rng(0))
     assert all(len(set(part[k : k + 3])) == 1 for k in range(0, 60, 3))
     assert sorted(np.bincount(part)) == [12] * 5
 

@@ -56,9 +56,6 @@ from calib_pin.setup.population import ParameterPrior, PopulationPrior, RobotTyp
 LEAST = 5
 """Robots that a prior is made from at least: with fewer a spread is a guess."""
 
-SMALLEST = 1e-6
-"""Least variance, in squared scales or expected sizes: a spread of a micrometer."""
-
 
 @dataclass(frozen=True)
 class RobotEvidence:
@@ -104,9 +101,9 @@ def prior_of_type(evidences: Sequence[RobotEvidence]) -> PopulationPrior:
     # One spread for all, in their scales, then one for each.
     every = Components(blocks, each / count, each / count)
     together = every.relabeled(np.zeros(count, int))
-    common = estimate_variances(together, np.ones(1), SMALLEST).values * each
+    common = estimate_variances(together, np.ones(1)).values * each
     stated = Components(blocks, STATED * each, STATED * common)
-    found = estimate_variances(stated, common, SMALLEST)
+    found = estimate_variances(stated, common)
     robots = np.maximum(found.redundancies - STATED, 0.0)
     widened = found.values * [_widening(STATED + number) for number in robots]
     covariance = np.diag(widened) + found.covariance
@@ -226,8 +223,7 @@ class Explanation:
         numbers = [(cause.worth, cause.size, cause.most) for cause in acting]
         worth, size, most = np.reshape(numbers, (-1, 3)).T
         components = Components([block], worth, worth * size**2)
-        least = SMALLEST * size**2
-        found = estimate_variances(components, size**2, least, most**2)
+        found = estimate_variances(components, size**2, upper=most**2)
         sizes = dict(zip(names, np.sqrt(found.values).tolist(), strict=True))
         told = dict(zip(names, (found.redundancies - worth).tolist(), strict=True))
         causes = [replace(c, size=sizes.get(c.name, c.size)) for c in self.causes]

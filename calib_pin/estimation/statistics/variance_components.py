@@ -65,6 +65,7 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.identifiability import Directions, half_covariance
 from calib_pin.estimation.problem import (
+    EXACT,
     Problem,
     completed,
     current_units,
@@ -74,14 +75,15 @@ from calib_pin.estimation.problem import (
     representative,
     with_response,
 )
+from calib_pin.estimation.row_blocks import feet
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
     f_tail,
 )
-from calib_pin.estimation.terms import Term, assembled, kept
+from calib_pin.estimation.terms import FRAME, Term, assembled, kept
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import (
     NOTHING,
@@ -101,12 +103,9 @@ REJECTED = 0.05
 """Probability at which a stated standard deviation is rejected by mistake, of those of
 all stations any; part of the errors that are told apart which chance may have made."""
 
-LEAST_DOF = 0.5
-"""Degrees of freedom below which an estimated variance tells nothing."""
-
 FEW = 2.0
-"""Redundancy below which a quantity keeps its given ratio to the others: a variance
-estimated from one value may be anything."""
+"""Redundancy below which a variance may be anything, and a quantity keeps its given
+ratio to the others."""
 
 LEAST = 1e-3
 """Least part of the largest unit weight: an exact quantity leaves the others a say."""
@@ -119,9 +118,8 @@ With as few the evidence of a handful of well determined errors prevails."""
 REPEATED = 4
 """Degrees of freedom from which repetitions tell the pure error, to a factor of two."""
 
-SIGNIFICANT = 5.41
-"""Twice the gain in log-likelihood that an effect must bring: chance brings as much
-once in a hundred (half of it has none at all, Self and Liang 1987)."""
+CHANCE = 0.01
+"""Probability at which chance passes for an effect."""
 
 SPARE = 10
 """Values of distinct configurations that must be left over beside what was fitted."""
@@ -192,24 +190,27 @@ class Groups:
         return estimate_variances(self.components(kinds), start)
 
     def selected(
-        self, kinds: Iterable[str], gain: float, always: Sequence[str] = ()
+        self, kinds: Iterable[str], chance: float, always: Sequence[str] = ()
     ) -> tuple[dict[str, float], Variances]:
         """The kinds of effects that raise the likelihood enough, the best one first.
 
         Args:
             kinds: Kinds to choose from; those without an effect are left out.
-            gain: Twice the logarithm of the likelihood that each must bring.
+            chance: Probability at which chance raises it as much as each must: twice
+                its logarithm by chi-square of one variance, or half of the time by
+                nothing (Self and Liang 1987).
             always: Kinds that act whether they do or not.
 
         Returns:
             The variances of those that are chosen, and the model with them.
         """
         left = [kind for kind in kinds if kind in self.kind_of]
+        gain = 0.5 * chi_square_quantile(1.0, 2.0 * chance)
         chosen, best = [*always], self.estimated(always)
         while left:
             tried = {kind: self.estimated([*chosen, kind]) for kind in left}
             kind = max(tried, key=lambda key: tried[key].likelihood)
-            if tried[kind].likelihood - best.likelihood < 0.5 * gain:
+            if tried[kind].likelihood - best.likelihood < gain:
                 break
             chosen.append(kind)
             left.remove(kind)
@@ -351,7 +352,7 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
         return found, np.sqrt(groups.current)
     tail = 0.5 * REJECTED / stations
     above = [
-        chi_square_tail(v * f, f) if f >= LEAST_DOF else 0.5
+        chi_square_tail(v * f, f) if f >= FEW else 0.5
         for v, f in zip(found.values, found.dof, strict=True)
     ]
     stands = np.abs(np.array(above) - 0.5) <= 0.5 - tail
@@ -370,7 +371,7 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
 
 def _interval(variance: float, dof: float) -> tuple[float, float]:
     """The 95 % interval of a variance by its estimate."""
-    if dof < LEAST_DOF:
+    if dof < FEW:
         return 0.0, np.inf
     tails = 0.5 * REJECTED, 1.0 - 0.5 * REJECTED
     low, high = (variance * dof / chi_square_quantile(dof, tail) for tail in tails)
@@ -541,7 +542,7 @@ class Systematic:
         for k, name in enumerate(there.parameters.names):
             if name in self.names:
                 own = self.names.index(name)
-                result[:, :, own] = J[:, :, k] * self.sizes[own]
+                result[:, :, own] += J[:, :, k] * self.sizes[own]
         return result
 
     def _about(self, term: Term) -> ErrorModel:
@@ -568,7 +569,7 @@ def rows_with_effects(
     """
     fun, jac = sample.linearize_rows(theta)
     measured = fun[: len(effects)]
-    if float(measured @ measured) <= EXACT * measured_count(sample):
+    if float(measured @ measured) <= EXACT**2 * measured_count(sample):
         return None
     X = np.zeros((len(fun), len(kind_of)))
     X[: len(effects)] = effects
@@ -602,7 +603,7 @@ def systematic(
     groups = rows_with_effects(sample, theta, directions.basis, X, effects.kinds)
     if groups is None:
         return None
-    chosen, found = groups.selected(PARAMETERIZATIONS, SIGNIFICANT)
+    chosen, found = groups.selected(PARAMETERIZATIONS, CHANCE)
     if not chosen:
         return None
     noise = found.values[: len(groups.counts)] / groups.current
@@ -678,11 +679,13 @@ def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None
         kinds = {k: c for k, c in kinds.items() if "payloads" not in required_keys([k])}
     errors: dict[str, ErrorModel] = {}
     sizes: dict[str, float] = {}
+    placed: dict[str, Floats] = {}
     for name, chain in ((name, chains[name]) for name in chains.names):
         loaded = [kind for kind in kinds if suits(kind, chain)]
-        errors[name] = ErrorModel.create(
+        error = ErrorModel.create(
             chain, loaded, setup=setup, estimate_base=False, estimate_tool=False
         )
+        errors[name] = _at_feet(error, placed)
         if len(setup.payloads) > 1:
             carried = problem.only.error.payload or next(iter(setup.payloads))
             errors[name] = errors[name].carrying(carried)
@@ -696,6 +699,24 @@ def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None
     if not sizes:
         return None
     return Systematic(errors, tuple(sizes), np.array([*sizes.values()]), np.ones(0))
+
+
+def _at_feet(error: ErrorModel, placed: dict[str, Floats]) -> ErrorModel:
+    """Errors of placements at the places that the axes tell, see `feet`.
+
+    Args:
+        error: The errors of a chain.
+        placed: Twists of those that chains before it have too; its own are added.
+    """
+    places, screws = feet(error.chain), list(error.screws)
+    for k, screw in enumerate(screws):
+        name = screw.parameter.name
+        if name.rsplit(".", 2)[1] == Placement.name:
+            about = np.eye(FRAME)
+            about[:3, 3:] = skew(places[screw.frame - 1])
+            twist = placed.setdefault(name, about @ screw.twist)
+            screws[k] = replace(screw, twist=twist)
+    return replace(error, screws=tuple(screws))
 
 
 Labels = NDArray[np.intp]
@@ -714,9 +735,6 @@ DONE = 1e-6
 
 SMALLEST = 1e-8
 """Least variance, as a part of the one it started with: what is zero stays there."""
-
-EXACT = 1e-12
-"""Least variance at all; a millionth of the standard deviation given is rounding."""
 
 
 @dataclass(frozen=True)
@@ -876,7 +894,7 @@ def estimate_variances(
         upper: Largest ones, shape (K,).
     """
     if lower is None:
-        lower = np.maximum(SMALLEST * start, EXACT)
+        lower = np.maximum(SMALLEST * start, EXACT**2)
     lower, upper = (np.broadcast_to(bound, start.shape) for bound in (lower, upper))
     best = Variances.at(components, start)
     for _ in range(ROUNDS):

@@ -30,8 +30,12 @@ from calib_pin.validation.findings import (
     plausibility,
     readings,
 )
-from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
-from calib_pin.validation.findings.explanations import Explanation, explain, finding
+from calib_pin.validation.findings.alternatives import (
+    Explanation,
+    explain,
+    findings_of,
+)
+from calib_pin.validation.findings.case import CLEARER, DOUBTFUL, Case, Others
 
 _Fault = TypeVar("_Fault")
 _Given = TypeVar("_Given")
@@ -57,10 +61,6 @@ FOLLOW = (
     *((code, "noise") for code in ("known-distance", "computed-values")),
 )
 """Errors and warnings, and findings that follow from them and then are not told."""
-
-CLEARER = 0.8
-"""Part of the errors that a motion of a joint leaves, below which another zero from a
-row on is the cause."""
 
 
 @dataclass(frozen=True)
@@ -123,12 +123,11 @@ def explained(
         raise
     except InputError as error:
 
-        def look(given: Setup) -> Iterator[Finding]:
+        def look(given: Setup) -> tuple[Finding, ...]:
             case = Case.of_none(chains, data, given, others)
-            found = _explanation(case)
-            yield from finding(case, found) if found else ()
+            return findings_of(case, _explanation(case))
 
-        for first in _told(look, setup)[:1] if len(data) else ():
+        for first in (_tried(look, setup) or ())[:1] if len(data) else ():
             said = f"{first.message}; {first.remedy}; otherwise {error.reason}"
             file = error.file or next(iter(data.files.distinct), None) or None
             raise InputError(said, file=file) from error
@@ -137,41 +136,34 @@ def explained(
 
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
-    for kind in (facts.constant_orientation, facts.gauge_readings):
-        if told := _told(kind, case):
-            return told
-    sets = _told(readings.joint_sets, case)
-    if better := [found for found in sets if found.setup]:
-        # What one column lags behind another is no lag of its joint.
-        return (min(better, key=lambda found: _left([found])),)
-    changes, motion = _told(course.changes, case), _motion(case)
-    of_joints = [found for found in changes if "joint" in found.evidence]
-    if motion is not None and not _left(of_joints) < CLEARER * motion.after:
-        # A nominal robot that is read wrong makes plateaus of its own.
-        return tuple(finding(case, motion))
-    in_time = changes or _told(course.drift, case)
-    causes = tuple(found for found in in_time if found.severity == "error")
-    left = _left(causes)
-    # As little may be left if these are corrected as a calibration leaves.
-    enough = DOUBTFUL * expected_size(case.fit.quantity.unit)
-    other = _tried(_explanation, case) if case.doubtful and not left < enough else None
-    # Of the nominal robot more is left than of a fit: the parts are compared, too.
-    if other is not None and (
-        other.after < left or other.after < other.before * _left(causes, part=True)
-    ):
-        return tuple(finding(case, other))
-    return causes or (*in_time, *sets)
+    return _told(facts.constant_orientation, case) or findings_of(case, _cause(case))
 
 
-def _motion(case: Case) -> Explanation | None:
-    """The motion of joints that errors follow, unless parameters explain more."""
+def _cause(case: Case) -> Explanation | None:
+    """The likeliest explanation of the errors that are left.
+
+    Those that hide all others come first; the others compete by what they leave.
+    """
+    for kind in (facts.gauge_readings, readings.joint_sets):
+        if found := _tried(kind, case):
+            return found
+    changes = _tried(course.changes, case)
     motion = _tried(joint_motions.joint_motion, case)
-    if motion is None or not motion.fitted:
+    rehomed = changes if changes and any(f.joint for f in changes.faults) else None
+    if motion and not (rehomed and rehomed.after < CLEARER * motion.after):
         return motion
-    # What bends follows joints as well, and the position of one most of all.
-    _, squares = _tried(lambda case: case.lacking, case) or ((), 1.0)
-    of_motion = np.exp(-motion.ratio / case.fit.left)
-    return None if np.sqrt(squares) < CLEARER * of_motion else motion
+    in_time = changes or _tried(course.drift, case)
+    clear = in_time if in_time and in_time.severity == "error" else None
+    # As little may be left if it is corrected as a calibration leaves.
+    enough = DOUBTFUL * expected_size(case.fit.quantity.unit)
+    if case.doubtful and not (clear and clear.after < enough):
+        other = _tried(_explanation, case)
+        # Of the nominal robot more is left than of a fit: the parts are compared, too.
+        if other and not (
+            clear and clear.after <= other.after and clear.part <= other.part
+        ):
+            return other
+    return in_time
 
 
 def _explanation(case: Case) -> Explanation | None:
@@ -180,7 +172,7 @@ def _explanation(case: Case) -> Explanation | None:
     # A fit that leaves as little needs no further frames.
     if apart is not None and (case.fitted is None or apart.after < case.fit.errors):
         return apart
-    return explain(case, readings.FAMILIES)
+    return explain(case, (joint_motions.large_motions, *readings.FAMILIES))
 
 
 def _tried(look: Callable[[_Given], _Fault | None], given: _Given) -> _Fault | None:
@@ -202,13 +194,3 @@ def _targets(found: Finding) -> set[str]:
     """The targets of a finding; none where it has no such."""
     targets = str(found.evidence.get("target", ""))
     return {*targets.split(", ")} if targets else set()
-
-
-def _left(causes: Iterable[Finding], part: bool = False) -> float:
-    """Errors that are left if these are corrected [unit of the first quantity].
-
-    Or the part of those that are there now.
-    """
-    pairs = [(f.evidence["rms_after"], f.evidence["rms_before"]) for f in causes]
-    found = (float(a) / (float(b) if part else 1.0) for a, b in pairs)
-    return min(found, default=float("inf"))

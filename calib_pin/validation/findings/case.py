@@ -2,7 +2,7 @@
 
 Faults are further columns of the Jacobian of this fit, whose gain is scored to first
 order (`QuickFit.score`) and fitted with the robot (`sized`), or other readings
-of the file, of which such fits are compared (`explanations`).
+of the file, of which such fits are compared (`alternatives`).
 """
 
 from __future__ import annotations

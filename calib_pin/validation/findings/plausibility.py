@@ -21,7 +21,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import enumerated
-from calib_pin.estimation.evidence import Finding, Outlier, VarianceComponent
+from calib_pin.estimation.evidence import Finding, Outlier, Severity, VarianceComponent
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit, robot_rows
 from calib_pin.estimation.formulation import make_problem
@@ -49,6 +49,12 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.setup import ConvertedSetup, PopulationPrior, ReadingSetup, Setup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.alternatives import (
+    FITTED,
+    Alternative,
+    Explanation,
+    findings_of,
+)
 from calib_pin.validation.findings.case import (
     CHANCE,
     IMPLAUSIBLE,
@@ -56,11 +62,9 @@ from calib_pin.validation.findings.case import (
     mean_squares,
     unlikely,
 )
-from calib_pin.validation.findings.explanations import FITTED
 from calib_pin.validation.findings.readings import FACTORS, STRETCH
 from calib_pin.validation.findings.sentences import (
     NAMED,
-    estimating,
     lines_of,
     named,
     shown,
@@ -599,22 +603,29 @@ def _scaled_without(fitted: Fit, distance: int) -> bool:
     return analyze_structure(problem, about, rng)[0].scaled
 
 
-def families(case: Case) -> Iterator[Finding]:
+def families(case: Case) -> tuple[Finding, ...]:
     """The families of parameters that the fit lacks: of gears, of compliance, say."""
-    (names, left), before, quantity = case.lacking, case.fit.errors, case.fit.quantity
+    names, left = case.lacking
     if not names:
-        return
-    after = before * float(np.sqrt(left))
-    sizes = [shown(size, quantity.unit, 3) for size in (before, after)]
+        return ()
     # Placements have the offsets of joints.
     covered = {JointOffset.name} if Placement.name in names else set()
-    kept = [name for name in case.setup.parameters if name not in covered]
-    said = f"{enumerated(names)}, not estimated here, explains most of it: the "
-    said += f"{quantity.name} errors of a fit fall from {sizes[0]} to about {sizes[1]}"
-    numbers = {"families": ", ".join(names), "rms_before": before, "rms_after": after}
-    how = estimating([*kept, *names], "them")
-    info = left >= FITTED**2
-    yield told("model-lacks", said, numbers, *how, "by-joint", info=info)
+    every = [name for name in case.setup.parameters if name not in covered]
+    every += names
+    missing = Alternative(
+        "model-lacks",
+        f"{enumerated(names)}, not estimated here, explains most of it",
+        "the model",
+        stated={"parameters": every},
+        advice=f"estimate them: --parameters {','.join(every)}",
+        figure="by-joint",
+        numbers={"families": ", ".join(names)},
+    )
+    before, part = case.fit.errors, float(np.sqrt(left))
+    stated: Severity = "info" if part >= FITTED else "warning"
+    return findings_of(
+        case, Explanation((missing,), before, part * before, stated=stated)
+    )
 
 
 def population(case: Case) -> Iterator[Finding]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 from calib_pin.estimation.evidence import Finding, Severity
@@ -78,13 +78,6 @@ def named(data: Observations, rows: Sequence[int]) -> str:
     return f"{kind} {listed(places, max(len(rows) - NAMED, 0))}"
 
 
-def estimating(names: Sequence[str], what: str) -> tuple[str, dict[str, Any]]:
-    """The remedy to estimate parameters of some names, and its setup lines."""
-    lines = {"parameters": [*names]}
-    remedy = f"estimate {what}: --parameters {','.join(names)}, or state in the setup "
-    return f"{remedy}file: {written(lines)}", lines
-
-
 def without(
     data: Observations, rows: Sequence[int], advice: str
 ) -> tuple[str, dict[str, Any]]:
@@ -97,10 +90,13 @@ def without(
 
 def merged(readings: Iterable[ReadingSetup]) -> ReadingSetup:
     """Everything that several readings change."""
-    result = ReadingSetup()
-    for reading in readings:
-        result = replace(result, **_changed(reading))
-    return result
+    result = dict[str, Any]()
+    for new in map(_changed, readings):
+        # Lines that differ add up.
+        both = ((k, result[k]) for k in new.keys() & result.keys())
+        more = {k: v + new[k] for k, v in both if isinstance(v, tuple) and v != new[k]}
+        result |= new | more
+    return ReadingSetup(**result)
 
 
 def _changed(section: Section) -> dict[str, Any]:

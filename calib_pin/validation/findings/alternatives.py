@@ -347,11 +347,7 @@ def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
         families: Where explanations come from.
     """
     search = _Search(case, [h for family in families for h in family(case)])
-    found = search.combined() or search.of_one_joint() or search.fitted()
-    if found is None:
-        return None
-    aside = [h for h in found.faults if h.reading.without and not h.gross]
-    return search.of_all(found) if aside else found
+    return search.combined() or search.of_one_joint() or search.fitted()
 
 
 _Tried = tuple[float, tuple[Alternative, ...]]
@@ -438,26 +434,13 @@ class _Search:
             singles = every
         return self._of_fits(singles[0][1], FITTED) if singles else None
 
-    def of_all(self, found: Explanation) -> Explanation:
-        """A reading of all measurements, if one explains as much as leaving some out.
-
-        Of four corners, three keep their joints if the lines are shifted by one.
-        """
-        singles = [] if self.contact else self._singles(thorough=True)
-        limit = CLOSE * self._fitted(found.faults, thorough=True) if singles else 0.0
-        if not singles or singles[0][0] > limit:
-            return found
-        left, faults = singles[0]
-        return self._decided(faults, left, FITTED, fitted=True) or found
-
-    def _singles(self, thorough: bool = False) -> list[_Tried]:
+    def _singles(self) -> list[_Tried]:
         """Errors that fits leave with each fault, the least first.
 
         A robot that is fitted shrinks with its measurements, or turns into another.
         """
         some = [h for h in self.known if not (h.gross or h.chains)]
-        some = [h for h in some if not (thorough and h.reading.without)]
-        found = [(self._fitted((h,), thorough), (h,)) for h in some]
+        found = [(self._fitted((h,)), (h,)) for h in some]
         return sorted(found, key=lambda one: one[0])
 
     def _best(self, every: Sequence[_Tried]) -> Explanation | None:
@@ -587,20 +570,17 @@ class _Search:
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf  # No beam meets its plane, say.
 
-    def _fit(
-        self, faults: Sequence[Alternative], thorough: bool = False
-    ) -> QuickFit | None:
+    def _fit(self, faults: Sequence[Alternative]) -> QuickFit | None:
         """A robot whose errors were fitted in a few steps, if one can be."""
         try:
-            problem = self._problem(faults, self.whole)
-            return QuickFit.of(problem, thorough=thorough)
+            return QuickFit.of(self._problem(faults, self.whole))
         except (CalibPinError, np.linalg.LinAlgError):
             return None
 
-    def _fitted(self, faults: Sequence[Alternative], thorough: bool = False) -> float:
+    def _fitted(self, faults: Sequence[Alternative]) -> float:
         """Error that it leaves, rms in standard deviations."""
         self.tried += 1
-        fit = self._fit(faults, thorough)
+        fit = self._fit(faults)
         if fit is None or not fit.redundant or below_sheet(fit.problem):
             return np.inf
         return fit.rms if np.isfinite(fit.rms) else np.inf

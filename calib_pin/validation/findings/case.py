@@ -261,8 +261,6 @@ class QuickFit:
         cls,
         problem: Problem,
         steps: int = STEPS,
-        *,
-        thorough: bool = False,
         **more: Any,
     ) -> Self:
         """Register the nominal robot, and fit its errors.
@@ -272,14 +270,13 @@ class QuickFit:
         Args:
             problem: The problem.
             steps: Most steps, of which each beyond the first ones must leave less.
-            thorough: See `located`.
             **more: Further attributes.
 
         Raises:
             CalibPinError: If a part of the measurements cannot be registered.
             LinAlgError: If their errors have no derivative where the robot is.
         """
-        problem = located(problem, thorough)
+        problem = located(problem)
         best = trial = cls(problem, np.zeros(len(problem.parameters)), **more)
         for step in range(steps):
             there = stepped(trial)

@@ -51,7 +51,6 @@ from calib_pin.validation.findings.sentences import (
     merged,
     shown,
     told,
-    written,
 )
 
 FITTED = 0.5
@@ -188,8 +187,7 @@ class Alternative:
         stated: Further lines of the setup file.
         gross: Whether the errors are as large as the robot, which the nominal one
             tells; a fit to them says nothing.
-        advice: What to do instead of stating something, or besides where only other
-            faults state something; empty where the setup alone helps.
+        advice: What to do instead of stating something; empty where the setup helps.
         figure: What the figure of residuals that shows it has them over.
         joint: The joint that it concerns alone: what is wrong with one joint may only
             show once all of it is read otherwise.
@@ -304,15 +302,12 @@ class Explanation:
 def findings_of(case: Case, found: Explanation | None) -> tuple[Finding, ...]:
     """The findings of an explanation, one of each fault, and none of none.
 
-    Each has the lines of all, which belong together.
+    Each that states lines has those of all, which belong together.
     """
     if found is None:
         return ()
     lines, quantity = setup_lines(case, found.faults), case.fit.quantity
     scale = merged(fault.reading for fault in found.faults).scale
-    state = f"state in the setup file: {written(lines)}" if lines else ""
-    if [*lines.get("reading", ())] == ["scale"] and not any(case.data.files.distinct):
-        state = f"multiply values by {scale:g}"
     if quantity.unit != "m" or found.fitted:
         scale = 1.0  # Errors of the nominal robot are in the unit of the file.
     before, after = scale * found.before, scale * found.after
@@ -324,10 +319,9 @@ def findings_of(case: Case, found: Explanation | None) -> tuple[Finding, ...]:
         said = f"{fault.words}: with this corrected, the {quantity.name} errors {robot}"
         said += f" {fall} {left}"
         numbers = {**fault.numbers, "rms_before": before, "rms_after": after}
-        # What it states itself is another way than its advice.
-        link = ", or " if setup_lines(case, [fault]) else "; "
-        remedy = link.join(filter(None, (fault.advice, state)))
-        how = remedy, lines, fault.figure
+        # The lines are a way for what states some, be it beside another way.
+        own = setup_lines(case, [fault])
+        how = fault.advice, lines if own else {}, fault.figure
         error, info = severity == "error", severity == "info"
         one = told(fault.code, said, numbers, *how, error=error, info=info)
         result.append(one)

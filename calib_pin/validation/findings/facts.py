@@ -27,6 +27,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.measurement_models.orientations import numbers_of
+from calib_pin.measurement_models.readings import places_of
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import ReadingSetup
@@ -37,7 +38,7 @@ from calib_pin.validation.findings.alternatives import (
 )
 from calib_pin.validation.findings.case import CHANCE, Case
 from calib_pin.validation.findings.readings import offset_by
-from calib_pin.validation.findings.sentences import listed, named, shown, told, without
+from calib_pin.validation.findings.sentences import lines_of, listed, named, shown, told
 
 MORE = f"measure configurations that differ more: {ADDING}"
 _alike = partial(told, remedy=MORE, residuals="by-joint")
@@ -252,8 +253,8 @@ def copies(case: Case) -> Iterator[Finding]:
     said = f"{len(rows)} of {len(data)} measurements are copies of others to the last "
     said += f"digit, which count twice: {named(data, rows)}"
     numbers = {"copies": len(rows), "all": len(data)}
-    remedy = without(data, rows, "leave them out")
-    yield told("copied-measurements", said, numbers, *remedy)
+    lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
+    yield told("copied-measurements", said, numbers, lines=lines)
 
 
 def repetitions(case: Case) -> Iterator[Finding]:
@@ -286,10 +287,7 @@ def _equal(data: Observations) -> list[int]:
     for block, rows in zip(data.blocks, data.slices, strict=True):
         if not block.values.shape[1]:
             continue  # Of contacts the joint positions are what is measured.
-        at = np.flatnonzero(several[rows])
-        _, which = np.unique(block.values[at, 0], return_inverse=True)
-        # Where the first number is there once, the others need not be compared.
-        own = rows.start + at[np.bincount(which)[which] > 1]
+        own = rows.start + np.flatnonzero(several[rows])
         own = own[np.argsort(place[own])]
         there = own - rows.start
         start = block.start if block.start.size else block.q[:, :0]

@@ -61,7 +61,7 @@ from calib_pin.validation.findings.readings import (
     offset_by,
     turned_by_base,
 )
-from calib_pin.validation.findings.sentences import shown, told, written
+from calib_pin.validation.findings.sentences import shown, told
 
 LEFT = 0.42
 """Part of the sum of squares that a small motion leaves at most.
@@ -353,10 +353,8 @@ def approach(case: Case) -> Iterator[Finding]:
     words = "errors depend on the approach direction (backlash): "
     words += enumerated(said) + f" ({BY_ORDER})" * (held.source == "order")
     names, numbers["joints"] = [*case.setup.parameters, "hysteresis"], ", ".join(lost)
-    lines = {"parameters": names}
-    remedy = f"estimate it: --parameters {','.join(names)}, or state in the setup "
-    remedy += f"file: {written(lines)}"
-    yield told("backlash", words, numbers, remedy, lines, "by-joint")
+    how = f"estimate it: --parameters {','.join(names)}", {"parameters": names}
+    yield told("backlash", words, numbers, *how, "by-joint")
 
 
 def lost_motions(case: Case) -> dict[str, tuple[float, float]]:
@@ -470,7 +468,7 @@ def ripples(case: Case) -> Iterator[Finding]:
     every = {**case.setup.gear_ratios, **ratios}
     lines = {"parameters": [*names], "gear_ratios": every}
     remedy = "look up the gear ratios (a strain-wave gear ripples twice per turn of "
-    remedy += f"its motor) and estimate the waves: {written(lines)}"
+    remedy += "its motor)"
     said = f"joints ripple as gears do: {', '.join(words)}"
     yield told("gear-ripple", said, {**numbers, "left": left}, remedy, lines, info=True)
 

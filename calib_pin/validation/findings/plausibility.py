@@ -69,8 +69,6 @@ from calib_pin.validation.findings.sentences import (
     named,
     shown,
     told,
-    without,
-    written,
 )
 from calib_pin.validation.tip_drift import tip_drift
 
@@ -78,9 +76,8 @@ FULL, CONFIGURATIONS = 0.9, 6
 """Part of a stretch of the files, and configurations, from which outliers are one that
 was measured with something else."""
 
-FITS, LISTED = 4.0, 200
-"""Errors, by those of the others, with which a measurement fits in another unit, and
-length of the lines that a remedy writes out; all stand in the finding."""
+FITS = 4.0
+"""Errors, by those of the others, with which a measurement fits in another unit."""
 
 FACTOR = 2.0
 """Estimated by stated standard deviation, or the inverse, from which it is told."""
@@ -146,10 +143,8 @@ def outliers(case: Case) -> Iterator[Finding]:
         said += f", and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
         said += f" fit if exchanged, and were excluded{keeping}"
         lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
-        remedy = "exchange their joint positions ('reading: exchanged' in the setup)"
-        remedy = "" if len(pairs) <= NAMED else remedy
         numbers |= {"pairs": len(pairs)}
-        yield told("measurements-exchanged", said, numbers, remedy, lines, "over-order")
+        yield told("measurements-exchanged", said, numbers, "", lines, "over-order")
     alone = [o for o in out if not any(o.row in pair for pair in pairs)]
     if not alone:
         return
@@ -175,7 +170,8 @@ def _aside(
     """The finding of measurements, in the order of the files, to leave out."""
     said = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{why}"
     numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
-    remedy, lines = without(data, rows, "measure them again, or leave them out")
+    lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
+    remedy = "measure them again"
     return told(code, said, numbers, remedy, lines, "over-order", **severity)
 
 
@@ -249,9 +245,7 @@ def units_of_some(case: Case) -> Iterator[Finding]:
     said += f"line {places[0]}, fit if their lengths are {FACTORS[factor]}"
     numbers = {"factor": factor, "measurements": len(rows), "first": places[0]}
     numbers |= {"log_likelihood_ratio": ratio}
-    long = len(written(lines)) >= LISTED
-    remedy = "state the lines of this finding in the setup file" if long else ""
-    yield told("unit-of-some", said, numbers, remedy, lines)
+    yield told("unit-of-some", said, numbers, lines=lines)
 
 
 def noise(case: Case) -> Iterator[Finding]:

@@ -232,10 +232,14 @@ def _shifted(number: int, of: str = "line") -> Alternative:
 def units(case: Case) -> Iterator[Alternative]:
     """Other units of all measured lengths."""
     blocks = [b for b in case.data.blocks if not declared(b.model).contact]
+    filed = any(case.data.files.distinct)
     if any(measured_lengths(block).any() for block in blocks):
         for factor, words in FACTORS.items():
             said, read = f"the measured lengths are {words}", ReadingSetup(scale=factor)
-            yield Alternative("unit", said, "unit of lengths", read, gross=True)
+            unit = Alternative("unit", said, "unit of lengths", read, gross=True)
+            # Arrays are multiplied more easily than read otherwise.
+            advice = "" if filed else f"multiply values by {factor:g}"
+            yield replace(unit, advice=advice)
 
 
 def axes(case: Case) -> Iterator[Alternative]:

@@ -1,10 +1,10 @@
-"""Faults of the data: each an alternative with a gain against chance, and a remedy.
+"""Faults of the data: what may be wrong with them, which of it is, and what follows.
 
-A kind is one function, and one entry in the list at the end of its file. Explanations
-say how measurements could be read otherwise; they are tried, alone and together, where
-errors are left that no robot explains (`explanations.explain`). Faults that hide in a
-fit that looks good are sought in every fit, by a few further columns of its Jacobian
-(`QuickFit.score`) or in the measurements themselves.
+What makes errors that no robot explains are rows of one table (`alternatives`), which
+compete by what they leave (`_cause`). Faults that hide in a fit that looks good are
+sought in every fit, by a few further columns of its Jacobian (`QuickFit.score`) or in
+the measurements themselves: a kind is one function, and one entry in the list at the
+end of its file.
 """
 
 from __future__ import annotations
@@ -49,18 +49,17 @@ CONSEQUENCES: tuple[Kind, ...] = plausibility.KINDS + joint_motions.KINDS
 SHOWN: tuple[Kind, ...] = (*facts.KINDS, joint_motions.approach_order, *course.MODELED)
 """Faults in every fit that the measurements show whatever else is wrong."""
 
-FOLLOW = (
-    ("joint-offset", "large-correction"),  # The origin has taken it over.
-    ("joint-columns", "backlash"),  # Commanded positions are off by the side.
-    ("lag", "backlash"),  # So are those that were read too early.
-    ("model-lacks", "gear-ripple"),  # Large errors of gears alias to ripples.
-    ("computed-values", "coarse-steps"),
+FOLLOW = {
+    "large-correction": {"joint-offset"},  # The origin has taken it over.
+    # Commanded positions are off by the side, and those that were read too early.
+    "backlash": {"joint-columns", "lag"},
+    "gear-ripple": {"model-lacks"},  # Large errors of gears alias to ripples.
+    "coarse-steps": {"computed-values"},
     # What no parameter describes leaves more than noise.
-    *((code, "noise") for code in ("model-lacks", "backlash", "lag", "coarse-steps")),
-    *((code, "noise") for code in ("instrument-drift", "robot-drift", "scale")),
-    *((code, "noise") for code in ("known-distance", "computed-values")),
-)
-"""Errors and warnings, and findings that follow from them and then are not told."""
+    "noise": {"model-lacks", "backlash", "lag", "coarse-steps", "instrument-drift"}
+    | {"robot-drift", "scale", "known-distance", "computed-values"},
+}
+"""Findings, and errors and warnings from which they follow and then are not told."""
 
 
 @dataclass(frozen=True)
@@ -91,13 +90,12 @@ def find(case: Case, seek: bool = True) -> Found:
     others = [] if causes else [*sought]
     others += [found for kind in kinds for found in _told(kind, case)]
     told = {found.code for found in others if found.severity != "info"}
-    follow = {code for first, code in FOLLOW if first in told}
-    others = [found for found in others if found.code not in follow]
-    wrong = {f.evidence["between"] for f in others if f.code == "known-distance"}
-    distances = [d.between for d in case.setup.distances]
-    ends = {end for both in distances if " - ".join(both) in wrong for end in both}
+    others = [found for found in others if not told & FOLLOW.get(found.code, set())]
+    wrong = {end for found in others for end in _names(found, "between", " - ")}
     # The measurements of its ends do not fit a wrong distance.
-    others = [f for f in others if not _targets(f) or not _targets(f) <= ends]
+    targets = [_names(found, "target", ", ") for found in others]
+    pairs = zip(others, targets, strict=True)
+    others = [found for found, own in pairs if not own or not own <= wrong]
     return Found(causes, tuple(others))
 
 
@@ -190,7 +188,6 @@ def _told(
     return _tried(lambda given: tuple(kind(given)), given) or ()
 
 
-def _targets(found: Finding) -> set[str]:
-    """The targets of a finding; none where it has no such."""
-    targets = str(found.evidence.get("target", ""))
-    return {*targets.split(", ")} if targets else set()
+def _names(found: Finding, key: str, between: str) -> set[str]:
+    """Names that stand in the evidence of a finding; none where it has no such."""
+    return {*str(found.evidence.get(key, "")).split(between)} - {""}

@@ -63,8 +63,9 @@ from calib_pin.validation.findings.readings import (
 )
 from calib_pin.validation.findings.sentences import shown, told
 
-LEFT = 0.42
-"""Part of the sum of squares that a small motion leaves at most.
+LEFT, BENDS = 0.42, 0.8
+"""Part of the sum of squares that a small motion leaves at most, and part of the errors
+that it leaves below which families of parameters that the fit lacks are the cause.
 
 Gears that err by what no parameter describes have left 0.43 of it, on a path.
 """
@@ -78,11 +79,9 @@ LARGEST = 0.3
 """Largest part that is small; more is another fault, such as a joint that is
 reversed."""
 
-TRIED = 4
-"""Large ones that are fitted: what explains most to first order may not in the end."""
-
-SMALLEST = np.radians(3.0)
-"""Least large offset that is told [rad]; robots have up to half of it."""
+SMALLEST, TRIED = np.radians(3.0), 4
+"""Least large offset that is told [rad]; robots have up to half of it. And how many
+large motions are fitted: what explains most to first order may not in the end."""
 
 ROUND, NEARBY = (45.0, 15.0, 10.0, 5.0, 1.0), 0.6
 """Round angles [deg], and the largest distance from one of them [deg], three times a
@@ -91,10 +90,6 @@ usual error of a robot."""
 BACKLASH = 3e-3
 """Most lost motion that joints of arms have [rad]. Joints that were read as little
 before they arrived err by the side from which they come, as those that lose motion."""
-
-BENDS = 0.8
-"""Part of the errors that a motion leaves, below which families of parameters that the
-fit lacks are the cause."""
 
 REST = "measure again at rest: the joints must stand still when they are read"
 

@@ -72,12 +72,10 @@ from calib_pin.validation.findings.sentences import (
 )
 from calib_pin.validation.tip_drift import tip_drift
 
-FULL, CONFIGURATIONS = 0.9, 6
+FULL, CONFIGURATIONS, FITS = 0.9, 6, 4.0
 """Part of a stretch of the files, and configurations, from which outliers are one that
-was measured with something else."""
-
-FITS = 4.0
-"""Errors, by those of the others, with which a measurement fits in another unit."""
+was measured with something else; and errors, by those of the others, with which a
+measurement fits in another unit."""
 
 FACTOR = 2.0
 """Estimated by stated standard deviation, or the inverse, from which it is told."""

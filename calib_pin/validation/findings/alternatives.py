@@ -279,14 +279,14 @@ class Explanation:
             infinite where the robot cannot be located.
         after: Errors if they are read so.
         fitted: Whether both are errors of a fit, or of the nominal robot.
-        stated: How much it matters; None for an error where far less is left.
+        judged: How much it matters, where that does not follow from what is left.
     """
 
     faults: tuple[Alternative, ...]
     before: float
     after: float
     fitted: bool = True
-    stated: Severity | None = None
+    judged: Severity | None = None
 
     @property
     def part(self) -> float:
@@ -295,8 +295,8 @@ class Explanation:
 
     @property
     def severity(self) -> Severity:
-        """Whether it takes the trust."""
-        return self.stated or ("error" if self.part < FITTED else "warning")
+        """Whether it takes the trust: far less must be left."""
+        return self.judged or ("error" if self.part < FITTED else "warning")
 
 
 def findings_of(case: Case, found: Explanation | None) -> tuple[Finding, ...]:
@@ -504,9 +504,9 @@ class _Search:
         known = case.fitted is not None and case.errors_left <= DOUBTFUL
         # A fit finds the same errors of the robot without it.
         offset = known and all(fault.code == "joint-offset" for fault in faults)
-        stated: Severity | None = "warning" if offset else None
+        judged: Severity | None = "warning" if offset else None
         sizes = self.unit * before, self.unit * after
-        return Explanation(faults, *sizes, fitted, stated)
+        return Explanation(faults, *sizes, fitted, judged)
 
     def _calmer(self, faults: Sequence[Alternative], after: float) -> bool:
         """Whether a robot need no longer be corrected as much, if numbers are fitted.

@@ -646,10 +646,10 @@ class Case:
         add to the Jacobian; placements where only joint offsets were estimated.
         """
         fit, names = self.fit, self.setup.parameters
-        if self.fitted is None or not names or fit.rms <= EXACT:
+        # No gear and no link is farther off.
+        possible = self.fitted is not None and self.errors_left <= FOREIGN
+        if not (possible and names and fit.rms > EXACT):
             return (), 1.0
-        if not self.errors_left <= FOREIGN:
-            return (), 1.0  # No gear and no link is so far off.
         others = [
             n for n, f in PARAMETERIZATIONS.items() if f.effects and n not in names
         ]

@@ -460,7 +460,7 @@ def changes(case: Case) -> Explanation | None:
     # It may be a row that was not looked at.
     rows = [(last.place(k, data, rank), k) for k in range(len(every))]
     faults = tuple(_change(case, last, k, at, rank) for at, k in sorted(rows))
-    return Explanation(faults, first.errors, last.errors, stated="error")
+    return Explanation(faults, first.errors, last.errors, judged="error")
 
 
 def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alternative:
@@ -532,7 +532,7 @@ def _another(case: Case, fit: Trial | None) -> Explanation | None:
     found = Alternative("outlying-stretch", f"{said}another robot", "robot")
     found = replace(found, advice="calibrate the two parts apart", figure="over-order")
     found = replace(found, numbers=numbers)
-    return Explanation((found,), fit.errors, after, stated="error")
+    return Explanation((found,), fit.errors, after, judged="error")
 
 
 def _sides(mine: Booleans, rank: Indices, at: int) -> Indices:
@@ -592,8 +592,8 @@ def drift(case: Case) -> Explanation | None:
         return None
     caused = before * np.sqrt(max(1.0 - part**2, 0.0))
     large = caused > LARGE * expected_size(fit.quantity.unit)
-    stated: Severity | None = None if large else "warning"
-    return Explanation((drifts,), before, part * before, stated=stated)
+    judged: Severity | None = None if large else "warning"
+    return Explanation((drifts,), before, part * before, judged=judged)
 
 
 def _as_stated(case: Case, fit: QuickFit) -> bool:

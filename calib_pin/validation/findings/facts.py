@@ -211,7 +211,7 @@ def gauge_readings(case: Case) -> Explanation | None:
         numbers={"left": score.left, "chance": score.chance, **factors},
     )
     after = fit.errors * float(np.sqrt(score.left))
-    return Explanation((opposite,), fit.errors, after, stated="error")
+    return Explanation((opposite,), fit.errors, after, judged="error")
 
 
 def computed_values(case: Case) -> Iterator[Finding]:

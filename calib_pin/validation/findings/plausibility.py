@@ -614,9 +614,9 @@ def families(case: Case) -> tuple[Finding, ...]:
         numbers={"families": ", ".join(names)},
     )
     before, part = case.fit.errors, float(np.sqrt(left))
-    stated: Severity = "info" if part >= FITTED else "warning"
+    judged: Severity = "info" if part >= FITTED else "warning"
     return findings_of(
-        case, Explanation((missing,), before, part * before, stated=stated)
+        case, Explanation((missing,), before, part * before, judged=judged)
     )
 
 

@@ -9,7 +9,7 @@ end of its file.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
@@ -32,6 +32,7 @@ from calib_pin.validation.findings import (
 )
 from calib_pin.validation.findings.alternatives import (
     Explanation,
+    Family,
     explain,
     findings_of,
 )
@@ -123,7 +124,7 @@ def explained(
 
         def look(given: Setup) -> tuple[Finding, ...]:
             case = Case.of_none(chains, data, given, others)
-            return findings_of(case, _explanation(case))
+            return findings_of(case, _explanation(case, readings.FAMILIES))
 
         for first in (_tried(look, setup) or ())[:1] if len(data) else ():
             said = f"{first.message}; {first.remedy}; otherwise {error.reason}"
@@ -155,7 +156,8 @@ def _cause(case: Case) -> Explanation | None:
     # As little may be left if it is corrected as a calibration leaves.
     enough = DOUBTFUL * expected_size(case.fit.quantity.unit)
     if case.doubtful and not (clear and clear.after < enough):
-        other = _tried(_explanation, case)
+        families = (joint_motions.large_motions, *readings.FAMILIES)
+        other = _tried(lambda case: _explanation(case, families), case)
         # Of the nominal robot more is left than of a fit: the parts are compared, too.
         if other and not (
             clear and clear.after <= other.after and clear.part <= other.part
@@ -164,13 +166,13 @@ def _cause(case: Case) -> Explanation | None:
     return in_time
 
 
-def _explanation(case: Case) -> Explanation | None:
+def _explanation(case: Case, families: Sequence[Family]) -> Explanation | None:
     """The likeliest one; boards apart cost few trials, and hide all others."""
     apart = explain(case, (readings.target_frames,))
     # A fit that leaves as little needs no further frames.
     if apart is not None and (case.fitted is None or apart.after < case.fit.errors):
         return apart
-    return explain(case, (joint_motions.large_motions, *readings.FAMILIES))
+    return explain(case, families)
 
 
 def _tried(look: Callable[[_Given], _Fault | None], given: _Given) -> _Fault | None:

@@ -27,9 +27,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.errors import CalibPinError, enumerated
 from calib_pin.estimation.evidence import Finding
@@ -523,6 +524,10 @@ def _chance(fit: QuickFit, left: float) -> float:
     return float(left ** (0.5 * fit.left * len(fit.problem.data) / max(rows, 1)))
 
 
+Waves: TypeAlias = NDArray[np.complex128]
+"""Waves at positions, `exp(i f q)`."""
+
+
 def periodogram(
     q: Floats, motion: Floats, residual: Floats, frequencies: Floats
 ) -> Floats:
@@ -539,11 +544,20 @@ def periodogram(
     """
     # All values of a configuration share its waves.
     q, configuration = np.unique(q, return_inverse=True)
-    waves = np.exp(1j * np.outer(frequencies, q))
-    first = waves @ np.bincount(configuration, motion * residual)
+    # A frequency is a coarse and a fine part, whose exponentials meet in one product.
+    fine = max(int(np.sqrt(len(frequencies))), 1)
+    coarse, small = frequencies[::fine], frequencies[:fine] - frequencies[0]
+    waves = np.exp(1j * np.outer(coarse, q)), np.exp(1j * np.outer(q, small))
+
+    def sums(weight: Floats, left: Waves, right: Waves) -> tuple[Floats, Floats]:
+        """Sums of `weight exp(i f q)` over positions, by the parts of its waves."""
+        weighted = left * np.bincount(configuration, weight)
+        of_each = (weighted @ right).ravel()[: len(frequencies)]
+        return of_each.real, of_each.imag
+
+    c, s = sums(motion * residual, *waves)
     # The square of a wave has twice the frequency.
-    second = waves**2 @ np.bincount(configuration, 0.5 * motion**2)
-    c, s, double, cs = first.real, first.imag, second.real, second.imag
+    double, cs = sums(0.5 * motion**2, *(wave**2 for wave in waves))
     total = float(motion @ motion)
     cc, ss = 0.5 * total + double, 0.5 * total - double
     determinant = np.maximum(cc * ss - cs**2, 1e-12 * total**2)

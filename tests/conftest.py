@@ -153,7 +153,7 @@ def unregistered(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def unsought(monkeypatch: pytest.MonkeyPatch) -> None:
     """No explanation is looked for, which takes the longest: none would be found."""
-    monkeypatch.setattr("calib_pin.validation.findings._explanation", lambda case: None)
+    monkeypatch.setattr("calib_pin.validation.findings._explanation", lambda *_: None)
 
 
 @pytest.fixture

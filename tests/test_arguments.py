@@ -179,7 +179,7 @@ def test_clear_arguments_are_taken() -> None:
 def test_arrays_in_mm_are_told_what_to_do() -> None:
     k = known()
     found = of(k, values=1e3 * k.y)
-    assert found.reason.endswith("; multiply values by 0.001")
+    assert "; multiply values by 0.001, or state in the setup" in found.reason
     (after,) = (f.evidence["rms_after"] for f in found.findings if f.code == "unit")
     assert f"{1e3 * float(after):.3g} mm" in found.reason and float(after) < 0.1
 

@@ -135,7 +135,6 @@ def below(text: str, found: Iterable[Finding]) -> str:
             text = text.replace(
                 f"state {lines}", "add the lines below to the setup file"
             )
-            text = text.replace(f"({lines})", "(the lines below)")
     return text
 
 

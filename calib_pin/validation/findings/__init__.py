@@ -1,15 +1,15 @@
-"""Faults of the data: each an alternative with a gain against chance, and a remedy.
+"""Faults of the data: what may be wrong with them, which of it is, and what follows.
 
-A kind is one function, and one entry in the list at the end of its file. Explanations
-say how measurements could be read otherwise; they are tried, alone and together, where
-errors are left that no robot explains (`explanations.explain`). Faults that hide in a
-fit that looks good are sought in every fit, by a few further columns of its Jacobian
-(`QuickFit.score`) or in the measurements themselves.
+What makes errors that no robot explains are rows of one table (`alternatives`), which
+compete by what they leave (`_cause`). Faults that hide in a fit that looks good are
+sought in every fit, by a few further columns of its Jacobian (`QuickFit.score`) or in
+the measurements themselves: a kind is one function, and one entry in the list at the
+end of its file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
@@ -30,8 +30,19 @@ from calib_pin.validation.findings import (
     plausibility,
     readings,
 )
-from calib_pin.validation.findings.case import DOUBTFUL, FOREIGN, Case, Others
-from calib_pin.validation.findings.explanations import Explanation, explain, finding
+from calib_pin.validation.findings.alternatives import (
+    Explanation,
+    Family,
+    explain,
+    findings_of,
+)
+from calib_pin.validation.findings.case import (
+    CLEARER,
+    DOUBTFUL,
+    FOREIGN,
+    Case,
+    Others,
+)
 
 _Fault = TypeVar("_Fault")
 _Given = TypeVar("_Given")
@@ -45,22 +56,17 @@ CONSEQUENCES: tuple[Kind, ...] = plausibility.KINDS + joint_motions.KINDS
 SHOWN: tuple[Kind, ...] = (*facts.KINDS, joint_motions.approach_order, *course.MODELED)
 """Faults in every fit that the measurements show whatever else is wrong."""
 
-FOLLOW = (
-    ("joint-offset", "large-correction"),  # The origin has taken it over.
-    ("joint-columns", "backlash"),  # Commanded positions are off by the side.
-    ("lag", "backlash"),  # So are those that were read too early.
-    ("model-lacks", "gear-ripple"),  # Large errors of gears alias to ripples.
-    ("computed-values", "coarse-steps"),
+FOLLOW = {
+    "large-correction": {"joint-offset"},  # The origin has taken it over.
+    # Commanded positions are off by the side, and those that were read too early.
+    "backlash": {"joint-columns", "lag"},
+    "gear-ripple": {"model-lacks"},  # Large errors of gears alias to ripples.
+    "coarse-steps": {"computed-values"},
     # What no parameter describes leaves more than noise.
-    *((code, "noise") for code in ("model-lacks", "backlash", "lag", "coarse-steps")),
-    *((code, "noise") for code in ("instrument-drift", "robot-drift", "scale")),
-    *((code, "noise") for code in ("known-distance", "computed-values")),
-)
-"""Errors and warnings, and findings that follow from them and then are not told."""
-
-CLEARER = 0.8
-"""Part of the errors that a motion of a joint leaves, below which another zero from a
-row on is the cause."""
+    "noise": {"model-lacks", "backlash", "lag", "coarse-steps", "instrument-drift"}
+    | {"robot-drift", "scale", "known-distance", "computed-values"},
+}
+"""Findings, and errors and warnings from which they follow and then are not told."""
 
 
 @dataclass(frozen=True)
@@ -94,13 +100,12 @@ def find(case: Case, seek: bool = True) -> Found:
     others = [] if causes else [*sought]
     others += [found for kind in kinds for found in _told(kind, case)]
     told = {found.code for found in others if found.severity != "info"}
-    follow = {code for first, code in FOLLOW if first in told}
-    others = [found for found in others if found.code not in follow]
-    wrong = {f.evidence["between"] for f in others if f.code == "known-distance"}
-    distances = [d.between for d in case.setup.distances]
-    ends = {end for both in distances if " - ".join(both) in wrong for end in both}
+    others = [found for found in others if not told & FOLLOW.get(found.code, set())]
+    wrong = {end for found in others for end in _names(found, "between", " - ")}
     # The measurements of its ends do not fit a wrong distance.
-    others = [f for f in others if not _targets(f) or not _targets(f) <= ends]
+    targets = [_names(found, "target", ", ") for found in others]
+    pairs = zip(others, targets, strict=True)
+    others = [found for found, own in pairs if not own or not own <= wrong]
     return Found(causes, tuple(others))
 
 
@@ -126,12 +131,11 @@ def explained(
         raise
     except InputError as error:
 
-        def look(given: Setup) -> Iterator[Finding]:
+        def look(given: Setup) -> tuple[Finding, ...]:
             case = Case.of_none(chains, data, given, others)
-            found = _explanation(case)
-            yield from finding(case, found) if found else ()
+            return findings_of(case, _explanation(case, readings.FAMILIES))
 
-        for first in _told(look, setup)[:1] if len(data) else ():
+        for first in (_tried(look, setup) or ())[:1] if len(data) else ():
             said = f"{first.message}; {first.remedy}; otherwise {error.reason}"
             file = error.file or next(iter(data.files.distinct), None) or None
             raise InputError(said, file=file) from error
@@ -140,50 +144,44 @@ def explained(
 
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
-    for kind in (facts.constant_orientation, facts.gauge_readings):
-        if told := _told(kind, case):
-            return told
-    sets = _told(readings.joint_sets, case)
-    if better := [found for found in sets if found.setup]:
-        # What one column lags behind another is no lag of its joint.
-        return (min(better, key=lambda found: _left([found])),)
-    changes, motion = _told(course.changes, case), _motion(case)
-    of_joints = [found for found in changes if "joint" in found.evidence]
-    if motion is not None and not _left(of_joints) < CLEARER * motion.after:
-        # A nominal robot that is read wrong makes plateaus of its own.
-        return tuple(finding(case, motion))
-    in_time = changes or _told(course.drift, case)
-    causes = tuple(found for found in in_time if found.severity == "error")
-    left = _left(causes)
-    # As little may be left if these are corrected as a calibration leaves.
-    enough = DOUBTFUL * expected_size(case.fit.quantity.unit)
-    other = _tried(_explanation, case) if case.doubtful and not left < enough else None
-    # Of the nominal robot more is left than of a fit: the parts are compared, too.
-    if other is not None and (
-        other.after < left or other.after < other.before * _left(causes, part=True)
-    ):
-        return tuple(finding(case, other))
-    return causes or (*in_time, *sets)
+    return _told(facts.constant_orientation, case) or findings_of(case, _cause(case))
 
 
-def _motion(case: Case) -> Explanation | None:
-    """The motion of joints that errors follow, unless parameters explain more."""
+def _cause(case: Case) -> Explanation | None:
+    """The likeliest explanation of the errors that are left.
+
+    Those that hide all others come first; the others compete by what they leave.
+    """
+    for kind in (facts.gauge_readings, readings.joint_sets):
+        if found := _tried(kind, case):
+            return found
+    changes = _tried(course.changes, case)
     motion = _tried(joint_motions.joint_motion, case)
-    if motion is None or not motion.fitted:
+    rehomed = changes if changes and any(f.joint for f in changes.faults) else None
+    if motion and not (rehomed and rehomed.after < CLEARER * motion.after):
         return motion
-    # What bends follows joints as well, and the position of one most of all.
-    _, squares = _tried(lambda case: case.lacking, case) or ((), 1.0)
-    of_motion = np.exp(-motion.ratio / case.fit.left)
-    return None if np.sqrt(squares) < CLEARER * of_motion else motion
+    in_time = changes or _tried(course.drift, case)
+    clear = in_time if in_time and in_time.severity == "error" else None
+    # As little may be left if it is corrected as a calibration leaves.
+    enough = DOUBTFUL * expected_size(case.fit.quantity.unit)
+    if case.doubtful and not (clear and clear.after < enough):
+        families = (joint_motions.large_motions, *readings.FAMILIES)
+        other = _tried(lambda case: _explanation(case, families), case)
+        # Of the nominal robot more is left than of a fit: the parts are compared, too.
+        if other and not (
+            clear and clear.after <= other.after and clear.part <= other.part
+        ):
+            return other
+    return in_time
 
 
-def _explanation(case: Case) -> Explanation | None:
+def _explanation(case: Case, families: Sequence[Family]) -> Explanation | None:
     """The likeliest one; boards apart cost few trials, and hide all others."""
     apart = explain(case, (readings.target_frames,))
     # A fit that leaves as little needs no further frames.
     if apart is not None and (case.fitted is None or apart.after < case.fit.errors):
         return apart
-    return explain(case, readings.FAMILIES)
+    return explain(case, families)
 
 
 def _tried(look: Callable[[_Given], _Fault | None], given: _Given) -> _Fault | None:
@@ -201,17 +199,6 @@ def _told(
     return _tried(lambda given: tuple(kind(given)), given) or ()
 
 
-def _targets(found: Finding) -> set[str]:
-    """The targets of a finding; none where it has no such."""
-    targets = str(found.evidence.get("target", ""))
-    return {*targets.split(", ")} if targets else set()
-
-
-def _left(causes: Iterable[Finding], part: bool = False) -> float:
-    """Errors that are left if these are corrected [unit of the first quantity].
-
-    Or the part of those that are there now.
-    """
-    pairs = [(f.evidence["rms_after"], f.evidence["rms_before"]) for f in causes]
-    found = (float(a) / (float(b) if part else 1.0) for a, b in pairs)
-    return min(found, default=float("inf"))
+def _names(found: Finding, key: str, between: str) -> set[str]:
+    """Names that stand in the evidence of a finding; none where it has no such."""
+    return {*str(found.evidence.get(key, "")).split(between)} - {""}

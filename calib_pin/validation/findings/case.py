@@ -2,7 +2,7 @@
 
 Faults are further columns of the Jacobian of this fit, whose gain is scored to first
 order (`QuickFit.score`) and fitted with the robot (`sized`), or other readings
-of the file, of which such fits are compared (`explanations`).
+of the file, of which such fits are compared (`alternatives`).
 """
 
 from __future__ import annotations
@@ -261,7 +261,6 @@ class QuickFit:
         cls,
         problem: Problem,
         steps: int = STEPS,
-        *,
         thorough: bool = False,
         **more: Any,
     ) -> Self:
@@ -272,7 +271,7 @@ class QuickFit:
         Args:
             problem: The problem.
             steps: Most steps, of which each beyond the first ones must leave less.
-            thorough: See `located`.
+            thorough: Whether frames and instruments are located as in `located`.
             **more: Further attributes.
 
         Raises:
@@ -649,10 +648,10 @@ class Case:
         add to the Jacobian; placements where only joint offsets were estimated.
         """
         fit, names = self.fit, self.setup.parameters
-        if self.fitted is None or not names or fit.rms <= EXACT:
+        # No gear and no link is farther off.
+        possible = self.fitted is not None and self.errors_left <= FOREIGN
+        if not (possible and names and fit.rms > EXACT):
             return (), 1.0
-        if not self.errors_left <= FOREIGN:
-            return (), 1.0  # No gear and no link is so far off.
         others = [
             n for n, f in PARAMETERIZATIONS.items() if f.effects and n not in names
         ]

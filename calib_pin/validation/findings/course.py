@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
-from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.evidence import Finding, Severity
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import column_space
 from calib_pin.estimation.problem import EXACT, Problem, current_units
@@ -44,6 +44,7 @@ from calib_pin.parameterizations.base import COMPONENTS, expected_size
 from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.setup import AXES, ReadingSetup
+from calib_pin.validation.findings.alternatives import Alternative, Explanation
 from calib_pin.validation.findings.case import (
     CHANCE,
     SOME,
@@ -56,8 +57,7 @@ from calib_pin.validation.findings.case import (
     surpasses,
     unlikely,
 )
-from calib_pin.validation.findings.explanations import FITTED
-from calib_pin.validation.findings.sentences import lines_of, shown, told, written
+from calib_pin.validation.findings.sentences import shown, told, written
 
 Kind = Literal["station", "tool", "joint"]
 
@@ -441,7 +441,7 @@ def divisible(labels: Indices) -> Booleans:
     return np.asarray(np.minimum(before, behind) >= CONFIGURATIONS)
 
 
-def changes(case: Case) -> Iterator[Finding]:
+def changes(case: Case) -> Explanation | None:
     """Frames and joint zeros that changed at a row, in their order, or all at once."""
     seen = _unchanged(case)
     found = changes_of(case, seen)
@@ -449,58 +449,72 @@ def changes(case: Case) -> Iterator[Finding]:
     # Who moves an instrument homes no joint, and mounts no tool.
     at_once = len({c.rank for c in every}) == 1 < len({c.kind for c in every})
     sought = at_once or (case.doubtful and not found)
-    another = [*_another(case, seen)] if sought else []
-    yield from another
+    if another := _another(case, seen) if sought else None:
+        return another
     # Two or three things change on a bad day; more are what steps make of a drift.
-    if found and not another and len({c.what for c in every}) <= 3:
-        yield from _each(case, *found)
-
-
-def _each(case: Case, first: Trial, last: Trial) -> Iterator[Finding]:
-    """The changes of the last trial in their order, each with the lines of all."""
+    if found is None or len({c.what for c in every}) > 3:
+        return None
+    first, last = found
     data = case.data.weighted(np.ones(len(case.data)))
-    rank, found = np.argsort(data.in_order), []
-    starts: dict[Kind, tuple[str, ...]] = dict.fromkeys(CHANGED, ())
-    for k, change in sorted(enumerate(last.changes), key=lambda one: one[1].rank):
-        at = last.place(k, data, rank)  # It may be one that was not looked at.
-        before, behind = _sides(concerned(data, change), rank, at)
-        found.append((k, change, before, behind))
-        starts[change.kind] += (place_of(data, behind),)
-    reading = lines_of(ReadingSetup(moved=starts["station"], remounted=starts["tool"]))
-    lines = {"reading": reading} if reading else {}
-    more = f", or state in the setup file: {written(lines)}" if lines else ""
-    for k, change, before, behind in found:
-        kind = change.kind
-        if kind == "joint":
-            name = data.joints[change.joint]
-            size = shown(abs(change.size), case.unit(name))
-            numbers: dict[str, Any] = {"joint": name, "offset": change.size}
-            remedy = "measure anew, or calibrate what was measured before and behind "
-            remedy += "apart"
-        else:
-            name = getattr(data.blocks[data.block_of[before]], kind)
-            size, numbers = _frame(last, k)
-            remedy = f"give the two parts different {kind}s (a column '{kind}'"
-            remedy += ", or --station-per-file)" if kind == "station" else ")"
-        file, line = data.files[before], int(data.lines[before] or rank[before] + 1)
-        numbers |= {"file": file, "line": line}
-        numbers |= {"rms_before": first.errors, "rms_after": last.errors}
-        where = f"after {'line' if file else 'measurement'} {place_of(data, before)}"
-        if data.files[behind] != file:
-            where = f"between {file} and {data.files[behind]}"
-        (code, words), owner = CHANGED[kind], " at station" * (kind == "station")
-        said = words.format(f"{owner} '{name}'" if name else "") + f" {where} ({size})"
-        yield told(code, said, numbers, remedy + more, lines, "over-order", error=True)
+    rank = np.argsort(data.in_order)
+    # It may be a row that was not looked at.
+    rows = [(last.place(k, data, rank), k) for k in range(len(every))]
+    faults = tuple(_change(case, last, k, at, rank) for at, k in sorted(rows))
+    return Explanation(faults, first.errors, last.errors, judged="error")
 
 
-def _another(case: Case, fit: Trial | None) -> Iterator[Finding]:
+def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alternative:
+    """A change of a trial, with the row from which on it is there.
+
+    Args:
+        case: The case.
+        trial: The trial of all changes.
+        k: Position of the change among them.
+        at: Place of the first measurement behind it, in the order of the files.
+        rank: Place of every measurement, shape (N,).
+    """
+    data, change = case.data, trial.changes[k]
+    kind, (code, words) = change.kind, CHANGED[change.kind]
+    before, behind = _sides(concerned(data, change), rank, at).tolist()
+    first = (place_of(data, behind),)
+    if kind == "joint":
+        name, reading = data.joints[change.joint], ReadingSetup()
+        size = shown(abs(change.size), case.unit(name))
+        numbers: dict[str, Any] = {"joint": name, "offset": change.size}
+        advice = "measure anew, or calibrate what was measured before and behind apart"
+    else:
+        name = getattr(data.blocks[data.block_of[before]], kind)
+        size, numbers = _frame(trial, k)
+        moved = kind == "station"
+        reading = ReadingSetup(moved=first)
+        reading = reading if moved else ReadingSetup(remounted=first)
+        advice = f"give the two parts different {kind}s (a column '{kind}'"
+        advice += ", or --station-per-file)" if moved else ")"
+    file, line = data.files[before], int(data.lines[before] or rank[before] + 1)
+    where = f"after {'line' if file else 'measurement'} {place_of(data, before)}"
+    if data.files[behind] != file:
+        where = f"between {file} and {data.files[behind]}"
+    owner = " at station" * (kind == "station") + f" '{name}'" if name else ""
+    return Alternative(
+        code,
+        f"{words.format(owner)} {where} ({size})",
+        f"{kind} {name}",
+        reading,
+        advice=advice,
+        figure="over-order",
+        joint=name if kind == "joint" else "",
+        numbers=numbers | {"file": file, "line": line},
+    )
+
+
+def _another(case: Case, fit: Trial | None) -> Explanation | None:
     """Another robot, or whatever else was measured from some row on.
 
     All errors and frames are others there: to first order, each part has a fit of its
     own. Contacts fit to any robot, if it is small enough.
     """
     if fit is None or any(declared(model).contact for model in case.data.models):
-        return
+        return None
     columns = column_space(fit.linear[1][:, fit.problem.parameters.free])
     count, order = columns.shape[1], np.argsort(case.rank)
     dof = fit.left - count
@@ -508,19 +522,17 @@ def _another(case: Case, fit: Trial | None) -> Iterator[Finding]:
     gain = np.where(allowed, fit.gains(columns, order), 0.0)
     best, left = int(np.argmax(gain)), 1.0 - float(gain.max())
     if dof < 1 or by_chance(1.0, left, count, dof) * len(order) > CHANCE:
-        return
-    before, after = fit.errors, fit.errors * float(np.sqrt(left * fit.left / dof))
-    if after > LEFT * before:
-        return
-    data, row, unit = fit.problem.data, int(order[best - 1]), fit.quantity.unit
+        return None
+    after = fit.errors * float(np.sqrt(left * fit.left / dof))
+    if after > LEFT * fit.errors:
+        return None
+    data, row = fit.problem.data, int(order[best - 1])
     said = f"something else was measured after line {place_of(data, row)}, such as "
-    said += f"another robot: the {fit.quantity.name} errors of the two parts, each "
-    said += f"fitted by itself, are {shown(after, unit, 3)} instead of "
-    said += shown(before, unit, 3)
     numbers = {"file": data.files[row], "line": int(data.lines[row]) or best}
-    numbers |= {"rms_before": before, "rms_after": after}
-    remedy = "calibrate the two parts apart"
-    yield told("outlying-stretch", said, numbers, remedy, {}, "over-order", error=True)
+    found = Alternative("outlying-stretch", f"{said}another robot", "robot")
+    found = replace(found, advice="calibrate the two parts apart", figure="over-order")
+    found = replace(found, numbers=numbers)
+    return Explanation((found,), fit.errors, after, judged="error")
 
 
 def _sides(mine: Booleans, rank: Indices, at: int) -> Indices:
@@ -552,11 +564,11 @@ def _frame(trial: Trial, k: int) -> tuple[str, dict[str, Any]]:
     return size, numbers | dict(zip(TRANSFORM, vector, strict=False))
 
 
-def drift(case: Case) -> Iterator[Finding]:
+def drift(case: Case) -> Explanation | None:
     """A drift of the instrument or of the joints, whichever explains more."""
     fit, found = case.fit, []
     if not (case.informed and fit.rms > EXACT):
-        return
+        return None
     time = (case.rank / max(int(case.rank.max()), 1))[fit.problem.layout.row, None]
     for words, columns, names in _drifts(case):
         score, count = fit.score(columns * time), columns.shape[1]
@@ -568,23 +580,20 @@ def drift(case: Case) -> Iterator[Finding]:
         if score.left < at_once:
             # One of more parts takes a part of what a simpler one explains.
             cost = fit.left * np.log(score.left) + count * unlikely()
-            found.append((cost, words, score, columns * time, names))
+            found.append((cost, words(case, score, names), columns * time))
     if not found:
-        return
-    _, words, score, ramp, names = min(found, key=lambda one: one[0])
+        return None
+    _, drifts, ramp = min(found, key=lambda one: one[0])
     first = np.flatnonzero(fit.problem.layout.component == 0)
     without = fit.explaining(ramp)
     left, now = (f.unexplained[1][first] for f in (without, fit))
     before, part = fit.errors, float(np.linalg.norm(left) / np.linalg.norm(now))
     if part > LASTING and not _as_stated(case, without):
-        return
+        return None
     caused = before * np.sqrt(max(1.0 - part**2, 0.0))
-    large = caused > LARGE * expected_size(fit.quantity.unit) and part < FITTED
-    code, said, numbers, remedy, lines = words(case, score, names)
-    said += " from the first measurement to the last: without it "
-    said += f"{100 * part:.0f} % of the errors are left"
-    numbers |= {"rms_before": before, "rms_after": part * before}
-    yield told(code, said, numbers, remedy, lines, "over-order", error=bool(large))
+    large = caused > LARGE * expected_size(fit.quantity.unit)
+    judged: Severity | None = None if large else "warning"
+    return Explanation((drifts,), before, part * before, judged=judged)
 
 
 def _as_stated(case: Case, fit: QuickFit) -> bool:
@@ -597,10 +606,10 @@ def _as_stated(case: Case, fit: QuickFit) -> bool:
     return chi_square_tail(float(r @ r), fit.left) > REJECTED
 
 
-Words = tuple[str, str, dict[str, Any], str, dict[str, Any]]
-"""Code, sentence, numbers, remedy and lines of a drift."""
+Told = Callable[[Case, Score, Sequence[str]], Alternative]
+"""Makes the row of a drift from its score and the names of its columns."""
 
-Told = Callable[[Case, Score, Sequence[str]], Words]
+ALL_ALONG = "from the first measurement to the last"
 
 
 def _drifts(case: Case) -> Iterator[tuple[Told, Floats, Sequence[str]]]:
@@ -624,36 +633,40 @@ def _drifts(case: Case) -> Iterator[tuple[Told, Floats, Sequence[str]]]:
     yield _of_joints, fit.by_joints, joints
 
 
-def _of_instrument(case: Case, score: Score, names: Sequence[str]) -> Words:
+def _of_instrument(case: Case, score: Score, names: Sequence[str]) -> Alternative:
     """A displacement of what is measured can be taken out, one that also turns not."""
-    parameters, kind, remedy = case.setup.parameters, InstrumentDrift.name, PARTS
+    parameters, kind, advice = case.setup.parameters, InstrumentDrift.name, PARTS
     if kind not in parameters:
         lines = written({"parameters": [*parameters, kind]})
-        remedy += f"; or estimate it, with the setup lines {lines}"
+        advice += f"; or estimate it, with the setup lines {lines}"
         if not all(len(block.conditions.time) for block in case.data.blocks):
-            remedy += " and a column 'time' [s]"
-    code, values = "instrument-drift", score.values
-    if names == TRANSFORM:
-        return code, "the instrument drifts against the robot", {}, remedy, {}
-    size = float(np.linalg.norm(values))
-    sigma = float(np.linalg.norm(values / size * score.deviations))
-    numbers = dict(zip(names, values.tolist(), strict=True))
-    numbers |= {"drift": size, "sigma": sigma}
-    reading = {"reading": {"drift": [float(f"{v:.3g}") for v in values]}}
-    said = f"the measured values drift by {_with_sigma(size, sigma, 'm')}"
-    remedy += f"; or state in the setup file: {written(reading)}"
-    return code, said, numbers, remedy, reading
+            advice += " and a column 'time' [s]"
+    said = f"the instrument drifts against the robot {ALL_ALONG}"
+    found = Alternative("instrument-drift", said, "time", advice=advice)
+    if names != TRANSFORM:
+        values = score.values
+        size = float(np.linalg.norm(values))
+        sigma = float(np.linalg.norm(values / size * score.deviations))
+        said = f"the measured values drift by {_with_sigma(size, sigma, 'm')}"
+        # Of distances it is one number.
+        x, y, z = [*(float(f"{v:.3g}") for v in values), 0.0, 0.0][:3]
+        reading = ReadingSetup(drift=(x, y, z))
+        numbers = {**dict(zip(names, values.tolist(), strict=True)), "drift": size}
+        found = replace(found, words=f"{said} {ALL_ALONG}", reading=reading)
+        found = replace(found, numbers=numbers | {"sigma": sigma})
+    return replace(found, figure="over-order")
 
 
-def _of_joints(case: Case, score: Score, names: Sequence[str]) -> Words:
+def _of_joints(case: Case, score: Score, names: Sequence[str]) -> Alternative:
     """Joint positions that drift, as those of a robot that grows warm."""
     worst = int(np.argmax(np.abs(score.values) / score.deviations))
     value, sigma = float(score.values[worst]), float(score.deviations[worst])
-    name, remedy = names[worst], "let the robot warm up before it is measured"
-    said = f"the joint positions drift, most of all '{name}' by "
+    name, advice = names[worst], "let the robot warm up before it is measured"
+    said = f"the joint positions drift {ALL_ALONG}, most of all '{name}' by "
     said += _with_sigma(value, sigma, case.unit(name))
     numbers = {"joint": name, "drift": value, "sigma": sigma}
-    return "robot-drift", said, numbers, remedy, {}
+    found = Alternative("robot-drift", said, "time", advice=advice, numbers=numbers)
+    return replace(found, figure="over-order")
 
 
 def _with_sigma(size: float, sigma: float, unit: str) -> str:

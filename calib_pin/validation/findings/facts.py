@@ -27,12 +27,18 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.measurement_models.orientations import numbers_of
+from calib_pin.measurement_models.readings import places_of
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import expected_size
+from calib_pin.setup import ReadingSetup
+from calib_pin.validation.findings.alternatives import (
+    Alternative,
+    Explanation,
+    setup_lines,
+)
 from calib_pin.validation.findings.case import CHANCE, Case
-from calib_pin.validation.findings.explanations import setup_lines
 from calib_pin.validation.findings.readings import offset_by
-from calib_pin.validation.findings.sentences import listed, named, shown, told, without
+from calib_pin.validation.findings.sentences import lines_of, listed, named, shown, told
 
 MORE = f"measure configurations that differ more: {ADDING}"
 _alike = partial(told, remedy=MORE, residuals="by-joint")
@@ -157,14 +163,14 @@ def constant_orientation(case: Case) -> Iterator[Finding]:
         yield told("constant-orientation", said, numbers, remedy, error=True)
 
 
-def gauge_readings(case: Case) -> Iterator[Finding]:
+def gauge_readings(case: Case) -> Explanation | None:
     """Places whose contacts fit far better with readings of the opposite sign.
 
     A dial gauge is positive where it is pushed in, a deviation is positive away from
     the surface, and planes have normals that point to either side.
     """
     if not case.informed:
-        return
+        return None
     # A place that is wrong as a whole has been set aside.
     data, things = case.fit.problem.data, case.fit.problem.data.things()
     share = np.bincount(things, data.weight > 0.0) / np.bincount(things).clip(1)
@@ -183,20 +189,29 @@ def gauge_readings(case: Case) -> Iterator[Finding]:
             words = name or stated.naming.noun, axis * (len(stated.components) > 1)
             touched[" ".join(words).strip()] = column / problem.sigma
     if not touched:
-        return
+        return None
     score = fit.score(np.column_stack([*touched.values()]))
     factors = dict(zip(touched, 1.0 + score.values, strict=True))
     wrong = [n for n, factor in factors.items() if abs(factor + 1.0) < NEAR]
     if score.chance > CHANCE or not wrong:
-        return
+        return None
     every = len(wrong) == len(factors)
-    said = f"the gauge readings at {enumerated(wrong)} have the opposite sign: they fit"
-    said += f" best times {np.mean([factors[name] for name in wrong]):.2g}"
-    numbers = {"left": score.left, "chance": score.chance, **factors}
-    remedy = "state these planes with normals that point the other way, or exchange "
-    remedy += "'deviation' and 'dial' in the names of their columns"
-    cure = ("", {"reading": {"opposite": True}}) if every else (remedy, {})
-    yield told("gauge-sign", said, numbers, *cure, error=True)
+    best = np.mean([factors[name] for name in wrong])
+    said = (
+        f"the gauge readings at {enumerated(wrong)} have the opposite sign, for they "
+    )
+    advice = "state these planes with normals that point the other way, or exchange "
+    advice += "'deviation' and 'dial' in the names of their columns"
+    opposite = Alternative(
+        "gauge-sign",
+        f"{said}fit best times {best:.2g}",
+        "gauges",
+        ReadingSetup(opposite=every),
+        advice="" if every else advice,
+        numbers={"left": score.left, "chance": score.chance, **factors},
+    )
+    after = fit.errors * float(np.sqrt(score.left))
+    return Explanation((opposite,), fit.errors, after, judged="error")
 
 
 def computed_values(case: Case) -> Iterator[Finding]:
@@ -238,8 +253,8 @@ def copies(case: Case) -> Iterator[Finding]:
     said = f"{len(rows)} of {len(data)} measurements are copies of others to the last "
     said += f"digit, which count twice: {named(data, rows)}"
     numbers = {"copies": len(rows), "all": len(data)}
-    remedy = without(data, rows, "leave them out")
-    yield told("copied-measurements", said, numbers, *remedy)
+    lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
+    yield told("copied-measurements", said, numbers, lines=lines)
 
 
 def repetitions(case: Case) -> Iterator[Finding]:
@@ -272,10 +287,7 @@ def _equal(data: Observations) -> list[int]:
     for block, rows in zip(data.blocks, data.slices, strict=True):
         if not block.values.shape[1]:
             continue  # Of contacts the joint positions are what is measured.
-        at = np.flatnonzero(several[rows])
-        _, which = np.unique(block.values[at, 0], return_inverse=True)
-        # Where the first number is there once, the others need not be compared.
-        own = rows.start + at[np.bincount(which)[which] > 1]
+        own = rows.start + np.flatnonzero(several[rows])
         own = own[np.argsort(place[own])]
         there = own - rows.start
         start = block.start if block.start.size else block.q[:, :0]

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import enumerated
+from calib_pin.errors import CalibPinError, enumerated
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import EXACT
 from calib_pin.estimation.statistics.distributions import f_tail, student_tail
@@ -40,25 +40,21 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import last_motions, with_positions
 from calib_pin.observations import Indices, Observations, Signs
 from calib_pin.parameterizations import needed_conditions
-from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameterizations.transmission import MotorRipple, Transmission
 from calib_pin.setup import ReadingSetup
+from calib_pin.validation.findings.alternatives import (
+    Alternative,
+    Explanation,
+    read_so,
+)
 from calib_pin.validation.findings.case import (
     CHANCE,
-    DOUBTFUL,
     IMPLAUSIBLE,
     Case,
     QuickFit,
     Score,
     sized,
-    stepped,
     unlikely,
-)
-from calib_pin.validation.findings.explanations import (
-    DECISIVE,
-    Explanation,
-    Hypothesis,
-    read_so,
 )
 from calib_pin.validation.findings.readings import (
     coupled,
@@ -66,10 +62,11 @@ from calib_pin.validation.findings.readings import (
     offset_by,
     turned_by_base,
 )
-from calib_pin.validation.findings.sentences import estimating, shown, told, written
+from calib_pin.validation.findings.sentences import shown, told
 
-LEFT = 0.42
-"""Part of the sum of squares that a small motion leaves at most.
+LEFT, BENDS = 0.42, 0.8
+"""Part of the sum of squares that a small motion leaves at most, and part of the errors
+that it leaves below which families of parameters that the fit lacks are the cause.
 
 Gears that err by what no parameter describes have left 0.43 of it, on a path.
 """
@@ -83,12 +80,9 @@ LARGEST = 0.3
 """Largest part that is small; more is another fault, such as a joint that is
 reversed."""
 
-LARGE, TRIED = 10.0, 4
-"""Errors of the nominal robot, in expected sizes, from which large ones are sought, and
-how many are fitted: what explains most to first order may not in the end."""
-
-SMALLEST = np.radians(3.0)
-"""Least large offset that is told [rad]; robots have up to half of it."""
+SMALLEST, TRIED = np.radians(3.0), 4
+"""Least large offset that is told [rad]; robots have up to half of it. And how many
+large motions are fitted: what explains most to first order may not in the end."""
 
 ROUND, NEARBY = (45.0, 15.0, 10.0, 5.0, 1.0), 0.6
 """Round angles [deg], and the largest distance from one of them [deg], three times a
@@ -145,7 +139,7 @@ class Motion(NamedTuple):
     of: str
     joints: tuple[int, ...]
 
-    def hypothesis(self, case: Case, size: float) -> Hypothesis:
+    def alternative(self, case: Case, size: float) -> Alternative:
         """How measurements are to be read with a motion of a size [rad, m, or none]."""
         names, j = case.data.joints, self.joints[0]
         if self.of == "zero":
@@ -158,11 +152,11 @@ class Motion(NamedTuple):
             whose = f"joint '{names[j]}'" if len(self.joints) == 1 else "all joints"
             said = f"errors follow the last motion of {whose}: {100 * size:.2g} % of it"
             parts = ReadingSetup(lag={names[j]: size for j in self.joints})
-            return Hypothesis("lag", said, "lag", parts, figure="over-order")
+            return Alternative("lag", said, "lag", parts, figure="over-order")
         said = "the joints were read as arrived while they still moved: "
         said += "every joint has" if self.of == "early-each" else "the farthest has"
         said += f" {np.degrees(size):.2g} deg to go"
-        lag = Hypothesis("lag", said, "lag", advice=REST, figure="over-order")
+        lag = Alternative("lag", said, "lag", advice=REST, figure="over-order")
         return replace(lag, change=lambda data: _early(data, self, size))
 
 
@@ -255,8 +249,8 @@ class _Motions:
         """The fit with a motion, and its size."""
 
         def read(sizes: Floats) -> Observations:
-            hypothesis = motion.hypothesis(self.case, float(sizes[0]))
-            return read_so(self.case.data, [hypothesis]).rows(self.index)
+            read = motion.alternative(self.case, float(sizes[0]))
+            return read_so(self.case.data, [read]).rows(self.index)
 
         def column(fit: QuickFit) -> Floats:
             return self.column(fit, motion)
@@ -266,20 +260,14 @@ class _Motions:
 
 
 def joint_motion(case: Case) -> Explanation | None:
-    """The motion of joints that errors follow; None where none stands out."""
-    return _small(case) or _large(case)
-
-
-def _small(case: Case) -> Explanation | None:
-    """The one that a fit leaves."""
+    """The small motion that the errors of a fit follow; None where none stands out."""
     fit = case.fit
     motion = _Motions(case, fit).likeliest() if fit.left > 1 else None
     if motion is None:
         return None
     # Noise that came out large for this very fault would hold back the robot's errors.
     first = replace(fit, problem=replace(fit.problem, units=np.zeros(0)))
-    motions = _Motions(case, first)
-    fit, size = motions.fitted(motion)
+    fit, size = _Motions(case, first).fitted(motion)
     small = abs(size) < LARGEST or motion.of.startswith("early")
     # A robot of other lengths explains a prismatic joint that goes farther.
     possible = small and fit.largest_correction <= IMPLAUSIBLE
@@ -287,52 +275,38 @@ def _small(case: Case) -> Explanation | None:
         return None
     if motion.of == "early-each" and size <= BACKLASH:
         return None
-    ratio, tried = fit.left * float(np.log(first.rms / fit.rms)), len(motions.every)
-    faults, sizes = (motion.hypothesis(case, size),), (first.errors, fit.errors)
-    return Explanation(faults, *sizes, ratio, tried, fitted=True)
+    # What bends follows joints as well, and the position of one most of all.
+    if np.sqrt(case.lacking[1]) < BENDS * fit.rms / first.rms:
+        return None
+    return Explanation((motion.alternative(case, size),), first.errors, fit.errors)
 
 
-def _large(case: Case) -> Explanation | None:
-    """The one that the nominal robot lacks."""
+def large_motions(case: Case) -> Iterator[Alternative]:
+    """Motions that the nominal robot lacks, those first that explain most."""
     problem = replace(case.fit.problem, units=np.zeros(0))
     first = QuickFit(problem, case.nominal, robot=False)
-    motions, before, joints = _Motions(case, first), first.errors, case.data.joints
-    if not before > LARGE * expected_size(first.quantity.unit):
-        return None
+    if not np.isfinite(first.linear[0]).all():
+        return
+    motions, joints = _Motions(case, first), case.data.joints
     left = [first.score(motions.column(first, m)).left for m in motions.every]
-    tried = [motions.every[k] for k in np.argsort(left)[:TRIED]]
-    # The frame of a base that is stated is another explanation of its first joint.
-    joint = turned_by_base(case)
-    none = [Motion("zero", (joints.index(joint),))] if joint else []
-    tried = [m for m in tried if m.of != "side" and m not in none]
-    found = [(*motions.fitted(m), m) for m in tried]
-    if not found:
-        return None
-    fit, size, motion = min(found, key=lambda one: one[0].errors)
-    ratio = first.left * float(np.log(before / fit.errors))
-    decisive = fit.errors < DECISIVE * before
-    # One that goes backwards is reversed, if anything.
-    backwards = motion.of == "gear" and not 1.0 + size > 0.0
-    # A lag of a whole motion is a shift by a line.
-    whole = motion.of == "lag" and not abs(size) < LARGEST
-    if not decisive or ratio < unlikely(len(motions.every)) or backwards or whole:
-        return None
-    if motion.of == "zero":
+    for motion in [motions.every[k] for k in np.argsort(left)[:TRIED]]:
         name = joints[motion.joints[0]]
-        if case.turns(name) and abs(size) < SMALLEST:
-            return None
-        size = _rounded(size) if case.turns(name) else size
-        read = read_so(case.data, [motion.hypothesis(case, size)])
-        fit = stepped(fit, read.rows(motions.index))
-        # A fit of this very offset has said it already, and more exactly.
-        name = f"{name}.joint-offset.q"
-        estimated = any(p.free and p.name == name for p in problem.parameters)
-        if case.fitted is not None and estimated and case.fit.errors <= fit.errors:
-            return None
-    known = case.fitted is not None and case.errors_left <= DOUBTFUL
-    faults, of_trial = (motion.hypothesis(case, size),), (ratio, len(motions.every))
-    harmless = known and motion.of == "zero"
-    return Explanation(faults, before, fit.errors, *of_trial, False, harmless)
+        # The frame of a base that is stated is another explanation of its first joint.
+        if motion.of == "side" or (
+            motion.of == "zero" and name == turned_by_base(case)
+        ):
+            continue
+        try:
+            _, size = motions.fitted(motion)
+        except (CalibPinError, np.linalg.LinAlgError):
+            continue  # It has led away.
+        if motion.of == "zero" and case.turns(name):
+            size = _rounded(size) if abs(size) >= SMALLEST else 0.0
+        # What goes backwards is reversed, and a lag of a whole motion is a shift.
+        backwards = motion.of == "gear" and not size > -1.0
+        whole = motion.of == "lag" and not abs(size) < LARGEST
+        if size and not (backwards or whole):
+            yield motion.alternative(case, size)
 
 
 def _rounded(angle: float) -> float:
@@ -374,8 +348,8 @@ def approach(case: Case) -> Iterator[Finding]:
         said.append(f"'{joint}' {1e3 * size:.2g} +- {1e3 * sigma:.1g} {unit}")
     words = "errors depend on the approach direction (backlash): "
     words += enumerated(said) + f" ({BY_ORDER})" * (held.source == "order")
-    how = estimating([*case.setup.parameters, "hysteresis"], "it")
-    numbers["joints"] = ", ".join(lost)
+    names, numbers["joints"] = [*case.setup.parameters, "hysteresis"], ", ".join(lost)
+    how = f"estimate it: --parameters {','.join(names)}", {"parameters": names}
     yield told("backlash", words, numbers, *how, "by-joint")
 
 
@@ -490,7 +464,7 @@ def ripples(case: Case) -> Iterator[Finding]:
     every = {**case.setup.gear_ratios, **ratios}
     lines = {"parameters": [*names], "gear_ratios": every}
     remedy = "look up the gear ratios (a strain-wave gear ripples twice per turn of "
-    remedy += f"its motor) and estimate the waves: {written(lines)}"
+    remedy += "its motor)"
     said = f"joints ripple as gears do: {', '.join(words)}"
     yield told("gear-ripple", said, {**numbers, "left": left}, remedy, lines, info=True)
 

@@ -21,7 +21,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import enumerated
-from calib_pin.estimation.evidence import Finding, Outlier, VarianceComponent
+from calib_pin.estimation.evidence import Finding, Outlier, Severity, VarianceComponent
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit, robot_rows
 from calib_pin.estimation.formulation import make_problem
@@ -49,6 +49,12 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.setup import ConvertedSetup, PopulationPrior, ReadingSetup, Setup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.alternatives import (
+    FITTED,
+    Alternative,
+    Explanation,
+    findings_of,
+)
 from calib_pin.validation.findings.case import (
     CHANCE,
     IMPLAUSIBLE,
@@ -56,27 +62,20 @@ from calib_pin.validation.findings.case import (
     mean_squares,
     unlikely,
 )
-from calib_pin.validation.findings.explanations import FITTED
 from calib_pin.validation.findings.readings import FACTORS, STRETCH
 from calib_pin.validation.findings.sentences import (
     NAMED,
-    estimating,
     lines_of,
     named,
     shown,
     told,
-    without,
-    written,
 )
 from calib_pin.validation.tip_drift import tip_drift
 
-FULL, CONFIGURATIONS = 0.9, 6
+FULL, CONFIGURATIONS, FITS = 0.9, 6, 4.0
 """Part of a stretch of the files, and configurations, from which outliers are one that
-was measured with something else."""
-
-FITS, LISTED = 4.0, 200
-"""Errors, by those of the others, with which a measurement fits in another unit, and
-length of the lines that a remedy writes out; all stand in the finding."""
+was measured with something else; and errors, by those of the others, with which a
+measurement fits in another unit."""
 
 FACTOR = 2.0
 """Estimated by stated standard deviation, or the inverse, from which it is told."""
@@ -142,10 +141,8 @@ def outliers(case: Case) -> Iterator[Finding]:
         said += f", and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
         said += f" fit if exchanged, and were excluded{keeping}"
         lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
-        remedy = "exchange their joint positions ('reading: exchanged' in the setup)"
-        remedy = "" if len(pairs) <= NAMED else remedy
         numbers |= {"pairs": len(pairs)}
-        yield told("measurements-exchanged", said, numbers, remedy, lines, "over-order")
+        yield told("measurements-exchanged", said, numbers, "", lines, "over-order")
     alone = [o for o in out if not any(o.row in pair for pair in pairs)]
     if not alone:
         return
@@ -171,7 +168,8 @@ def _aside(
     """The finding of measurements, in the order of the files, to leave out."""
     said = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{why}"
     numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
-    remedy, lines = without(data, rows, "measure them again, or leave them out")
+    lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
+    remedy = "measure them again"
     return told(code, said, numbers, remedy, lines, "over-order", **severity)
 
 
@@ -245,9 +243,7 @@ def units_of_some(case: Case) -> Iterator[Finding]:
     said += f"line {places[0]}, fit if their lengths are {FACTORS[factor]}"
     numbers = {"factor": factor, "measurements": len(rows), "first": places[0]}
     numbers |= {"log_likelihood_ratio": ratio}
-    long = len(written(lines)) >= LISTED
-    remedy = "state the lines of this finding in the setup file" if long else ""
-    yield told("unit-of-some", said, numbers, remedy, lines)
+    yield told("unit-of-some", said, numbers, lines=lines)
 
 
 def noise(case: Case) -> Iterator[Finding]:
@@ -599,22 +595,29 @@ def _scaled_without(fitted: Fit, distance: int) -> bool:
     return analyze_structure(problem, about, rng)[0].scaled
 
 
-def families(case: Case) -> Iterator[Finding]:
+def families(case: Case) -> tuple[Finding, ...]:
     """The families of parameters that the fit lacks: of gears, of compliance, say."""
-    (names, left), before, quantity = case.lacking, case.fit.errors, case.fit.quantity
+    names, left = case.lacking
     if not names:
-        return
-    after = before * float(np.sqrt(left))
-    sizes = [shown(size, quantity.unit, 3) for size in (before, after)]
+        return ()
     # Placements have the offsets of joints.
     covered = {JointOffset.name} if Placement.name in names else set()
-    kept = [name for name in case.setup.parameters if name not in covered]
-    said = f"{enumerated(names)}, not estimated here, explains most of it: the "
-    said += f"{quantity.name} errors of a fit fall from {sizes[0]} to about {sizes[1]}"
-    numbers = {"families": ", ".join(names), "rms_before": before, "rms_after": after}
-    how = estimating([*kept, *names], "them")
-    info = left >= FITTED**2
-    yield told("model-lacks", said, numbers, *how, "by-joint", info=info)
+    every = [name for name in case.setup.parameters if name not in covered]
+    every += names
+    missing = Alternative(
+        "model-lacks",
+        f"{enumerated(names)}, not estimated here, explains most of it",
+        "the model",
+        stated={"parameters": every},
+        advice=f"estimate them: --parameters {','.join(every)}",
+        figure="by-joint",
+        numbers={"families": ", ".join(names)},
+    )
+    before, part = case.fit.errors, float(np.sqrt(left))
+    judged: Severity = "info" if part >= FITTED else "warning"
+    return findings_of(
+        case, Explanation((missing,), before, part * before, judged=judged)
+    )
 
 
 def population(case: Case) -> Iterator[Finding]:

@@ -1,6 +1,6 @@
 """How a file could be read otherwise: joints, lines, axes, units, targets, robot.
 
-Each kind is a generator of hypotheses, which are tried by `explanations`; of two
+Each kind is a generator of alternatives, which are tried by `alternatives`; of two
 columns for the same joints it is known what the other one says, and both are fitted.
 """
 
@@ -11,12 +11,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, permutations, product
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from calib_pin.errors import CalibPinError, RobotError, enumerated
-from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.terms import FRAME, Term
@@ -49,14 +48,14 @@ from calib_pin.setup import (
     OrientationSetup,
     ReadingSetup,
 )
-from calib_pin.validation.findings.case import COMPARED, Case, QuickFit, unlikely
-from calib_pin.validation.findings.explanations import (
-    FITTED,
+from calib_pin.validation.findings.alternatives import (
     NEIGHBORS,
-    Hypothesis,
+    Alternative,
+    Explanation,
     JointReading,
 )
-from calib_pin.validation.findings.sentences import lines_of, shown, told, written
+from calib_pin.validation.findings.case import COMPARED, Case, QuickFit, unlikely
+from calib_pin.validation.findings.sentences import lines_of, shown, written
 
 TURNS, GEARS = (90.0, -90.0, 180.0), (2.0, 0.5)
 """Offsets between the zeros of a controller and of a URDF [deg], and gears of which the
@@ -121,7 +120,7 @@ FACTORS = {
 """Mistakes of a unit by the factor that undoes them."""
 
 
-def joint_columns(case: Case) -> Iterator[Hypothesis]:
+def joint_columns(case: Case) -> Iterator[Alternative]:
     """Joints reversed, offset, exchanged, in degrees, geared, coupled: likely first."""
     joints, of_base = case.data.joints, turned_by_base(case)
     count = len(joints)
@@ -137,7 +136,7 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
         words = f"the columns of joints {', '.join(moved[:-1])} and {moved[-1]} are "
         read = JointReading(np.eye(count)[list(order)], np.zeros(count))
         of = "order of the joint columns"
-        yield Hypothesis("joints-exchanged", f"{words}exchanged", of, joints=read)
+        yield Alternative("joints-exchanged", f"{words}exchanged", of, joints=read)
     # Smaller angles would be next to none in degrees, and any wrong joint looks better
     # where it stands still.
     large = [j for j in turning if np.abs(case.data.q[:, j]).max() > 2.0 * np.pi]
@@ -146,7 +145,7 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
         words = f"joints '{names[0]}' to '{names[-1]}' are in degrees"
         words = words if len(names) > 1 else f"joint '{names[0]}' is in degrees"
         reading = ReadingSetup(converted=(ConvertedSetup(DEGREE, joints=names),))
-        yield Hypothesis("joint-degrees", words, "unit of the joints", reading)
+        yield Alternative("joint-degrees", words, "unit of the joints", reading)
     for j, factor in product(range(count), GEARS):
         yield geared(joints, j, factor)
     # Robots couple a joint to those before it.
@@ -156,13 +155,13 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
 
 def offset_by(
     joints: Sequence[str], joint: int, offset: float, turns: bool = True
-) -> Hypothesis:
+) -> Alternative:
     """A joint whose zero is elsewhere, by its position among all [rad, m]."""
     words = f"is offset by {shown(offset, 'rad' if turns else 'm', 4)}"
     return _joint("joint-offset", joints, joint, words, {}, offset)
 
 
-def geared(joints: Sequence[str], joint: int, factor: float) -> Hypothesis:
+def geared(joints: Sequence[str], joint: int, factor: float) -> Alternative:
     """A joint that moves some times as far as its column says."""
     words = f"moves {factor:.5g} times as far as read"
     found = _joint("joint-gear", joints, joint, words, {joint: factor})
@@ -171,7 +170,7 @@ def geared(joints: Sequence[str], joint: int, factor: float) -> Hypothesis:
 
 def coupled(
     joints: Sequence[str], joint: int, other: int, factor: float, by: str = ""
-) -> Hypothesis:
+) -> Alternative:
     """A joint whose column counts from another one, with words of how much."""
     words = f"is coupled to '{joints[other]}'{by}"
     return _joint("joint-coupled", joints, joint, words, {other: factor})
@@ -184,14 +183,14 @@ def _joint(
     words: str,
     factors: Mapping[int, float],
     offset: float = 0.0,
-) -> Hypothesis:
+) -> Alternative:
     """A joint, by its place, that is read with some factors of the columns."""
     name, read = joints[joint], JointReading.plain(len(joints))
     read.offsets[joint] = offset
     for column, factor in factors.items():
         read.factors[joint, column] = factor
     of = f"{code} {name}"
-    found = Hypothesis(code, f"joint '{name}' {words}", of, joints=read, joint=name)
+    found = Alternative(code, f"joint '{name}' {words}", of, joints=read, joint=name)
     return replace(found, figure="by-joint")
 
 
@@ -208,7 +207,7 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
         yield plain[::-1]
 
 
-def line_order(case: Case) -> Iterator[Hypothesis]:
+def line_order(case: Case) -> Iterator[Alternative]:
     """Explanations by the order of the joint positions, the likeliest kinds first."""
     longest = max(map(len, in_files(case.data)))
     for lines in range(1, min(FARTHEST, longest // 2) + 1):
@@ -220,29 +219,33 @@ def line_order(case: Case) -> Iterator[Hypothesis]:
             yield _shifted(k, "configuration")
             yield _shifted(-k, "configuration")
     said, of = "the joint positions stand in reversed order", "order of the lines"
-    yield Hypothesis("lines-reversed", said, of, ReadingSetup(reversed=True))
+    yield Alternative("lines-reversed", said, of, ReadingSetup(reversed=True))
 
 
-def _shifted(number: int, of: str = "line") -> Hypothesis:
+def _shifted(number: int, of: str = "line") -> Alternative:
     """Joint positions so many lines, or configurations, below or above their own."""
     where, far = "below" if number > 0 else "above", abs(number)
     said = f"the joint positions stand {far} {of}{'s' * (far > 1)} {where} their "
     said += "measurement"
     line = ReadingSetup(shift=number)
     line = line if of == "line" else ReadingSetup(shift_configurations=number)
-    return Hypothesis("lines-shifted", said, "order of the lines", line)
+    return Alternative("lines-shifted", said, "order of the lines", line)
 
 
-def units(case: Case) -> Iterator[Hypothesis]:
+def units(case: Case) -> Iterator[Alternative]:
     """Other units of all measured lengths."""
     blocks = [b for b in case.data.blocks if not declared(b.model).contact]
+    filed = any(case.data.files.distinct)
     if any(measured_lengths(block).any() for block in blocks):
         for factor, words in FACTORS.items():
             said, read = f"the measured lengths are {words}", ReadingSetup(scale=factor)
-            yield Hypothesis("unit", said, "unit of lengths", read, gross=True)
+            unit = Alternative("unit", said, "unit of lengths", read, gross=True)
+            # Arrays are multiplied more easily than read otherwise.
+            advice = "" if filed else f"multiply values by {factor:g}"
+            yield replace(unit, advice=advice)
 
 
-def axes(case: Case) -> Iterator[Hypothesis]:
+def axes(case: Case) -> Iterator[Alternative]:
     """Other axes of positions, as far as measurements can tell them apart.
 
     Where nothing else shows how the measurement frame is turned, every frame is right
@@ -267,10 +270,10 @@ def axes(case: Case) -> Iterator[Hypothesis]:
             code, words = "left-handed-frame", "the frame of x, y and z is left-handed "
             words += "(two are exchanged, or one is negated)"
         if held != AXES:
-            yield Hypothesis(code, words, of, reading, gross=True)
+            yield Alternative(code, words, of, reading, gross=True)
 
 
-def orientations(case: Case) -> Iterator[Hypothesis]:
+def orientations(case: Case) -> Iterator[Alternative]:
     """The conventions with which orientations agree best, and inverted poses.
 
     Whatever the convention, with the right one `R = R_base R_tip R_tool` holds for all
@@ -284,7 +287,7 @@ def orientations(case: Case) -> Iterator[Hypothesis]:
         return
     words = "the poses are those of the measurement frame in the tool"
     inverted = ReadingSetup(inverted=True)
-    yield Hypothesis("pose-inverted", words, "pose of what", inverted, gross=True)
+    yield Alternative("pose-inverted", words, "pose of what", inverted, gross=True)
     try:
         terms = _located(case, blocks)
     except (CalibPinError, np.linalg.LinAlgError):
@@ -303,7 +306,7 @@ def orientations(case: Case) -> Iterator[Hypothesis]:
             words = f"orientations are written otherwise ({written(lines_of(reading))})"
             held = ReadingSetup(orientation=reading)
             of, change = "orientations", partial(_nearest, reading=reading, tools=tools)
-            one = Hypothesis("orientation-convention", words, of, held, gross=True)
+            one = Alternative("orientation-convention", words, of, held, gross=True)
             yield replace(one, change=change)
 
 
@@ -374,7 +377,7 @@ def _nearest(
     return with_values(data, change)
 
 
-def targets(case: Case) -> Iterator[Hypothesis]:
+def targets(case: Case) -> Iterator[Alternative]:
     """Each of several targets left out; single outliers are found by the fit."""
     data, target = case.data, case.data.target
     counts = np.bincount(target.codes, minlength=len(target.names))
@@ -385,11 +388,11 @@ def targets(case: Case) -> Iterator[Hypothesis]:
         rows = np.flatnonzero(target.codes == code).tolist()
         words = f"the measurements of target '{target.names[code]}' contradict all "
         reading = ReadingSetup(without=places_of(data, rows))
-        found = Hypothesis("target", f"{words}others", "target", reading)
+        found = Alternative("target", f"{words}others", "target", reading)
         yield replace(found, figure="over-order")
 
 
-def standing(case: Case) -> Iterator[Hypothesis]:
+def standing(case: Case) -> Iterator[Alternative]:
     """A stretch of the files in which the reading of a joint stands still, left out."""
     data, order = case.data, case.data.in_order
     for joint, q in zip(data.joints, data.q[order].T, strict=True):
@@ -401,17 +404,17 @@ def standing(case: Case) -> Iterator[Hypothesis]:
         words = f"the reading of joint '{joint}' does not change in "
         reading = ReadingSetup(without=places_of(data, rows.tolist()))
         words += f"{len(rows)} measurements from line {reading.without[0]} on"
-        found = Hypothesis("stuck-encoder", words, "stretch", reading, gross=True)
+        found = Alternative("stuck-encoder", words, "stretch", reading, gross=True)
         yield replace(found, figure="over-order")
 
 
-def target_names(case: Case) -> Iterator[Hypothesis]:
+def target_names(case: Case) -> Iterator[Alternative]:
     """Two of few targets that have the name of each other."""
     names = case.data.target.distinct
     for first, second in combinations(names, 2) if len(names) <= TARGETS else ():
         words = f"the targets '{first}' and '{second}' have the name of each other"
         change = partial(_renamed, names={first: second, second: first})
-        found = Hypothesis("targets-exchanged", words, "target", change=change)
+        found = Alternative("targets-exchanged", words, "target", change=change)
         yield replace(found, advice="exchange the two names", figure="over-order")
 
 
@@ -425,7 +428,7 @@ def _renamed(data: Observations, names: Mapping[str, str]) -> Observations:
     return Observations(tuple(blocks))
 
 
-def target_frames(case: Case) -> Iterator[Hypothesis]:
+def target_frames(case: Case) -> Iterator[Alternative]:
     """Groups of targets each of which has a frame of its own: boards at places, say."""
     for group in _groups(case.data):
         names = Counter(group.values())
@@ -435,7 +438,7 @@ def target_frames(case: Case) -> Iterator[Hypothesis]:
         words = f"the targets {enumerated([f'{name}/..' for name in names])} do not "
         words += "fit together, and each fits alone"
         for frame in FRAMES:
-            found = Hypothesis("target-frames", words, "frames of targets")
+            found = Alternative("target-frames", words, "frames of targets")
             change = partial(_apart, group=group, frame=frame)
             advice = f"give each a {frame} of its own (a column '{frame}')"
             yield replace(found, change=change, advice=advice, absorbs=ABSORBED)
@@ -465,19 +468,19 @@ def _apart(data: Observations, group: Mapping[str, str], frame: Frame) -> Observ
     return apart(data, frame, data.target.map(group.__getitem__))[0]
 
 
-def robots(case: Case) -> Iterator[Hypothesis]:
+def robots(case: Case) -> Iterator[Alternative]:
     """Explanations by what was measured: the robot, its links, the tool."""
     for code, end in (("tool-frame", "tool"), ("base-frame", "base")):
         if getattr(case.setup, f"{end}_frame").estimate is False:
             words, of = f"the frame of the {end} is not the stated one", f"{end} frame"
-            found = Hypothesis(code, words, of, absorbs=ABSORBED)
+            found = Alternative(code, words, of, absorbs=ABSORBED)
             # Half a turn away the stated one is no start.
             setup = {f"{end}_frame": FrameSetup(estimate=True)}
             stated = {"frames": {end: {"estimate": True}}}
             yield replace(found, setup=setup, stated=stated)
     if (camera := case.setup.camera) is not None:
         (mount,) = MOUNTS.keys() - {camera.mount}
-        yield Hypothesis(
+        yield Alternative(
             "camera-mount",
             f"the camera {MOUNTS[mount]}, and is not one that {MOUNTS[camera.mount]}",
             "the chain",
@@ -485,7 +488,7 @@ def robots(case: Case) -> Iterator[Hypothesis]:
             stated={"camera": {"mount": mount}},
         )
         if not camera.estimate:
-            yield Hypothesis(
+            yield Alternative(
                 "camera-intrinsics",
                 "the camera has other focal lengths or another center than stated",
                 "the camera",
@@ -493,7 +496,7 @@ def robots(case: Case) -> Iterator[Hypothesis]:
                 stated={"camera": {"estimate": True}},
             )
         words, advice = "u and v are exchanged", "exchange the names of these columns"
-        found = Hypothesis("image-axes", words, "the camera", change=_turned)
+        found = Alternative("image-axes", words, "the camera", change=_turned)
         yield replace(found, advice=advice)
     if case.chains.names == ("",):
         yield from _ends(case.chains[""], case)
@@ -502,7 +505,7 @@ def robots(case: Case) -> Iterator[Hypothesis]:
         file = other.robot.file
         words = f"the robot is '{file}', not '{robot.name}'"
         advice = f"use '{file}' in place of '{robot.file}'"
-        yield Hypothesis("robot", words, "the chain", chains=other, advice=advice)
+        yield Alternative("robot", words, "the chain", chains=other, advice=advice)
 
 
 def _turned(data: Observations) -> Observations:
@@ -520,7 +523,7 @@ def turned_by_base(case: Case) -> str:
     return chain.joints[0] if known and chain.revolute[0] else ""
 
 
-def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
+def _ends(chain: Chain, case: Case) -> Iterator[Alternative]:
     """Other links of the chain as its tip or its base."""
     known = {*case.data.joints, *(joint for joint, _ in case.data.conditions.spare)}
     touching = any(declared(model).contact for model in case.data.models)
@@ -542,84 +545,62 @@ def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
                 seen.append(body)
                 if link != links[k]:
                     words = f"the {end} link is '{link}', not '{links[k]}'"
-                    found = Hypothesis(code, words, "the chain", stated={end: link})
+                    found = Alternative(code, words, "the chain", stated={end: link})
                     yield replace(found, chains=Chains.of(other))
 
 
-def joint_sets(case: Case) -> Iterator[Finding]:
-    """Other columns of the joints, commanded or measured ones, that fit otherwise."""
+def joint_sets(case: Case) -> Explanation | None:
+    """Other columns of the joints, commanded or measured ones, that fit better."""
     setup, some = replace(case.setup, learned=None), case.fit.problem.data
-    near = defaultdict[str, list[str]](list)
+    near, found = defaultdict[str, list[str]](list), list[Explanation]()
+    stated = {given.joint: given for given in setup.joints.values()}
+    if any(given.coupled for given in stated.values()):
+        return None  # Their own columns are coupled to those that were read.
     for joint, column in some.conditions.spare:
         if joint in some.joints:
             near[joint].append(column)
     for k in range(min(max(map(len, near.values()), default=0), MOST)):
         columns = {j: near[j][k] for j in some.joints if k < len(near[j])}
-        maps = {given.joint: (c, given) for c, given in setup.joints.items()}
-        maps = {j: maps.get(j, (j, JointMap(j))) for j in some.joints}
+        maps = {column: stated.get(j, JointMap(j)) for j, column in columns.items()}
         try:
-            both = [some, _moved(some, columns, maps)]
+            both = [some, _moved(some, columns)]
             problems = [make_problem(case.chains, data, setup) for data in both]
             here, there = (QuickFit.of(problem, COMPARED) for problem in problems)
         except CalibPinError:
             continue  # No robot is there.
         ratio = here.left * float(np.log(here.rms / there.rms))
-        if not (here.redundant and abs(ratio) > unlikely()):
+        if not (here.redundant and ratio > unlikely()):
             continue
-        better, names = ratio > 0.0, [*columns.values()]
+        names = [*columns.values()]
         ends = " to ".join(f"'{n}'" for n in dict.fromkeys((names[0], names[-1])))
-        quantity = here.quantity
-        before, after = (shown(x.errors, quantity.unit, 3) for x in (here, there))
-        said = f"with the joint positions in {ends} the {quantity.name} errors of a "
-        said += f"fit are {after} instead of {before}"
-        numbers = {"columns": ", ".join(names), "log_likelihood_ratio": ratio}
-        numbers |= {"rms_before": here.errors, "rms_after": there.errors}
-        if better:
-            error = there.rms < FITTED * here.rms
-            how = ("", {"joints": _exchanged(columns, maps)}, "by-joint")
-            yield told("joint-columns", said, numbers, *how, error=error)
-        else:
-            said += ": those that were used are the better ones"
-            yield told("joint-columns", said, numbers, info=True)
+        better = Alternative(
+            "joint-columns",
+            f"the joint positions stand in {ends} as well, which fit better",
+            "columns of the joints",
+            stated={"joints": {column: lines_of(j) for column, j in maps.items()}},
+            figure="by-joint",
+            numbers={"columns": ", ".join(names)},
+        )
+        found.append(Explanation((better,), here.errors, there.errors))
+    # What one column lags behind another is no lag of its joint.
+    return min(found, key=lambda one: one.after, default=None)
 
 
-_Maps = Mapping[str, tuple[str, JointMap]]
-"""The column of each joint, and how it becomes its position."""
-
-
-def _moved(data: Observations, columns: Mapping[str, str], maps: _Maps) -> Observations:
+def _moved(data: Observations, columns: Mapping[str, str]) -> Observations:
     """Measurements with the joint positions that other columns have.
 
     Raises:
         CalibPinError: If those of the starts of relative measurements are not known.
     """
-    # What a position is moved by moves those that are coupled to its column.
-    factor = {joint: given.sign * given.gear for joint, (_, given) in maps.items()}
-    factors = np.eye(len(data.joints))
-    for (k, joint), (j, other) in product(enumerate(data.joints), repeat=2):
-        part = maps[other][1].coupled.get(maps[joint][0], 0.0)
-        factors[j, k] += part * factor[other] / factor[joint]
     blocks = []
     for block in data.blocks:
         if block.start.size:
             raise CalibPinError("where these columns started is not known")
-        change = np.zeros_like(block.q)
+        q = block.q.copy()
         for joint, column in columns.items():
-            k = data.joints.index(joint)
-            change[:, k] = block.conditions.spare[joint, column] - block.q[:, k]
-        blocks.append(replace(block, q=block.q + change @ factors.T))
+            q[:, data.joints.index(joint)] = block.conditions.spare[joint, column]
+        blocks.append(replace(block, q=q))
     return Observations(tuple(blocks))
-
-
-def _exchanged(columns: Mapping[str, str], maps: _Maps) -> dict[str, dict[str, Any]]:
-    """Entries of `joints` in a setup file, of all that other columns change."""
-    new = {maps[joint][0]: column for joint, column in columns.items()}
-    found = {}
-    for column, own in maps.values():
-        if {column, *own.coupled} & new.keys():
-            coupled = {new.get(c, c): factor for c, factor in own.coupled.items()}
-            found[new.get(column, column)] = lines_of(replace(own, coupled=coupled))
-    return found
 
 
 FAMILIES = (

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from typing import Any
+
+import numpy as np
 
 from calib_pin.estimation.evidence import Finding, Severity
 from calib_pin.measurement_models.readings import places_of
@@ -13,9 +16,9 @@ from calib_pin.setup import ReadingSetup
 from calib_pin.setup.values import Section
 from calib_pin.units import DISPLAY
 
-NAMED, SHORT = 3, 12
-"""Things that a sentence names, and measurements that a remedy does; the lines of the
-setup file have all of them."""
+NAMED, LISTED = 3, 300
+"""Things that a sentence names, and length of the lines that a remedy writes out; all
+stand in the finding."""
 
 
 def told(
@@ -29,21 +32,25 @@ def told(
     error: bool = False,
     info: bool = False,
 ) -> Finding:
-    """A finding, by default a warning; where nothing else is, its lines are the remedy.
+    """A finding, by default a warning, whose remedy ends with its lines.
 
     Args:
         code: Its code.
         message: One sentence with numbers.
         numbers: The numbers by name, SI units.
-        remedy: Advice on how to correct it.
+        remedy: Advice on how to correct it, or what else than its lines does.
         lines: Lines of a setup file that correct it.
         residuals: What the figure of residuals that shows it has them over, such as
             `by-joint`.
         error: Whether it takes the trust.
         info: Whether it is no more than a remark.
     """
-    if lines and not remedy:
-        remedy = f"state in the setup file: {written(lines)}"
+    if lines:
+        text = written(lines)
+        state = f"state in the setup file: {text}"
+        if len(text) > LISTED:
+            state = "state the lines of this finding in the setup file"
+        remedy = ", or ".join(filter(None, (remedy, state)))
     # Counts and lines of files stay whole numbers.
     known = numbers.items()
     evidence = {k: v if isinstance(v, str | int) else float(v) for k, v in known}
@@ -78,29 +85,15 @@ def named(data: Observations, rows: Sequence[int]) -> str:
     return f"{kind} {listed(places, max(len(rows) - NAMED, 0))}"
 
 
-def estimating(names: Sequence[str], what: str) -> tuple[str, dict[str, Any]]:
-    """The remedy to estimate parameters of some names, and its setup lines."""
-    lines = {"parameters": [*names]}
-    remedy = f"estimate {what}: --parameters {','.join(names)}, or state in the setup "
-    return f"{remedy}file: {written(lines)}", lines
-
-
-def without(
-    data: Observations, rows: Sequence[int], advice: str
-) -> tuple[str, dict[str, Any]]:
-    """The remedy to leave measurements out, after some words, and its setup lines."""
-    lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
-    if len(rows) > SHORT:
-        return f"{advice} ('reading: without' in the setup file)", lines
-    return f"{advice} (in the setup file: {written(lines)})", lines
-
-
 def merged(readings: Iterable[ReadingSetup]) -> ReadingSetup:
     """Everything that several readings change."""
-    result = ReadingSetup()
-    for reading in readings:
-        result = replace(result, **_changed(reading))
-    return result
+    result = dict[str, Any]()
+    for new in map(_changed, readings):
+        # Lines that differ add up.
+        both = ((k, result[k]) for k in new.keys() & result.keys())
+        more = {k: v + new[k] for k, v in both if isinstance(v, tuple) and v != new[k]}
+        result |= new | more
+    return ReadingSetup(**result)
 
 
 def _changed(section: Section) -> dict[str, Any]:
@@ -125,22 +118,15 @@ def _plain(value: Any) -> Any:
     return lines_of(value) if isinstance(value, Section) else value
 
 
-def written(lines: Any) -> str:
+def written(lines: Mapping[str, Any]) -> str:
     """Lines of a setup file as YAML on one line."""
-    if isinstance(lines, Mapping):
-        return ", ".join(f"{written(k)}: {_nested(v)}" for k, v in lines.items())
-    return _nested(lines)
+    import yaml  # Slow to import.
 
+    def short(number: str) -> float:
+        value = float(f"{float(number):.9g}")
+        return int(value) if value.is_integer() else value
 
-def _nested(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return f"{{{written(value)}}}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_nested, value))}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return f"{value:.9g}"
-    text = str(value)
-    plain = text.replace("_", "").replace("-", "").replace(".", "").isalnum()
-    return text if plain and text.strip() == text else f"'{text}'"
+    rounded = json.loads(json.dumps(lines), parse_float=short)
+    style: dict[str, Any] = {"sort_keys": False, "width": np.inf}
+    text = yaml.safe_dump(rounded, default_flow_style=True, allow_unicode=True, **style)
+    return str(text).strip().removeprefix("{").removesuffix("}")

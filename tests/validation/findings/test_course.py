@@ -15,6 +15,7 @@ from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import ReadingSetup, Setup
+from calib_pin.validation.findings.alternatives import findings_of
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.course import (
     CONFIGURATIONS,
@@ -35,7 +36,8 @@ def findings(job, *blocks):
 def drifts(job, block):
     """The findings of a drift."""
     fitted = fit_model(job.chain, Observations.of(block), Setup(), 0).fit
-    return list(drift(Case.of(fitted, fitted.problem.chains)))
+    case = Case.of(fitted, fitted.problem.chains)
+    return list(findings_of(case, drift(case)))
 
 
 def displaced(block, size):
@@ -130,7 +132,7 @@ def test_all_at_once_is_another_robot(moved_job) -> None:
     block = turned(displaced(job.plain.only, 2e-3 * behind), 2, 0.01 * behind)
     (finding,) = findings(job, block)
     assert (finding.code, finding.evidence["line"]) == ("outlying-stretch", 32)
-    assert "such as another robot: the " in finding.message
+    assert "such as another robot: with" in finding.message
 
 
 def test_four_things_do_not_change_in_a_day(moved_job) -> None:

@@ -19,15 +19,15 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import AnchorSetup, FrameSetup, JointMap, Setup
 from calib_pin.validation import findings
-from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.explanations import (
+from calib_pin.validation.findings.alternatives import (
     Explanation,
     JointReading,
     explain,
-    finding,
+    findings_of,
     read_so,
     setup_lines,
 )
+from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.readings import joint_columns
 from tests.shared import chain_of, urdf_of
 
@@ -155,7 +155,7 @@ def test_lines_have_the_names_of_the_columns(arm: Chains, rows: Observations) ->
     found = explained(case)
     assert found is not None
     lines = {"joints": {"j2": {"joint": "j2", "sign": -1, "coupled": {"j1": 1.0}}}}
-    for one in finding(case, found):
+    for one in findings_of(case, found):
         assert one.severity == "error" and one.setup == lines
         assert "joints: {j2: {joint: j2, sign: -1, coupled: {j1: 1}}}" in one.remedy
     maps = {"A1": JointMap("j1"), "A2": JointMap("j2", sign=-1)}

@@ -1,4 +1,9 @@
-"""How measurements could be read otherwise, and which reading explains them.
+"""The table of alternatives: what may be wrong, and which of it explains the errors.
+
+A row is an `Alternative`: its code and words, what it is of, how measurements are read
+with it, and what is done about it. A robot is fitted with each, by further columns of
+the Jacobian (`course`, `joint_motions`) or other readings of the file (`readings`), and
+those that leave the least are an `Explanation`, whose findings are made in one place.
 
 A controller counts a joint the other way, a file exchanges two columns, measurements
 stand one line below their joints. Each leaves hundreds of millimeters that no
@@ -10,7 +15,7 @@ fitted as well, for one explanation at a time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
@@ -19,7 +24,7 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.evidence import Finding, Severity
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem, measured_count
 from calib_pin.kinematics.chains import Chains
@@ -46,7 +51,6 @@ from calib_pin.validation.findings.sentences import (
     merged,
     shown,
     told,
-    written,
 )
 
 FITTED = 0.5
@@ -165,8 +169,10 @@ class JointReading:
 
 
 @dataclass(frozen=True)
-class Hypothesis:
-    """One fault of the data, and how they are to be read if it is there.
+class Alternative:
+    """One row of the table: what may be wrong, and what is done if it is.
+
+    Data are read otherwise, or their further columns of the Jacobian have been fitted.
 
     Attributes:
         code: Code of its finding.
@@ -185,6 +191,8 @@ class Hypothesis:
         figure: What the figure of residuals that shows it has them over.
         joint: The joint that it concerns alone: what is wrong with one joint may only
             show once all of it is read otherwise.
+        absorbs: Factor by which its numbers make errors of a robot smaller.
+        numbers: Numbers of its finding by name, SI units.
     """
 
     code: str
@@ -201,9 +209,10 @@ class Hypothesis:
     figure: str = ""
     joint: str = ""
     absorbs: float = 1.0
+    numbers: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:
+def read_so(data: Observations, faults: Iterable[Alternative]) -> Observations:
     """Measurements as they are to be read if they have some faults.
 
     Raises:
@@ -239,7 +248,7 @@ def _with_joints(data: Observations, joints: Sequence[str]) -> Observations:
     return Observations(tuple(map(with_new, data.blocks)))
 
 
-def joint_reading(faults: Iterable[Hypothesis]) -> JointReading | None:
+def joint_reading(faults: Iterable[Alternative]) -> JointReading | None:
     """How joint positions are to be read with all of some faults."""
     found = None
     for fault in faults:
@@ -248,11 +257,11 @@ def joint_reading(faults: Iterable[Hypothesis]) -> JointReading | None:
     return found
 
 
-def setup_lines(case: Case, faults: Sequence[Hypothesis]) -> dict[str, Any]:
+def setup_lines(case: Case, faults: Sequence[Alternative]) -> dict[str, Any]:
     """Lines of a setup file with which measurements are read otherwise."""
-    joints = joint_reading(faults) or JointReading.plain(len(case.data.joints))
+    joints = joint_reading(faults)
     lines: dict[str, Any] = {
-        "joints": joints.maps(case.data.joints, case.setup.joints),
+        "joints": joints and joints.maps(case.data.joints, case.setup.joints),
         "reading": lines_of(merged(fault.reading for fault in faults)),
     }
     for fault in faults:
@@ -269,48 +278,57 @@ class Explanation:
         before: Errors as the measurements are read now, rms [unit of the quantity];
             infinite where the robot cannot be located.
         after: Errors if they are read so.
-        ratio: Logarithm of the likelihood ratio.
-        tried: Number of explanations that were tried.
         fitted: Whether both are errors of a fit, or of the nominal robot.
-        harmless: Whether a fit finds the same errors of the robot without it.
+        judged: How much it matters, where that does not follow from what is left.
     """
 
-    faults: tuple[Hypothesis, ...]
+    faults: tuple[Alternative, ...]
     before: float
     after: float
-    ratio: float
-    tried: int
-    fitted: bool
-    harmless: bool = False
+    fitted: bool = True
+    judged: Severity | None = None
+
+    @property
+    def part(self) -> float:
+        """Part of the errors that is left."""
+        return self.after / self.before
+
+    @property
+    def severity(self) -> Severity:
+        """Whether it takes the trust: far less must be left."""
+        return self.judged or ("error" if self.part < FITTED else "warning")
 
 
-def finding(case: Case, found: Explanation) -> Iterator[Finding]:
-    """The findings of an explanation, one of each fault.
+def findings_of(case: Case, found: Explanation | None) -> tuple[Finding, ...]:
+    """The findings of an explanation, one of each fault, and none of none.
 
-    Each has the lines of all, which belong together.
+    Each that states lines has those of all, which belong together.
     """
+    if found is None:
+        return ()
     lines, quantity = setup_lines(case, found.faults), case.fit.quantity
     scale = merged(fault.reading for fault in found.faults).scale
-    remedy = f"state in the setup file: {written(lines)}"
-    if [*lines.get("reading", ())] == ["scale"] and not any(case.data.files.distinct):
-        remedy = f"multiply values by {scale:g}"
     if quantity.unit != "m" or found.fitted:
         scale = 1.0  # Errors of the nominal robot are in the unit of the file.
     before, after = scale * found.before, scale * found.after
     was, left = (shown(size, quantity.unit, 3) for size in (before, after))
     fall = f"drop from {was} to" if np.isfinite(before) else "are"
     robot = "of a fit" if found.fitted else "of the nominal robot"
-    numbers = {"rms_before": before, "rms_after": after}
-    numbers |= {"log_likelihood_ratio": found.ratio, "tried": found.tried}
+    severity, result = found.severity, list[Finding]()
     for fault in found.faults:
         said = f"{fault.words}: with this corrected, the {quantity.name} errors {robot}"
         said += f" {fall} {left}"
-        how = (fault.advice, {}) if fault.advice else (remedy, lines)
-        clear = after < FITTED * before and not found.harmless
-        yield told(fault.code, said, numbers, *how, fault.figure, error=clear)
+        numbers = {**fault.numbers, "rms_before": before, "rms_after": after}
+        # The lines are a way for what states some, be it beside another way.
+        own = setup_lines(case, [fault])
+        how = fault.advice, lines if own else {}, fault.figure
+        error, info = severity == "error", severity == "info"
+        one = told(fault.code, said, numbers, *how, error=error, info=info)
+        result.append(one)
+    return tuple(result)
 
 
-Family = Callable[[Case], Iterable[Hypothesis]]
+Family = Callable[[Case], Iterable[Alternative]]
 """The explanations of one kind that are worth a trial in a case."""
 
 
@@ -323,14 +341,10 @@ def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
         families: Where explanations come from.
     """
     search = _Search(case, [h for family in families for h in family(case)])
-    found = search.combined() or search.of_one_joint() or search.fitted()
-    if found is None:
-        return None
-    aside = [h for h in found.faults if h.reading.without and not h.gross]
-    return search.of_all(found) if aside else found
+    return search.combined() or search.of_one_joint() or search.fitted()
 
 
-_Tried = tuple[float, tuple[Hypothesis, ...]]
+_Tried = tuple[float, tuple[Alternative, ...]]
 """Errors that are left with some faults, in standard deviations, and these."""
 
 
@@ -343,7 +357,7 @@ class _Search:
         first: Error of the nominal robot on measurements as they are read now.
     """
 
-    def __init__(self, case: Case, known: Sequence[Hypothesis]) -> None:
+    def __init__(self, case: Case, known: Sequence[Alternative]) -> None:
         self.case, self.known, self.tried = case, known, 0
         self.data = _picked(case.data.weighted(np.ones(len(case.data))))
         self.whole = replace(case.setup, learned=None)
@@ -367,12 +381,12 @@ class _Search:
                 self.case.progress(k / MOST)
             found: dict[frozenset[int], _Tried] = {}
             most: dict[frozenset[int], float] = {}
-            for (left, kept), hypothesis in product(beam, self.known):
-                trial = (*kept, hypothesis)
+            for (left, kept), more in product(beam, self.known):
+                trial = (*kept, more)
                 key = frozenset(map(id, trial))
-                if key not in found and all(h.of != hypothesis.of for h in kept):
+                if key not in found and all(one.of != more.of for one in kept):
                     found[key] = self._nominal(trial), trial
-                    most[key] = CLEARER * left / hypothesis.absorbs
+                    most[key] = CLEARER * left / more.absorbs
             ranked = sorted(found, key=lambda key: _rank(found[key]))
             for key in ranked[:LIKELY]:
                 faults = found[key][1]
@@ -393,7 +407,7 @@ class _Search:
         """All faults of a joint, each of which alone leaves as much as none."""
         if self.first <= FOREIGN * self.one:
             return None  # Two of them at once would make larger errors.
-        of_joint: dict[str, dict[str, list[Hypothesis | None]]] = {}
+        of_joint: dict[str, dict[str, list[Alternative | None]]] = {}
         for fault in self.known:
             if fault.joint:
                 own = of_joint.setdefault(fault.joint, {})
@@ -414,26 +428,13 @@ class _Search:
             singles = every
         return self._of_fits(singles[0][1], FITTED) if singles else None
 
-    def of_all(self, found: Explanation) -> Explanation:
-        """A reading of all measurements, if one explains as much as leaving some out.
-
-        Of four corners, three keep their joints if the lines are shifted by one.
-        """
-        singles = [] if self.contact else self._singles(thorough=True)
-        limit = CLOSE * self._fitted(found.faults, thorough=True) if singles else 0.0
-        if not singles or singles[0][0] > limit:
-            return found
-        left, faults = singles[0]
-        return self._decided(faults, left, FITTED, fitted=True) or found
-
-    def _singles(self, thorough: bool = False) -> list[_Tried]:
+    def _singles(self) -> list[_Tried]:
         """Errors that fits leave with each fault, the least first.
 
         A robot that is fitted shrinks with its measurements, or turns into another.
         """
         some = [h for h in self.known if not (h.gross or h.chains)]
-        some = [h for h in some if not (thorough and h.reading.without)]
-        found = [(self._fitted((h,), thorough), (h,)) for h in some]
+        found = [(self._fitted((h,)), (h,)) for h in some]
         return sorted(found, key=lambda one: one[0])
 
     def _best(self, every: Sequence[_Tried]) -> Explanation | None:
@@ -460,7 +461,7 @@ class _Search:
         told = told and not any(h.chains or h.reading.without for h in faults)
         return found or (self._of_fits(faults, DECISIVE) if told else None)
 
-    def _needed(self, left: float, faults: tuple[Hypothesis, ...]) -> _Tried:
+    def _needed(self, left: float, faults: tuple[Alternative, ...]) -> _Tried:
         """Those of some faults without which far more is left, and what they leave."""
         for fault in faults if len(faults) > 1 else ():
             rest = tuple(other for other in faults if other is not fault)
@@ -476,7 +477,7 @@ class _Search:
         return left, faults
 
     def _of_fits(
-        self, faults: tuple[Hypothesis, ...], most: float
+        self, faults: tuple[Alternative, ...], most: float
     ) -> Explanation | None:
         """Faults with which a fit leaves far less.
 
@@ -488,18 +489,27 @@ class _Search:
         return self._decided(faults, left, most, fitted=True)
 
     def _decided(
-        self, faults: tuple[Hypothesis, ...], after: float, part: float, *, fitted: bool
+        self,
+        faults: tuple[Alternative, ...],
+        after: float,
+        part: float,
+        *,
+        fitted: bool,
     ) -> Explanation | None:
         before, most = self._most(part, fitted)
         if not faults or not after < most or not self._calmer(faults, after):
             return None
-        ratio = self._ratio(faults, before, after)
-        if ratio < unlikely(self.tried):
+        if self._ratio(faults, before, after) < unlikely(self.tried):
             return None
+        case = self.case
+        known = case.fitted is not None and case.errors_left <= DOUBTFUL
+        # A fit finds the same errors of the robot without it.
+        offset = known and all(fault.code == "joint-offset" for fault in faults)
+        judged: Severity | None = "warning" if offset else None
         sizes = self.unit * before, self.unit * after
-        return Explanation(faults, *sizes, ratio, self.tried, fitted)
+        return Explanation(faults, *sizes, fitted, judged)
 
-    def _calmer(self, faults: Sequence[Hypothesis], after: float) -> bool:
+    def _calmer(self, faults: Sequence[Alternative], after: float) -> bool:
         """Whether a robot need no longer be corrected as much, if numbers are fitted.
 
         A frame explains a part of large errors of joints, too, and then they are still
@@ -524,7 +534,7 @@ class _Search:
         return before, part * before if np.isfinite(before) else of_robot
 
     def _ratio(
-        self, faults: Sequence[Hypothesis], before: float, after: float
+        self, faults: Sequence[Alternative], before: float, after: float
     ) -> float:
         """Logarithm of the likelihood ratio of faults; they may leave out lines."""
         if not after < before:
@@ -532,7 +542,7 @@ class _Search:
         problem = self._problem(faults, self.plain)
         return _redundancy(problem) * float(np.log(before / max(after, 1e-12)))
 
-    def _problem(self, faults: Sequence[Hypothesis], setup: Setup) -> Problem:
+    def _problem(self, faults: Sequence[Alternative], setup: Setup) -> Problem:
         """The problem of some measurements that are read so."""
         chains = next((h.chains for h in faults if h.chains), self.case.chains)
         stated = {k: v for h in faults for k, v in h.setup.items()}
@@ -543,7 +553,7 @@ class _Search:
         count = least * len(data.blocks) // len(self.data.blocks)
         return make_problem(chains, data.sample(count), setup)
 
-    def _nominal(self, faults: Sequence[Hypothesis], thorough: bool = False) -> float:
+    def _nominal(self, faults: Sequence[Alternative], thorough: bool = False) -> float:
         """Error of the registered nominal robot, rms in standard deviations."""
         self.tried += 1
         try:
@@ -556,16 +566,15 @@ class _Search:
             return np.inf  # No beam meets its plane, say.
 
     def _fit(
-        self, faults: Sequence[Hypothesis], thorough: bool = False
+        self, faults: Sequence[Alternative], thorough: bool = False
     ) -> QuickFit | None:
         """A robot whose errors were fitted in a few steps, if one can be."""
         try:
-            problem = self._problem(faults, self.whole)
-            return QuickFit.of(problem, thorough=thorough)
+            return QuickFit.of(self._problem(faults, self.whole), thorough=thorough)
         except (CalibPinError, np.linalg.LinAlgError):
             return None
 
-    def _fitted(self, faults: Sequence[Hypothesis], thorough: bool = False) -> float:
+    def _fitted(self, faults: Sequence[Alternative], thorough: bool = False) -> float:
         """Error that it leaves, rms in standard deviations."""
         self.tried += 1
         fit = self._fit(faults, thorough)

@@ -31,6 +31,7 @@ from calib_pin.measurement_models.readings import (
     postures,
     with_values,
 )
+from calib_pin.measurement_models.references import Center
 from calib_pin.observations import (
     FRAMES,
     BlockKey,
@@ -468,16 +469,18 @@ def _apart(data: Observations, group: Mapping[str, str], frame: Frame) -> Observ
     return apart(data, frame, data.target.map(group.__getitem__))[0]
 
 
-def robots(case: Case) -> Iterator[Alternative]:
-    """Explanations by what was measured: the robot, its links, the tool."""
-    for code, end in (("tool-frame", "tool"), ("base-frame", "base")):
-        if getattr(case.setup, f"{end}_frame").estimate is False:
-            words, of = f"the frame of the {end} is not the stated one", f"{end} frame"
-            found = Alternative(code, words, of, absorbs=ABSORBED)
-            # Half a turn away the stated one is no start.
-            setup = {f"{end}_frame": FrameSetup(estimate=True)}
-            stated = {"frames": {end: {"estimate": True}}}
-            yield replace(found, setup=setup, stated=stated)
+def instruments(case: Case) -> Iterator[Alternative]:
+    """Explanations by what is known of an instrument, and by how its images stand."""
+    for term in case.fit.problem.terms.values():
+        round_ones = [r for r in term.measurement.references if isinstance(r, Center)]
+        if known := [r for r in round_ones if not r.estimate_size]:
+            kind, number = known[0].section, known[0].number
+            words = f"the {number} of the {kind} is not the one that is held"
+            free = {r.name: replace(r, estimate_size=True).stated() for r in known}
+            stated = {kind: {name: {f"estimate_{number}": True} for name in free}}
+            setup = {kind: {**getattr(case.setup, kind), **free}}
+            found = Alternative("held-number", words, number, setup=setup)
+            yield replace(found, stated=stated)
     if (camera := case.setup.camera) is not None:
         (mount,) = MOUNTS.keys() - {camera.mount}
         yield Alternative(
@@ -498,6 +501,18 @@ def robots(case: Case) -> Iterator[Alternative]:
         words, advice = "u and v are exchanged", "exchange the names of these columns"
         found = Alternative("image-axes", words, "the camera", change=_turned)
         yield replace(found, advice=advice)
+
+
+def robots(case: Case) -> Iterator[Alternative]:
+    """Explanations by what was measured: the robot, its links, the tool."""
+    for code, end in (("tool-frame", "tool"), ("base-frame", "base")):
+        if getattr(case.setup, f"{end}_frame").estimate is False:
+            words, of = f"the frame of the {end} is not the stated one", f"{end} frame"
+            found = Alternative(code, words, of, absorbs=ABSORBED)
+            # Half a turn away the stated one is no start.
+            setup = {f"{end}_frame": FrameSetup(estimate=True)}
+            stated = {"frames": {end: {"estimate": True}}}
+            yield replace(found, setup=setup, stated=stated)
     if case.chains.names == ("",):
         yield from _ends(case.chains[""], case)
     robot = case.chains.robot
@@ -610,6 +625,7 @@ FAMILIES = (
     orientations,
     axes,
     units,
+    instruments,
     robots,
     targets,
     target_names,

@@ -208,9 +208,15 @@ def _lens(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
         tuple(factor * number for number in numbers)
         for numbers in (job.setup.camera.focal, job.setup.camera.center)
     )
-    camera = replace(job.setup.camera, focal=focal, center=center)
+    camera = replace(job.setup.camera, focal=focal, center=center, estimate=False)
     setup = replace(job.setup, camera=camera)
     return replace(given(job, rows, _says("focal")), setup=setup)
+
+
+def _bias(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
+    """Readings of a wire are too long, and nobody says so."""
+    setup = replace(job.setup, anchors={})
+    return replace(given(job, rows, _says("bias")), setup=setup)
 
 
 def _transposed(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
@@ -437,6 +443,7 @@ MISHAPS: Mapping[str, Mishap] = {
         ("camera",), ("camera-mount", "mount", "refused"), _mount, words=("mount",)
     ),
     "wrong lens": Mishap(("camera",), ("camera-intrinsics", "refused"), _lens),
+    "bias": Mishap(("wire",), ("held-number", "refused"), _bias),
     "rows for columns": Mishap(("camera",), ("image-axes", "refused"), _transposed),
     # Where it was measured.
     "stuck joint": Mishap(

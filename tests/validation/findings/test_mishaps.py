@@ -427,7 +427,7 @@ ELSEWHERE = {
     "test_explanations": "joint-coupled joint-degrees",
     "test_readings": "joint-columns target targets-exchanged target-frames robot "
     "tip-link base-link tool-frame base-frame camera-mount camera-intrinsics "
-    "image-axes",
+    "image-axes held-number",
     "test_facts": "gauge-sign",
     "test_course": "instrument-moved tool-remounted joint-rehomed instrument-drift "
     "robot-drift",

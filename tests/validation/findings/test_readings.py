@@ -14,6 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib_pin
+from benchmarks.verdict.jobs import draw, stream
 from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.cli.options import OfRobot
 from calib_pin.estimation.evidence import Finding
@@ -32,6 +33,7 @@ from calib_pin.validation.findings.alternatives import (
 )
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.readings import (
+    instruments,
     line_order,
     orientations,
     robots,
@@ -179,7 +181,7 @@ def of_camera(
 ) -> Finding:
     """What explains images that are said to be of a camera."""
     case = Case.of_none(chains, rows, replace(setup, camera=camera))
-    found = explain(case, (robots,))
+    found = explain(case, (instruments, robots))
     assert found is not None
     (one,) = findings_of(case, found)
     return one
@@ -215,6 +217,21 @@ def test_rows_and_columns_of_an_image() -> None:
     turned = replace(rows.only, values=rows.only.values[:, ::-1])
     one = of_camera(chains, Observations((turned,)), setup.camera, setup)
     assert one.code == "image-axes" and "names of these columns" in one.remedy
+
+
+def test_a_wire_that_reads_too_much() -> None:
+    """One hundred and twenty distances, 50 mm too long, each a value of its own."""
+    job = draw(3, robot="space6", model="point-distance", least=120, noise=1e-4)
+    rows = job.measured(stream(3, 1))
+    long, setup = (
+        replace(rows, values=rows.values + 0.04),
+        replace(job.setup, anchors={}),
+    )
+    result = calib_pin.calibrate(job.chain, long, setup, validate=False)
+    (one,) = (f for f in result.findings if f.severity == "error")
+    assert one.code == "held-number"
+    names = set(rows.target)
+    assert one.setup == {"anchors": {n: {"estimate_bias": True} for n in names}}
 
 
 ARM = calib_pin.load_chain("space6")

@@ -58,6 +58,7 @@ def _direction(vector: Triple) -> Triple:
 
 
 Length = Annotated[float, Value("m", SMALLEST, LARGEST_LENGTH)]
+Span = Annotated[float, Value("m", SMALLEST, 20.0)]
 Edge = Annotated[float, Value("m", SMALLEST, 2.0)]
 Position = Annotated[Triple, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)]
 Angles = Annotated[Triple, Value("rad", -LARGEST_ANGLE, LARGEST_ANGLE)]
@@ -209,7 +210,7 @@ class SphereSetup(_Placed):
     """
 
     xyz: Position | None = None
-    radius: Length | None = None
+    radius: Edge | None = None
     estimate: bool = True
     estimate_radius: bool | None = None
 
@@ -347,8 +348,8 @@ class DistanceSetup(Section):
     """
 
     between: Annotated[tuple[Text, Text], distinct]
-    value: Length
-    sigma: Length = 1e-4
+    value: Span
+    sigma: Edge = 1e-4
 
 
 # --- the reading of files -----------------------------------------------------------
@@ -1015,7 +1016,7 @@ class Setup(FitSetup):
         str, Annotated[Pair, Value("rad, m", -LARGEST_ANGLE, LARGEST_ANGLE), _ordered]
     ] = empty()
     ranger: RangerSetup = RangerSetup()
-    gauge: Length | None = None
+    gauge: Span | None = None
     monte_carlo: MonteCarloSetup = MonteCarloSetup()
     file: str = field(default="", compare=False, metadata={"key": None})
 

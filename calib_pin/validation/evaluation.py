@@ -30,7 +30,12 @@ from calib_pin.validation.findings.case import Case, Others, some_of
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.findings.sentences import told as finding
 from calib_pin.validation.judgement import CHECK, told, too_large
-from calib_pin.validation.model_errors import Registered, registered
+from calib_pin.validation.model_errors import (
+    Registered,
+    located_names,
+    registered,
+    registered_anew,
+)
 from calib_pin.validation.result import Accuracy, Evaluation
 
 MOVED = 0.5
@@ -161,13 +166,12 @@ def prepared(
     Raises:
         InputError: If there are no measurements, or they do not fit the model.
     """
-    if isinstance(robot, CalibratedModel):
-        require_conditions(rows, robot.setup, of_robot=True)
-        problem, theta = robot.problem(rows), robot.theta
-    else:
-        plain = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
-        problem, registration = make_problem(robot, rows, plain), True
-        theta = np.zeros(len(problem.parameters))
     if len(rows) == 0:
         raise InputError("there are no measurements to evaluate")
-    return registered(problem, theta, rows, registration)
+    if not isinstance(robot, CalibratedModel):
+        plain = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
+        problem = make_problem(robot, rows, plain)
+        none = np.zeros(len(problem.parameters))
+        return registered_anew(problem, none, located_names(problem))
+    require_conditions(rows, robot.setup, of_robot=True)
+    return registered(robot.problem(rows), robot.theta, rows, registration)

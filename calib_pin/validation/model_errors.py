@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -263,18 +263,11 @@ def registered(
         InputError: If a new station or reference object uses up all that its
             measurements say, or they are of something that was not fitted.
     """
-    known, before = set(problem.parameters.names), set(located_names(problem))
+    known, before = set(problem.parameters.names), located_names(problem)
     problem, theta = extended(problem, theta, measurements)
-    located = tuple(n for n in located_names(problem) if n not in before)
     if anew:
-        problem, result = register(problem, theta)
-        return Registered(
-            problem,
-            result.x,
-            registered=True,
-            reason=registration_reason(problem, result),
-            located=located,
-        )
+        return registered_anew(problem, theta, before)
+    located = tuple(n for n in located_names(problem) if n not in before)
     names, free = problem.parameters.names, problem.parameters.free
     new = tuple(k for k, name in enumerate(names) if name not in known and free[k])
     if not new:
@@ -284,6 +277,26 @@ def registered(
     basis = np.diag(problem.parameters.scales)[:, list(new)]
     theta = least_squares(plain, theta, basis).x
     return Registered(problem, theta, new, located=located)
+
+
+def registered_anew(
+    problem: Problem, theta: Floats, before: Collection[str]
+) -> Registered:
+    """A problem with base, tool and instrument fitted to its measurements.
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+        before: Names of what has been located before.
+    """
+    problem, result = register(problem, theta)
+    return Registered(
+        problem,
+        result.x,
+        registered=True,
+        reason=registration_reason(problem, result),
+        located=tuple(n for n in located_names(problem) if n not in before),
+    )
 
 
 def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:

@@ -55,7 +55,7 @@ TEXT = "text (in quotes if it looks like something else)"
 WRONG = [
     # A file, its key, what is allowed there, and what is not.
     (
-        *("gauge: %s", "gauge", "a positive number [m], at most 100"),
+        *("gauge: %s", "gauge", "a positive number [m], at most 20"),
         "one|true|[1]|.nan|-.inf|1:30|0x10|1_000|''|0|-1|100.1|{a: b}",
     ),
     (
@@ -119,7 +119,7 @@ def test_values_that_a_key_refuses(bad, text, key, allowed, values):
 
 
 def test_limits_themselves_are_allowed(write):
-    text = "gauge: 100\nreading: {shift: -1e6}\ndrift: {shift: 0}\nlimits: {j: [1, 1]}"
+    text = "gauge: 20\nreading: {shift: -1e6}\ndrift: {shift: 0}\nlimits: {j: [1, 1]}"
     assert read_setup(write(text)).limits == {"j": (1.0, 1.0)}
 
 

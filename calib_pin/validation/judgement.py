@@ -611,7 +611,8 @@ def _sizes(
         rng: Random generator of the bound.
     """
     G = np.einsum("ndi,ndj->ij", J, J, optimize=True) / len(J)
-    squares = [np.maximum(np.linalg.eigvals(G @ c).real, 0.0) for c in C]
+    # In an order that no rounding changes, as each meets draws of its own.
+    squares = [np.sort(np.maximum(np.linalg.eigvals(G @ c).real, 0.0)) for c in C]
     left = float(np.mean([s.sum() for s in squares]))
     by_effects = np.einsum("ndi,ndj->ij", effects, effects, optimize=True) / len(J)
     lacking = np.maximum(np.linalg.eigvalsh(by_effects), 0.0)

@@ -29,6 +29,7 @@ from calib_pin.kinematics.threads import PerThread, workspace
 from calib_pin.kinematics.tree import LINK, Configurations, link_frame, reduced, support
 from calib_pin.setup import Payload
 from calib_pin.setup.arguments import as_array, checked
+from calib_pin.setup.values import LARGEST_LENGTH
 
 Placement: TypeAlias = "pin.SE3 | Floats"
 """Placement of a joint: one, or one of each configuration, shape (N, 4, 4)."""
@@ -62,7 +63,8 @@ class Chain:
 
     Raises:
         RobotError: If a frame is unknown, the tip is ambiguous, there is no moving
-            joint between two links, or one with several degrees of freedom.
+            joint between two links, or one with several degrees of freedom; if one end
+            is farther from the other than any robot reaches.
 
     Examples:
         >>> import calib_pin
@@ -140,6 +142,13 @@ class Chain:
         self.tip_joint: str | None = (
             robot.fixed_parents[self.tip] if path and on_path else None
         )
+        away = float(np.linalg.norm(self.poses(np.zeros((1, count)))[0, :3, 3]))
+        if away > LARGEST_LENGTH:
+            raise RobotError(
+                f"'{self.tip}' is {away:.4g} m from '{self.base}'; a URDF states "
+                "lengths in m, not in mm",
+                file=robot.file,
+            )
 
     def __repr__(self) -> str:
         """The robot, the ends and the number of joints."""

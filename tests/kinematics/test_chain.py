@@ -420,6 +420,9 @@ def test_frames_that_make_no_chain() -> None:
     alone = parse_robot(b'<robot name="r"><link name="a"/></robot>', "r.urdf")
     with refused(RobotError, file="r.urdf"):
         Chain(alone)
+    # An arm of 800 mm.
+    with refused(RobotError, "'flange' is 800 m from 'base_link'", file="test.urdf"):
+        chain_of(urdf_of({**joint, "placement": "0 0 800"}))
 
 
 def test_a_link_stands_still_in_itself(heavy_urdf: str) -> None:

@@ -518,7 +518,7 @@ def robots(case: Case) -> Iterator[Alternative]:
     robot = case.chains.robot
     for other in case.others():
         file = other.robot.file
-        words = f"the robot is '{file}', not '{robot.name}'"
+        words = f"the robot is '{file}', not '{robot.file}'"
         advice = f"use '{file}' in place of '{robot.file}'"
         yield Alternative("robot", words, "the chain", chains=other, advice=advice)
 

@@ -485,8 +485,7 @@ class _Search:
         """
         if self.contact or not faults:
             return None
-        left = self._fitted(faults, thorough=True)
-        return self._decided(faults, left, most, fitted=True)
+        return self._decided(faults, self._fitted(faults), most, fitted=True)
 
     def _decided(
         self,
@@ -564,26 +563,31 @@ class _Search:
             if _redundancy(problem) < LEAST:
                 return np.inf
             scale = merged(fault.reading for fault in faults).scale
+            thorough = thorough or _of_unknowns(faults)
             return trimmed(problem, self.first, scale, thorough)[0]
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf  # No beam meets its plane, say.
 
-    def _fit(
-        self, faults: Sequence[Alternative], thorough: bool = False
-    ) -> QuickFit | None:
+    def _fit(self, faults: Sequence[Alternative]) -> QuickFit | None:
         """A robot whose errors were fitted in a few steps, if one can be."""
         try:
-            return QuickFit.of(self._problem(faults, self.whole), thorough=thorough)
+            problem = self._problem(faults, self.whole)
+            return QuickFit.of(problem, thorough=_of_unknowns(faults))
         except (CalibPinError, np.linalg.LinAlgError):
             return None
 
-    def _fitted(self, faults: Sequence[Alternative], thorough: bool = False) -> float:
+    def _fitted(self, faults: Sequence[Alternative]) -> float:
         """Error that it leaves, rms in standard deviations."""
         self.tried += 1
-        fit = self._fit(faults, thorough)
+        fit = self._fit(faults)
         if fit is None or not fit.redundant or below_sheet(fit.problem):
             return np.inf
         return fit.rms if np.isfinite(fit.rms) else np.inf
+
+
+def _of_unknowns(faults: Iterable[Alternative]) -> bool:
+    """Whether other frames or numbers of instruments have to be located."""
+    return any(fault.setup for fault in faults)
 
 
 def _rank(tried: _Tried) -> float:

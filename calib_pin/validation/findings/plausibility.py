@@ -606,7 +606,8 @@ def families(case: Case) -> tuple[Finding, ...]:
     every += names
     missing = Alternative(
         "model-lacks",
-        f"{enumerated(names)}, not estimated here, explains most of it",
+        f"{enumerated(names)}, not estimated here, explain{'s' * (len(names) == 1)} "
+        "most of it",
         "the model",
         stated={"parameters": every},
         advice=f"estimate them: --parameters {','.join(every)}",

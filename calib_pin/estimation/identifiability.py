@@ -22,6 +22,7 @@ in return, so they stay at nominal.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -111,24 +112,28 @@ class Structure:
         free, of_free = parameters.free, np.cumsum(parameters.free) - 1
         order = np.array([k for k in parameters.eliminated if free[k]], np.int64)
         _, C = combinations(self.relations[:, of_free[order]], self.rank)
-        return tuple(self._readable(row, order) for row in C / parameters.scales[order])
+        own = [parameters[k] for k in order.tolist()]
+        # The scale of a frame is that of an unknown stand, not of an error.
+        sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in own]
+        rows = C / parameters.scales[order]
+        return tuple(self._readable(row, order, np.array(sizes)) for row in rows)
 
-    def _readable(self, coefficients: Floats, order: NDArray[np.int64]) -> Combination:
+    def _readable(
+        self, coefficients: Floats, order: NDArray[np.int64], sizes: Floats
+    ) -> Combination:
         """A sum whose first term that matters has coefficient 1.
 
         Args:
             coefficients: Of the free parameters in the order of elimination, (K,).
             order: Positions of these parameters, shape (K,).
+            sizes: Their expected sizes, shape (K,).
         """
-        own = [self.parameters[int(k)] for k in order]
-        # The scale of a frame is that of an unknown stand, not of an error.
-        sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in own]
         weights = np.abs(coefficients) * sizes
         kept = np.flatnonzero(weights > CRUMB * weights.max())
         lead = int(kept[0])
         values = (coefficients[kept] / coefficients[lead]).tolist()
         terms = tuple(zip(order[kept].tolist(), values, strict=True))
-        return Combination(terms, own[lead].unit)
+        return Combination(terms, self.parameters[int(order[lead])].unit)
 
     @cached_property
     def unidentifiable(self) -> tuple[int, ...]:
@@ -281,6 +286,7 @@ class _Place(NamedTuple):
         origin: A point of the axis before, shape (3,).
         along: Direction of that, shape (3,).
         link: Link between both.
+        normal: Their common normal, shape (3,).
     """
 
     joint: str
@@ -289,6 +295,7 @@ class _Place(NamedTuple):
     origin: Floats
     along: Floats
     link: str
+    normal: Floats = np.zeros(3)
 
     def directions(self, axis: Floats) -> tuple[Floats, Floats, Floats]:
         """Common normal, direction across it, and axis; a right-handed frame."""
@@ -368,7 +375,9 @@ def _places(chain: Chain) -> list[_Place]:
     for k, (joint, axis) in enumerate(ends):
         before = invert(frames[k + 1]) @ frames[k]
         line = before[:3, 3], before[:3, :3] @ axes[k]
-        found.append(_Place(joint, axis, joints[k], *line, links[k]))
+        place = _Place(joint, axis, joints[k], *line, links[k])
+        normal, *_ = place.directions(place.along if axis is None else axis)
+        found.append(place._replace(normal=normal))
     return found
 
 
@@ -399,7 +408,7 @@ def _aligned(twists: Floats, scales: Floats, place: _Place) -> Floats:
     for rows, own in ((shifts, slice(0, 3)), (turns, slice(3, 6))):
         given = twists[rows, own]
         alike = len(rows) == 3 and np.ptp(scales[rows]) == 0.0
-        if alike and np.allclose(given @ given.T, np.eye(3), atol=1e-9):
+        if alike and np.abs(given @ given.T - np.eye(3)).max() < 1e-9:
             result[np.ix_(rows, rows)] = given @ towards
     return result
 
@@ -413,9 +422,9 @@ def _named(twist: Floats, place: _Place, turns: Mapping[str, bool]) -> Label:
         turns: Whether each joint of the chain turns.
     """
     shift, turn = twist[:3], twist[3:]
-    turning = bool(np.linalg.norm(turn) > 1e-9)
+    turning = math.hypot(*turn) > 1e-9
     direction = turn if turning else shift
-    direction = direction / np.linalg.norm(direction)
+    direction = direction / math.hypot(*direction)
     point = skew(turn) @ shift / (turn @ turn) if turning else np.zeros(3)
 
     def along(other: Floats) -> bool:
@@ -426,13 +435,12 @@ def _named(twist: Floats, place: _Place, turns: Mapping[str, bool]) -> Label:
         (place.before, place.along, place.origin),
     ):
         off = point - origin
-        through = np.linalg.norm(off - (off @ direction) * direction) < NEAR
+        through = math.hypot(*(off - (off @ direction) * direction)) < NEAR
         if joint and axis is not None and along(axis) and (through or not turning):
             free = turning == turns[joint]
             axial = "axis tilt" if turning else "link offset"
             return Label("joint offset" if free else axial, joint)
-    normal = place.directions(place.along if place.axis is None else place.axis)[0]
-    if place.before and along(normal):
+    if place.before and along(place.normal):
         return Label("link twist" if turning else "link length", place.link)
     return Label("axis tilt" if turning else "axis shift", place.joint or "tip")
 

@@ -283,8 +283,9 @@ def robot_errors(
     leads, C = order[np.array(pivots, np.intp)], np.zeros((len(rows), len(parameters)))
     # Columns are scaled by the expected sizes; the coefficients are not.
     C[:, order] = rows / parameters.scales[order]
+    sizes = np.array([expected_size(parameter.unit) for parameter in parameters])
     found = [
-        _error(k, row / row[k], columns, parameters, fitted)
+        _error(k, row / row[k], columns, parameters, sizes, fitted)
         for k, row in zip(leads.tolist(), C, strict=True)
         if not nuisance[k]
     ]
@@ -301,6 +302,7 @@ def _error(
     full: Floats,
     columns: Columns,
     parameters: ParameterSet,
+    sizes: Floats,
     fitted: Estimated | None,
 ) -> RobotError:
     """An identifiable error by its coefficients in the named directions, (P,)."""
@@ -308,7 +310,6 @@ def _error(
     row = columns.turned @ full
     terms = [(k, float(row[k])) for k in np.flatnonzero(row).tolist()]
     value, sigma, told = _estimate(Combination((*terms,), unit), parameters, fitted)
-    sizes = np.array([expected_size(p.unit) for p in parameters])
     # A minus where the axis points the other way; what comes first says so.
     signs: dict[str, str] = {}
     for k in columns.order:

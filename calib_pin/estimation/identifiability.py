@@ -276,7 +276,8 @@ class Columns:
     order: tuple[int, ...]
 
 
-class _Place(NamedTuple):
+@dataclass(frozen=True)
+class _Place:
     """A joint between its axis and the one before, in its own frame.
 
     Attributes:
@@ -286,7 +287,6 @@ class _Place(NamedTuple):
         origin: A point of the axis before, shape (3,).
         along: Direction of that, shape (3,).
         link: Link between both.
-        normal: Their common normal, shape (3,).
     """
 
     joint: str
@@ -295,7 +295,11 @@ class _Place(NamedTuple):
     origin: Floats
     along: Floats
     link: str
-    normal: Floats = np.zeros(3)
+
+    @cached_property
+    def normal(self) -> Floats:
+        """The common normal of both axes, shape (3,)."""
+        return self.directions(self.along if self.axis is None else self.axis)[0]
 
     def directions(self, axis: Floats) -> tuple[Floats, Floats, Floats]:
         """Common normal, direction across it, and axis; a right-handed frame."""
@@ -375,9 +379,7 @@ def _places(chain: Chain) -> list[_Place]:
     for k, (joint, axis) in enumerate(ends):
         before = invert(frames[k + 1]) @ frames[k]
         line = before[:3, 3], before[:3, :3] @ axes[k]
-        place = _Place(joint, axis, joints[k], *line, links[k])
-        normal, *_ = place.directions(place.along if axis is None else axis)
-        found.append(place._replace(normal=normal))
+        found.append(_Place(joint, axis, joints[k], *line, links[k]))
     return found
 
 

@@ -547,10 +547,12 @@ class _Search:
         stated = {k: v for h in faults for k, v in h.setup.items()}
         setup = replace(setup, **stated) if stated else setup
         data = _thinned(read_so(self.data, faults))
-        # A distance tells a third of what a position does.
-        least = ROWS * max(3 // len(declared(m).components[:3]) for m in data.models)
         if len(data) >= SEVERAL * data.configurations:
             least = IMAGES * CORNERS
+        else:
+            # A distance tells a third of what a position does.
+            scalar = any(len(declared(m).components) == 1 for m in data.models)
+            least = 3 * ROWS if scalar else ROWS
         # Each frame that is a new one needs as many.
         count = least * len(data.blocks) // len(self.data.blocks)
         return make_problem(chains, data.sample(count), setup)

@@ -529,9 +529,14 @@ def _another(case: Case, fit: Trial | None) -> Explanation | None:
     data, row = fit.problem.data, int(order[best - 1])
     said = f"something else was measured after line {place_of(data, row)}, such as "
     numbers = {"file": data.files[row], "line": int(data.lines[row]) or best}
-    found = Alternative("outlying-stretch", f"{said}another robot", "robot")
-    found = replace(found, advice="calibrate the two parts apart", figure="over-order")
-    found = replace(found, numbers=numbers)
+    found = Alternative(
+        "outlying-stretch",
+        f"{said}another robot",
+        "robot",
+        advice="calibrate the two parts apart",
+        figure="over-order",
+        numbers=numbers,
+    )
     return Explanation((found,), fit.errors, after, judged="error")
 
 

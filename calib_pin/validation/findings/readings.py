@@ -35,6 +35,7 @@ from calib_pin.measurement_models.references import Center
 from calib_pin.observations import (
     FRAMES,
     BlockKey,
+    Booleans,
     Frame,
     Measurements,
     Observations,
@@ -471,16 +472,19 @@ def _apart(data: Observations, group: Mapping[str, str], frame: Frame) -> Observ
 
 def instruments(case: Case) -> Iterator[Alternative]:
     """Explanations by what is known of an instrument, and by how its images stand."""
-    for term in case.fit.problem.terms.values():
-        round_ones = [r for r in term.measurement.references if isinstance(r, Center)]
-        if known := [r for r in round_ones if not r.estimate_size]:
-            kind, number = known[0].section, known[0].number
-            words = f"the {number} of the {kind} is not the one that is held"
-            free = {r.name: replace(r, estimate_size=True).stated() for r in known}
-            stated = {kind: {name: {f"estimate_{number}": True} for name in free}}
-            setup = {kind: {**getattr(case.setup, kind), **free}}
-            found = Alternative("held-number", words, number, setup=setup)
-            yield replace(found, stated=stated)
+    round_ones = (
+        r for r in case.fit.problem.references.values() if isinstance(r, Center)
+    )
+    held = [reference for reference in round_ones if not reference.estimate_size]
+    for kind in dict.fromkeys(reference.section for reference in held):
+        known = [reference for reference in held if reference.section == kind]
+        number = known[0].number
+        words = f"the {number} of the {kind} is not the one that is held"
+        free = {r.name: replace(r, estimate_size=True).stated() for r in known}
+        stated = {kind: {name: {f"estimate_{number}": True} for name in free}}
+        setup = {kind: {**getattr(case.setup, kind), **free}}
+        found = Alternative("held-number", words, number, setup=setup)
+        yield replace(found, stated=stated)
     if (camera := case.setup.camera) is not None:
         (mount,) = MOUNTS.keys() - {camera.mount}
         yield Alternative(
@@ -525,10 +529,12 @@ def robots(case: Case) -> Iterator[Alternative]:
 
 def _turned(data: Observations) -> Observations:
     """Measurements with the rows and columns of their images exchanged."""
-    images = [b for b in data.blocks if declared(b.model).components == PIXEL]
-    others = [b for b in data.blocks if b not in images]
-    turned = (replace(b, values=b.values[:, ::-1]) for b in images)
-    return Observations((*turned, *others))
+
+    def change(block: Measurements, _: Booleans) -> Floats:
+        image = declared(block.model).components == PIXEL
+        return block.values[:, ::-1] if image else block.values
+
+    return with_values(data, change)
 
 
 def turned_by_base(case: Case) -> str:

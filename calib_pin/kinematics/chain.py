@@ -34,6 +34,17 @@ from calib_pin.setup.values import LARGEST_LENGTH
 Placement: TypeAlias = "pin.SE3 | Floats"
 """Placement of a joint: one, or one of each configuration, shape (N, 4, 4)."""
 
+Sweep: TypeAlias = Callable[[Floats, Sequence[Placement]], tuple[Floats, ...]]
+"""Computes arrays of N configurations, shape (N, n), with joints at placements."""
+
+RECENT, REMEMBERED = 4, 2**14
+"""Sweeps whose results are kept, and most joint positions of one that are."""
+
+
+def matrix(pose: Placement) -> Floats:
+    """A pose as a matrix, shape (4, 4), or those of each configuration, (N, 4, 4)."""
+    return np.asarray(pose.homogeneous if isinstance(pose, pin.SE3) else pose)
+
 
 class Chain:
     """Kinematics from `base` to `tip` on Pinocchio.
@@ -104,6 +115,7 @@ class Chain:
         locked = sorted({*range(1, full.njoints)}.difference(path))
         self._model = reduced(full, locked)
         self._workspace = PerThread(workspace, self._model)
+        self._recent = PerThread[dict[tuple[object, ...], tuple[Floats, ...]]](dict)
         self._ids = [self._model.getJointId(name) for name in self.joints]
         # The regressor has six columns per joint in the order of the tree.
         ids = np.array(self._ids, np.intp)
@@ -166,7 +178,7 @@ class Chain:
         Returns:
             `T_base_tip`, shape (N, 4, 4).
         """
-        return self._sweep(self._rows(q), placements, pin.forwardKinematics)
+        return self._recalled(self._poses, q, placements)[0]
 
     def regressor(
         self, q: Floats, placements: Sequence[Placement] | None = None
@@ -181,14 +193,8 @@ class Chain:
             `T_base_tip`, shape (N, 4, 4), and R, shape (N, 6, 6 n): the body twist of
             the tip per placement twist, joints in chain order.
         """
-        T, R = self._differentiate(
-            self._rows(q),
-            placements,
-            6 * (self._model.njoints - 1),
-            pin.forwardKinematics,
-            pin.computeFrameKinematicRegressor,
-        )
-        return T, R[:, :, self._columns]
+        T, R = self._recalled(self._regressor, q, placements)
+        return T, R
 
     def jacobian(
         self, q: Floats, placements: Sequence[Placement] | None = None
@@ -320,6 +326,42 @@ class Chain:
         while joint:
             frame, joint = placed[joint] * frame, self._model.parents[joint]
         return frame
+
+    def _recalled(
+        self, sweep: Sweep, q: Floats, placements: Sequence[Placement] | None
+    ) -> tuple[Floats, ...]:
+        """The results of a sweep, or those of the same one a moment ago.
+
+        Frames and instruments are located while the robot stands where it stood.
+        """
+        q = self._rows(q)
+        chosen = self.placements if placements is None else placements
+        if q.size > REMEMBERED:
+            return sweep(q, chosen)
+        recent, places = self._recent.own, map(matrix, chosen)
+        key = (sweep.__name__, q.shape, *(rows.tobytes() for rows in (q, *places)))
+        if key not in recent:
+            if len(recent) == RECENT:
+                del recent[next(iter(recent))]
+            recent[key] = sweep(q, chosen)
+            for found in recent[key]:
+                found.flags.writeable = False
+        return recent[key]
+
+    def _poses(self, q: Floats, placements: Sequence[Placement]) -> tuple[Floats]:
+        return (self._sweep(q, placements, pin.forwardKinematics),)
+
+    def _regressor(
+        self, q: Floats, placements: Sequence[Placement]
+    ) -> tuple[Floats, Floats]:
+        T, R = self._differentiate(
+            q,
+            placements,
+            6 * (self._model.njoints - 1),
+            pin.forwardKinematics,
+            pin.computeFrameKinematicRegressor,
+        )
+        return T, R[:, :, self._columns]
 
     def _differentiate(
         self,

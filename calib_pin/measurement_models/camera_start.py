@@ -379,7 +379,9 @@ def _scaled_rotation(local: Floats, rays: Floats) -> Floats | None:
         if not scale > 0.0:
             return None
         R = nearest_rotation(np.array([x, y, np.cross(x, y) / scale]) / scale)
-        depth = 1.0 + scale * (local @ R[2])
+        before, depth = depth, 1.0 + scale * (local @ R[2])
+        if np.allclose(depth, before, rtol=DEGENERATE, atol=0.0):
+            break
     return R
 
 

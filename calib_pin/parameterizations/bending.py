@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.kinematics.chain import Placement
+from calib_pin.kinematics.chain import Placement, matrix
 from calib_pin.kinematics.spatial import (
     Floats,
     adjoint,
@@ -103,11 +103,6 @@ def joined(first: Placement, second: Placement) -> Placement:
     if isinstance(first, pin.SE3) and isinstance(second, pin.SE3):
         return first * second
     return np.asarray(matrix(first) @ matrix(second))
-
-
-def matrix(pose: Placement) -> Floats:
-    """A pose as a matrix, shape (4, 4), or those of each configuration, (N, 4, 4)."""
-    return np.asarray(pose.homogeneous if isinstance(pose, pin.SE3) else pose)
 
 
 def carried(pose: Placement, twists: Floats) -> Floats:

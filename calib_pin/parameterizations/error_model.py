@@ -25,7 +25,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.kinematics.chain import Chain, Placement
+from calib_pin.kinematics.chain import Chain, Placement, matrix
 from calib_pin.kinematics.spatial import (
     Floats,
     interpolate,
@@ -40,7 +40,7 @@ from calib_pin.parameterizations import (
     frame_screws,
     parameterization,
 )
-from calib_pin.parameterizations.bending import Bends, carried, joined, matrix
+from calib_pin.parameterizations.bending import Bends, carried, joined
 from calib_pin.parameterizations.learned import Learned
 from calib_pin.parameterizations.linearization import (
     Fading,

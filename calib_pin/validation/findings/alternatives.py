@@ -211,6 +211,11 @@ class Alternative:
     absorbs: float = 1.0
     numbers: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def among_rows(self) -> bool:
+        """Whether it takes more than a row to read this row, or leaves some out."""
+        return self.change is not None or self.reading != ReadingSetup()
+
 
 def read_so(data: Observations, faults: Iterable[Alternative]) -> Observations:
     """Measurements as they are to be read if they have some faults.
@@ -363,6 +368,7 @@ class _Search:
         self.whole = replace(case.setup, learned=None)
         self.plain = replace(self.whole, parameters=(), fixed=(), bounds={}, prior={})
         self.contact = any(declared(model).contact for model in self.data.models)
+        self.few = self._few(self.data)
         problem, self.first = case.fit.problem, np.inf
         own = problem.given_sigma[problem.layout.component == 0]
         self.unit = float(np.sqrt(np.mean(own**2)))
@@ -546,7 +552,15 @@ class _Search:
         chains = next((h.chains for h in faults if h.chains), self.case.chains)
         stated = {k: v for h in faults for k, v in h.setup.items()}
         setup = replace(setup, **stated) if stated else setup
-        data = _thinned(read_so(self.data, faults))
+        if any(fault.among_rows for fault in faults):
+            data = self._few(read_so(self.data, faults))
+        else:
+            data = read_so(self.few, faults)
+        return make_problem(chains, data, setup)
+
+    def _few(self, data: Observations) -> Observations:
+        """Those measurements that trials are made on."""
+        data = _thinned(data)
         if len(data) >= SEVERAL * data.configurations:
             least = IMAGES * CORNERS
         else:
@@ -554,8 +568,7 @@ class _Search:
             scalar = any(len(declared(m).components) == 1 for m in data.models)
             least = 3 * ROWS if scalar else ROWS
         # Each frame that is a new one needs as many.
-        count = least * len(data.blocks) // len(self.data.blocks)
-        return make_problem(chains, data.sample(count), setup)
+        return data.sample(least * len(data.blocks) // len(self.data.blocks))
 
     def _nominal(self, faults: Sequence[Alternative], thorough: bool = False) -> float:
         """Error of the registered nominal robot, rms in standard deviations."""

@@ -375,6 +375,20 @@ def test_a_mishap_is_named_and_its_lines_undo_it(
         assert again.errors[0].after.rms < 3.0 * NOISE
 
 
+@pytest.mark.parametrize(
+    "spoil", [values(lambda v: v / 1000.0), joint(2, lambda q: -q)], ids=["mm", "sign"]
+)
+def test_errors_of_the_nominal_robot_are_told_as_the_result_shows_them(spoil) -> None:
+    """The best four fifths of them, as sizes of a position in the unit of the file."""
+    rows = measured()
+    right, wrong = (
+        calib_pin.calibrate(ARM, read, validate=False) for read in (rows, spoil(rows))
+    )
+    (told,) = (f.evidence for f in wrong.findings if f.severity == "error")
+    for said, result in (("rms_before", wrong), ("rms_after", right)):
+        assert 0.6 < told[said] / result.errors[0].before.rms < 1.0
+
+
 def cured(
     mishap: Mishap, rows: Measurements, lines: Mapping[str, Any], folder: Path
 ) -> calib_pin.CalibrationResult:

@@ -144,7 +144,9 @@ def explained(
 
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
-    return _told(facts.constant_orientation, case) or findings_of(case, _cause(case))
+    constant = _told(facts.constant_orientation, case)
+    constant += _told(facts.constant_positions, case)
+    return constant or findings_of(case, _cause(case))
 
 
 def _cause(case: Case) -> Explanation | None:

@@ -157,8 +157,8 @@ def of_another(rows: Measurements) -> Measurements:
 
 
 def rounded(rows: Measurements) -> Measurements:
-    """The same to a hundredth of a millimeter."""
-    return replace(rows, values=ARM.poses(rows.q)[:, :3, 3].round(5))
+    """The same to a tenth of a millimeter."""
+    return replace(rows, values=ARM.poses(rows.q)[:, :3, 3].round(4))
 
 
 def repeated(rows: Measurements, index: Any) -> Measurements:
@@ -284,6 +284,9 @@ MISHAPS = [
         values(lambda v: np.hstack([v[:, :3], np.eye(4)[[3] * len(v)]])),
         job={"model": "pose"},
     ),
+    Mishap("constant-positions", values(lambda v: v[[0] * len(v)])),
+    Mishap("constant-positions", values(lambda v: v * [1.0, 1.0, 0.0])),
+    Mishap("constant-positions", values(lambda v: v[:, [0, 0, 2]])),
     Mishap("computed-values", computed),
     Mishap("computed-values", rounded),
     Mishap("coarse-steps", values(lambda v: np.round(v, 3)), severity="warning"),

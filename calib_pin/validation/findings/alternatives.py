@@ -512,8 +512,7 @@ class _Search:
         offset = known and all(fault.code == "joint-offset" for fault in faults)
         judged: Severity | None = "warning" if offset else None
         # The error of a position is its length, as elsewhere, not that along an axis.
-        columns = case.fit.quantity.columns
-        unit = self.unit * float(np.sqrt(columns.stop - columns.start))
+        unit = self.unit * float(np.sqrt(case.fit.quantity.dimension))
         return Explanation(faults, unit * before, unit * after, fitted, judged)
 
     def _calmer(self, faults: Sequence[Alternative], after: float) -> bool:

@@ -465,12 +465,14 @@ def coarse_values(case: Case) -> Iterator[Finding]:
     for k, quantity in enumerate(problem.layout.quantities):
         own = fit.table[:, quantity.columns]
         own = own[np.isfinite(own)]
-        left = float(np.sqrt(np.mean(own**2))) / used if len(own) else 0.0
+        # Both are sizes of all components, as errors are shown.
+        whole = float(np.sqrt(quantity.dimension))
+        left = whole * float(np.sqrt(np.mean(own**2))) / used if len(own) else 0.0
         step, unit = _step_of(case, quantity), quantity.unit
         found = [(f"measured {quantity.name}s", step, unit, step)]
         found += [] if k else [("joint positions", *_joint_step(case, quantity))]
         for words, step, unit, errors in found:
-            noise = ROUNDED * errors
+            noise = whole * ROUNDED * errors
             if noise > 0.0 and COARSE * left <= noise <= MOST * left:
                 parts = [shown(x, quantity.unit) for x in (noise, left)]
                 said = f"the {words} are written in steps of {shown(step, unit, 3)}, "

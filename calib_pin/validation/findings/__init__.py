@@ -60,7 +60,8 @@ FOLLOW = {
     "large-correction": {"joint-offset"},  # The origin has taken it over.
     # Commanded positions are off by the side, and those that were read too early.
     "backlash": {"joint-columns", "lag"},
-    "gear-ripple": {"model-lacks"},  # Large errors of gears alias to ripples.
+    # Large errors of gears alias to ripples, and copies have no noise of their own.
+    "gear-ripple": {"model-lacks", "copied-measurements"},
     "coarse-steps": {"computed-values"},
     # What no parameter describes leaves more than noise.
     "noise": {"model-lacks", "backlash", "lag", "coarse-steps", "instrument-drift"}

@@ -392,6 +392,14 @@ def test_errors_of_the_nominal_robot_are_told_as_the_result_shows_them(spoil) ->
         assert 0.6 < told[said] / result.errors[0].before.rms < 1.0
 
 
+def test_a_file_that_was_copied_into_itself_shows_no_further_family() -> None:
+    """Copies are no further values that one could have explained."""
+    rows = measured(count=8).rows(np.tile(np.arange(8), 3))
+    found = calib_pin.calibrate(ARM, rows, validate=False).findings
+    expected = ["copied-measurements", "few-configurations"]
+    assert [finding.code for finding in found] == expected
+
+
 def cured(
     mishap: Mishap, rows: Measurements, lines: Mapping[str, Any], folder: Path
 ) -> calib_pin.CalibrationResult:

@@ -46,6 +46,9 @@ IMAGES = (IMAGE, "img", "filename")
 LEAST = 1e-11
 """Standard deviation of a mean that is rounding, not scatter [m, rad, px]."""
 
+APART = 0.01
+"""Distance of readings of one name from which they are not of one point [m]."""
+
 POSE = "pose"
 """Column of the names by which two files are joined, in the result."""
 
@@ -92,6 +95,7 @@ def join_logs(
         if POSE in ours:
             both = ours.labels(POSE), theirs.labels(POSE)
             found = joining.join_by_name(q, values, *both)
+            _require_points(theirs, measured, values.values, found)
         else:
             stamps = ours.columns["time"], theirs.columns["time"]
             # Nothing says in which unit the times are.
@@ -221,6 +225,30 @@ def _named_once(table: Table) -> Table:
             reason = f"the joints have the name '{name}' twice"
             raise table.error(reason, POSE, "a name for each pose", row)
     return table
+
+
+def _require_points(
+    table: Table, measured: Sequence[str], values: Floats, found: joining.Joined
+) -> None:
+    """Refuse readings of one name that lie apart: nobody has measured their mean.
+
+    Args:
+        table: The readings.
+        measured: Names of their values.
+        values: These, shape (N, k) [SI units].
+        found: Which of them have one name.
+
+    Raises:
+        InputError: If those of a name do.
+    """
+    lengths = [k for k, n in enumerate(measured) if n in ("x", "y", "z", "distance")]
+    for rows in (one.readings for one in found.standstills):
+        apart = float(np.ptp(values[rows][:, lengths], axis=0).max(initial=0.0))
+        if apart > APART:
+            reason = f"readings of one name are {1e3 * apart:.0f} mm apart: they are "
+            reason += "of several stations, tools or points"
+            allowed = "a column 'station', 'tool' or 'target', maybe by 'columns'"
+            raise table.error(reason, POSE, allowed, int(rows[-1]))
 
 
 def _joints(table: Table, columns: Collection[str]) -> list[str]:

@@ -215,6 +215,19 @@ def test_points_with_names_need_no_time(run):
     assert not Path("o.csv").exists()
 
 
+def test_readings_of_one_name_from_two_stations_are_not_averaged(run):
+    """As an instrument exports them that was moved, and called its points alike."""
+    q = CHAIN.random_configurations(2, np.random.default_rng(3))
+    rows = [[name, *row] for name, row in zip(("P1", "P2"), q, strict=True)]
+    lines("joints.csv", ",".join(["pose", *CHAIN.joints]), rows)
+    points = [["A", "P1", 1, 2, 300], ["A", "P2", 2, 3, 400], ["B", "P1", 1, 2, 310]]
+    for header, status in (("group", 1), ("station", 0)):
+        lines("points.csv", f"{header},pose,x [m],y [m],z [cm]", points)
+        result = run("join joints.csv points.csv -o m.csv")
+        assert result.status == status
+        assert ("points.csv:4: readings of one name are 100 mm" in result.err) == status
+
+
 def test_joints_of_one_name_leave_open_whose_a_reading_is(run):
     """The readings of both would be averaged, and each get the mean."""
     q = CHAIN.random_configurations(3, np.random.default_rng(3))

@@ -627,9 +627,7 @@ def _head(robot: Robot, look: Look, command: str) -> Iterator[str]:
 
 def _lines(key: str, value: Any, look: Look) -> str:
     """A key as it stands in the file, columns each on a line of its own."""
-    if isinstance(value, str):
-        return yaml_text({key: value}).strip("{}")
-    if key != "columns":
+    if isinstance(value, str) or key != "columns":
         return yaml_text({key: value})
     order = f"# Joints are known by the order alone, {look.order}.\n" * bool(look.order)
     lines = [f"{order}columns:"]

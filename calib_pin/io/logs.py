@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,9 @@ IMAGES = (IMAGE, "img", "filename")
 
 LEAST = 1e-11
 """Standard deviation of a mean that is rounding, not scatter [m, rad, px]."""
+
+APART = 0.01
+"""Distance of readings of one name from which they are not of one point [m]."""
 
 POSE = "pose"
 """Column of the names by which two files are joined, in the result."""
@@ -91,6 +95,7 @@ def join_logs(
         if POSE in ours:
             both = ours.labels(POSE), theirs.labels(POSE)
             found = joining.join_by_name(q, values, *both)
+            _require_points(theirs, measured, values.values, found)
         else:
             stamps = ours.columns["time"], theirs.columns["time"]
             # Nothing says in which unit the times are.
@@ -170,15 +175,19 @@ def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
     """Two files whose times are called `time`, or the names that both have `POSE`.
 
     Raises:
-        InputError: If there are neither.
+        InputError: If there are neither, or joints have a name twice.
     """
     if POSE in ours and POSE in theirs:
-        return ours, theirs
+        return _named_once(ours), theirs
     times = [_time_column(table) for table in (ours, theirs)]
     if all(times):
         spare = f"{POSE} (of the file)"  # One of them alone has names.
         ours = ours.renamed({"time": times[0], spare: POSE})
         return ours, theirs.renamed({"time": times[1], spare: POSE})
+    for own, other in product(_name_columns(ours), _name_columns(theirs)):
+        if _names(ours, own) & _names(theirs, other):
+            ours, theirs = ours.renamed({POSE: own}), theirs.renamed({POSE: other})
+            return _named_once(ours), theirs
     reason = "there is no column 'time', and none of names, 'pose', in both logs"
     allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
     raise (theirs if times[0] else ours).error(reason, allowed=allowed)
@@ -189,6 +198,57 @@ def _time_column(table: Table) -> str:
     found = headers.measured(headers.foreign(table.columns)).get("time", ())
     names = (one.name for one in found)
     return next(names, next((n for n in table.columns if n.lower() == "t"), ""))
+
+
+def _name_columns(table: Table) -> list[str]:
+    """Columns that may have the names of poses, or of the points measured there."""
+    found = headers.measured(headers.foreign(table.columns)).get("target", ())
+    text = (n for n, column in table.columns.items() if np.isnan(column.numbers).all())
+    likely = [POSE] * (POSE in table) + [one.name for one in found if not one.unit]
+    return list(dict.fromkeys([*likely, *text]))
+
+
+def _names(table: Table, column: str) -> set[str]:
+    """The names in a column, in lower case."""
+    return {name.lower() for name in table.labels(column).distinct if name}
+
+
+def _named_once(table: Table) -> Table:
+    """Joints, each of which has a name of its own, if it has one.
+
+    Raises:
+        InputError: If two have one name: nothing says whose a reading is.
+    """
+    first = dict[str, int]()
+    for row, name in enumerate(map(str.lower, table.labels(POSE))):
+        if name and first.setdefault(name, row) != row:
+            reason = f"the joints have the name '{name}' twice"
+            raise table.error(reason, POSE, "a name for each pose", row)
+    return table
+
+
+def _require_points(
+    table: Table, measured: Sequence[str], values: Floats, found: joining.Joined
+) -> None:
+    """Refuse readings of one name that lie apart: nobody has measured their mean.
+
+    Args:
+        table: The readings.
+        measured: Names of their values.
+        values: These, shape (N, k) [SI units].
+        found: Which of them have one name.
+
+    Raises:
+        InputError: If those of a name do.
+    """
+    lengths = [k for k, n in enumerate(measured) if n in ("x", "y", "z", "distance")]
+    for rows in (one.readings for one in found.standstills):
+        apart = float(np.ptp(values[rows][:, lengths], axis=0).max(initial=0.0))
+        if apart > APART:
+            reason = f"readings of one name are {1e3 * apart:.0f} mm apart: they are "
+            reason += "of several stations, tools or points"
+            allowed = "a column 'station', 'tool' or 'target', maybe by 'columns'"
+            raise table.error(reason, POSE, allowed, int(rows[-1]))
 
 
 def _joints(table: Table, columns: Collection[str]) -> list[str]:

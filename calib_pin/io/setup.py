@@ -213,18 +213,24 @@ def _prior_of(document: Mapping[str, Any]) -> JointPrior:
 
 
 def yaml_text(lines: Mapping[str, Any]) -> str:
-    """Lines of a setup file, given as plain data.
+    """Lines of a setup file, given as plain data, to be put below others.
 
     Examples:
         >>> print(yaml_text({"tip": "tool0", "reading": {"axes": ["y", "x", "z"]}}))
         tip: tool0
         reading:
           axes: [y, x, z]
+        >>> print(yaml_text({"tip": "tool0"}))
+        tip: tool0
     """
     import yaml
 
-    style: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "width": WIDTH}
-    text = yaml.safe_dump(plain(lines), default_flow_style=None, **style)
+    data = plain(lines)
+    # Braces around all of it, as around what is innermost, could stand below nothing.
+    nested = any(isinstance(value, dict | list) for value in data.values())
+    style: dict[str, Any] = {"default_flow_style": None if nested else False}
+    style |= {"sort_keys": False, "allow_unicode": True, "width": WIDTH}
+    text = yaml.safe_dump(data, **style)
     return str(text).rstrip("\n")
 
 

@@ -43,6 +43,11 @@ class Quantity:
     columns: slice
     sigma: float
 
+    @property
+    def dimension(self) -> int:
+        """How many residual components it has."""
+        return int(self.columns.stop - self.columns.start)
+
     def errors(self, residual: Floats) -> Floats:
         """Size of the error of each measurement of this quantity, (N, d) -> (n,).
 

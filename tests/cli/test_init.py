@@ -106,8 +106,8 @@ GAUGE = (
 @pytest.mark.parametrize(
     ("header", "factor", "line"),
     [
-        ("Messuhr (mm)", -1e3, "dial: 'Messuhr (mm) [mm]'"),
-        ("Gauge Reading", -1e3, "dial: 'Gauge Reading [mm]'  # (unit by its numbers)"),
+        ("Messuhr (mm)", -1e3, "dial: Messuhr (mm) [mm]"),
+        ("Gauge Reading", -1e3, "dial: Gauge Reading [mm]  # (unit by its numbers)"),
         ("Abweichung [um]", 1e6, "deviation: Abweichung"),
     ],
 )

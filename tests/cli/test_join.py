@@ -204,10 +204,39 @@ def test_points_with_names_need_no_time(run):
     assert len(data.q) == 14
     expected = points_at(data, [BALLS[name] for name in data.target])
     assert np.allclose(data.values, expected, atol=1e-7)
+    # The names that an instrument gives its points are those of the poses.
     Path("points.txt").write_text(text.replace("pose", "Punkt"))
-    wrong = run("join joints.csv points.txt -o n.csv")
+    assert run("join joints.csv points.txt -o n.csv").status == 0
+    named = [Path(file).read_text() for file in ("m.csv", "n.csv")]
+    assert named[0] == named[1]
+    Path("points.txt").write_text(text.replace("pose", "Lage").replace("\np", "\nr"))
+    wrong = run("join joints.csv points.txt -o o.csv")
     assert wrong.status == 1 and "none of names, 'pose'" in wrong.err
-    assert not Path("n.csv").exists()
+    assert not Path("o.csv").exists()
+
+
+def test_readings_of_one_name_from_two_stations_are_not_averaged(run):
+    """As an instrument exports them that was moved, and called its points alike."""
+    q = CHAIN.random_configurations(2, np.random.default_rng(3))
+    rows = [[name, *row] for name, row in zip(("P1", "P2"), q, strict=True)]
+    lines("joints.csv", ",".join(["pose", *CHAIN.joints]), rows)
+    points = [["A", "P1", 1, 2, 300], ["A", "P2", 2, 3, 400], ["B", "P1", 1, 2, 310]]
+    for header, status in (("group", 1), ("station", 0)):
+        lines("points.csv", f"{header},pose,x [m],y [m],z [cm]", points)
+        result = run("join joints.csv points.csv -o m.csv")
+        assert result.status == status
+        assert ("points.csv:4: readings of one name are 100 mm" in result.err) == status
+
+
+def test_joints_of_one_name_leave_open_whose_a_reading_is(run):
+    """The readings of both would be averaged, and each get the mean."""
+    q = CHAIN.random_configurations(3, np.random.default_rng(3))
+    rows = [[name, *row] for name, row in zip(("P1", "P2", "p1"), q, strict=True)]
+    lines("joints.csv", ",".join(["pose", *CHAIN.joints]), rows)
+    lines("points.csv", "pose,x,y,z", [["P1", 1, 2, 3], ["P2", 2, 3, 4]])
+    wrong = run("join joints.csv points.csv -o m.csv")
+    assert wrong.status == 1 and "joints.csv:4" in wrong.err
+    assert "have the name 'p1' twice" in wrong.err
 
 
 def test_columns_of_one_point_stay_together(logs, run):

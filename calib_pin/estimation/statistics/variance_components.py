@@ -866,7 +866,7 @@ class Variances:
         score = 0.5 * (self.squares - self.redundancies)
         # What has reached a bound and would go on is done.
         end = np.where(score < 0.0, self.values <= lower, self.values >= upper)
-        size = np.maximum(np.sqrt(np.diag(self.information)), 1e-100)
+        size = np.sqrt(np.maximum(np.diag(self.information), 1e-200))
         N = self.information / np.outer(size, size)
         N[end], N[:, end] = 0.0, 0.0
         step = np.linalg.pinv(N, rcond=1e-10, hermitian=True) @ (score / size) / size

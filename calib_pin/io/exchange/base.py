@@ -33,6 +33,9 @@ from calib_pin.validation.result import CalibrationResult
 ENOUGH = 1e-6
 """Distance of the tool point below which a file holds the whole calibration [m]."""
 
+USELESS = 0.9
+"""Part of a calibration that is missing in a file from which it is of no use alone."""
+
 GEOMETRY, OFFSETS, GAINS = "geometry", "joint offsets", "gains"
 FRAMES, CAMERA = "frames", "camera"
 """Parts of a calibration that a format may hold."""
@@ -266,11 +269,13 @@ class Format:
         if distance < ENOUGH:
             lacking = [p for p in lacking if p not in (GEOMETRY, OFFSETS, GAINS)]
         else:
+            whole = exported.distance(Chain.poses)
             about = (
-                f"{factor * distance:.3g} of "
-                f"{factor * exported.distance(Chain.poses):.3g} {unit} of what was "
+                f"{factor * distance:.3g} of {factor * whole:.3g} {unit} of what was "
                 "found are missing (tool point, rms over the workspace)"
             )
+            if distance > USELESS * whole:
+                about += ": a robot that has this alone is hardly more accurate"
         if lacking:
             about = f"{self.name} holds no {', '.join(lacking)}: {about}"
         if lacking or distance >= ENOUGH:

@@ -60,7 +60,8 @@ FOLLOW = {
     "large-correction": {"joint-offset"},  # The origin has taken it over.
     # Commanded positions are off by the side, and those that were read too early.
     "backlash": {"joint-columns", "lag"},
-    "gear-ripple": {"model-lacks"},  # Large errors of gears alias to ripples.
+    # Large errors of gears alias to ripples, and copies have no noise of their own.
+    "gear-ripple": {"model-lacks", "copied-measurements"},
     "coarse-steps": {"computed-values"},
     # What no parameter describes leaves more than noise.
     "noise": {"model-lacks", "backlash", "lag", "coarse-steps", "instrument-drift"}
@@ -144,7 +145,9 @@ def explained(
 
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
-    return _told(facts.constant_orientation, case) or findings_of(case, _cause(case))
+    constant = _told(facts.constant_orientation, case)
+    constant += _told(facts.constant_positions, case)
+    return constant or findings_of(case, _cause(case))
 
 
 def _cause(case: Case) -> Explanation | None:

@@ -315,7 +315,7 @@ def findings_of(case: Case, found: Explanation | None) -> tuple[Finding, ...]:
     scale = merged(fault.reading for fault in found.faults).scale
     if quantity.unit != "m" or found.fitted:
         scale = 1.0  # Errors of the nominal robot are in the unit of the file.
-    before, after = scale * found.before, scale * found.after
+    before, after = found.before, scale * found.after
     was, left = (shown(size, quantity.unit, 3) for size in (before, after))
     fall = f"drop from {was} to" if np.isfinite(before) else "are"
     robot = "of a fit" if found.fitted else "of the nominal robot"
@@ -511,8 +511,9 @@ class _Search:
         # A fit finds the same errors of the robot without it.
         offset = known and all(fault.code == "joint-offset" for fault in faults)
         judged: Severity | None = "warning" if offset else None
-        sizes = self.unit * before, self.unit * after
-        return Explanation(faults, *sizes, fitted, judged)
+        # The error of a position is its length, as elsewhere, not that along an axis.
+        unit = self.unit * float(np.sqrt(case.fit.quantity.dimension))
+        return Explanation(faults, unit * before, unit * after, fitted, judged)
 
     def _calmer(self, faults: Sequence[Alternative], after: float) -> bool:
         """Whether a robot need no longer be corrected as much, if numbers are fitted.

@@ -19,7 +19,13 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import column_space, nuisance_basis
 from calib_pin.estimation.nominal import registered
-from calib_pin.estimation.problem import EXACT, Problem, error_table, measured_count
+from calib_pin.estimation.problem import (
+    EXACT,
+    Problem,
+    distinct_values,
+    error_table,
+    measured_count,
+)
 from calib_pin.estimation.solve import refine
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.statistics.variance_components import candidates, unplaced
@@ -661,9 +667,11 @@ class Case:
         X, kinds = effects.rows(fit.problem, fit.theta), np.array(effects.kinds)
         if not np.isfinite(X).all():
             return (), 1.0
-        # All points of a configuration share the errors of its pose.
+        # All points of a configuration share the errors of its pose, and repetitions
+        # those of their value.
         poses = FRAME * fit.problem.data.configurations
-        dof = fit.left - max(measured_count(fit.problem) - poses, 0)
+        distinct = min(poses, distinct_values(fit.problem))
+        dof = fit.left - max(measured_count(fit.problem) - distinct, 0)
         each, found = dict.fromkeys(effects.kinds), []
         for some in (*((kind,) for kind in each), *combinations(each, 2)):
             own = np.isin(kinds, some)

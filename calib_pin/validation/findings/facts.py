@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 
@@ -102,7 +102,7 @@ COMPUTED = 3e-6
 computed them: a micrometer in a meter is what six digits leave, and the best tracker
 sees ten times that on a robot without errors."""
 
-FINE, TIMES = 1e-5, 1.2
+FINE, TIMES = 1e-4, 1.2
 """Steps of written values up to which errors of so many times what rounding makes are
 those of a controller that rounds: no robot is as near to its URDF [m]."""
 
@@ -161,6 +161,30 @@ def constant_orientation(case: Case) -> Iterator[Finding]:
         numbers = {"configurations": case.data.configurations}
         remedy = "take the positions alone: --model position"
         yield told("constant-orientation", said, numbers, remedy, error=True)
+
+
+def constant_positions(case: Case) -> Iterator[Finding]:
+    """Coordinates that stand still, or repeat another one, where no robot has such.
+
+    A tool that touches a sheet, or turns about its point, has such ones.
+    """
+    blocks = [b for b in case.data.blocks if b.model in ("position", "pose")]
+    if not case.doubtful or case.data.configurations < FEWEST or not blocks:
+        return
+    columns = np.concatenate([block.values[:, :3] for block in blocks]).T
+    still = [name for name, x in zip("xyz", columns, strict=True) if not np.ptp(x)]
+    pairs = combinations(range(3), 2)
+    alike = ["xyz"[i] + "xyz"[j] for i, j in pairs if (columns[i] == columns[j]).all()]
+    if still:
+        said = f"the measured {enumerated(still)} never changed while the joints moved"
+    elif alike:
+        said = f"{enumerated(list(alike[0]))} are equal in every measurement"
+    else:
+        return
+    said += ": no instrument has measured this"
+    remedy = "name the columns that one has measured: 'columns' in the setup file"
+    numbers = {"configurations": case.data.configurations}
+    yield told("constant-positions", said, numbers, remedy, error=True)
 
 
 def gauge_readings(case: Case) -> Explanation | None:
@@ -441,12 +465,14 @@ def coarse_values(case: Case) -> Iterator[Finding]:
     for k, quantity in enumerate(problem.layout.quantities):
         own = fit.table[:, quantity.columns]
         own = own[np.isfinite(own)]
-        left = float(np.sqrt(np.mean(own**2))) / used if len(own) else 0.0
+        # Both are sizes of all components, as errors are shown.
+        whole = float(np.sqrt(quantity.dimension))
+        left = whole * float(np.sqrt(np.mean(own**2))) / used if len(own) else 0.0
         step, unit = _step_of(case, quantity), quantity.unit
         found = [(f"measured {quantity.name}s", step, unit, step)]
         found += [] if k else [("joint positions", *_joint_step(case, quantity))]
         for words, step, unit, errors in found:
-            noise = ROUNDED * errors
+            noise = whole * ROUNDED * errors
             if noise > 0.0 and COARSE * left <= noise <= MOST * left:
                 parts = [shown(x, quantity.unit) for x in (noise, left)]
                 said = f"the {words} are written in steps of {shown(step, unit, 3)}, "

@@ -332,6 +332,14 @@ def dense(values: Floats) -> tuple[float, Floats, tuple[Floats, ...]]:
     return -0.5 * float(size + Y @ P @ Y), P, parts
 
 
+def test_exact_measurements_inform_by_rounding_that_may_be_negative() -> None:
+    """Of positions that never change no variance can be told; the step is finite."""
+    sizes, information = np.ones(2), np.diag([-1e-30, 0.5])
+    unknowns = np.zeros(0), np.zeros((0, 0))
+    model = Variances(sizes, sizes, sizes, information, 0.0, *unknowns, ())
+    assert all(np.isfinite(step).all() for step in model.steps(sizes / 2, 2 * sizes))
+
+
 @pytest.mark.parametrize("model", [factors, unknowns])
 def test_likelihood_gradient_and_information_are_those_of_dense_matrices(model) -> None:
     values = np.array([0.5, 0.9])

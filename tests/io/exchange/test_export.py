@@ -68,6 +68,17 @@ def test_a_vendor_loads_its_kinematics(exported, tmp_path):
     assert entries["forearm"]["z"] == pytest.approx(12.5, abs=0.01)
 
 
+def test_offsets_that_hardly_correct_a_robot_say_so(calibrated_robot, exported):
+    """A forearm that is longer is longer with any zeros of the joints."""
+    longer = {"wrist_1_joint.placement.x": 5e-3}
+    more = {"robot": exported.nominal, "noise": 1e-6, "changes": longer}
+    of_length = of(calibrated_robot("pose", Setup(), 40, 0.01, **more))
+    for one, useless in ((of_length, True), (exported, False)):
+        about, _ = FORMATS["joint-offsets"].encode(one, None).remarks
+        assert "mm of what was found are missing" in about
+        assert ("hardly more accurate" in about) == useless
+
+
 def test_templates_of_others_are_refused(exported, tmp_path):
     template, forearm, wrist = tmp_path / "own.yaml", UR10["forearm"], UR10["wrist_2"]
     for entries in (

@@ -157,8 +157,8 @@ def of_another(rows: Measurements) -> Measurements:
 
 
 def rounded(rows: Measurements) -> Measurements:
-    """The same to a hundredth of a millimeter."""
-    return replace(rows, values=ARM.poses(rows.q)[:, :3, 3].round(5))
+    """The same to a tenth of a millimeter."""
+    return replace(rows, values=ARM.poses(rows.q)[:, :3, 3].round(4))
 
 
 def repeated(rows: Measurements, index: Any) -> Measurements:
@@ -284,6 +284,9 @@ MISHAPS = [
         values(lambda v: np.hstack([v[:, :3], np.eye(4)[[3] * len(v)]])),
         job={"model": "pose"},
     ),
+    Mishap("constant-positions", values(lambda v: v[[0] * len(v)])),
+    Mishap("constant-positions", values(lambda v: v * [1.0, 1.0, 0.0])),
+    Mishap("constant-positions", values(lambda v: v[:, [0, 0, 2]])),
     Mishap("computed-values", computed),
     Mishap("computed-values", rounded),
     Mishap("coarse-steps", values(lambda v: np.round(v, 3)), severity="warning"),
@@ -373,6 +376,28 @@ def test_a_mishap_is_named_and_its_lines_undo_it(
         assert [f.code for f in again.findings if f.severity != "info"] == []
         assert mishap.code not in {f.code for f in again.findings}
         assert again.errors[0].after.rms < 3.0 * NOISE
+
+
+@pytest.mark.parametrize(
+    "spoil", [values(lambda v: v / 1000.0), joint(2, lambda q: -q)], ids=["mm", "sign"]
+)
+def test_errors_of_the_nominal_robot_are_told_as_the_result_shows_them(spoil) -> None:
+    """The best four fifths of them, as sizes of a position in the unit of the file."""
+    rows = measured()
+    right, wrong = (
+        calib_pin.calibrate(ARM, read, validate=False) for read in (rows, spoil(rows))
+    )
+    (told,) = (f.evidence for f in wrong.findings if f.severity == "error")
+    for said, result in (("rms_before", wrong), ("rms_after", right)):
+        assert 0.6 < told[said] / result.errors[0].before.rms < 1.0
+
+
+def test_a_file_that_was_copied_into_itself_shows_no_further_family() -> None:
+    """Copies are no further values that one could have explained."""
+    rows = measured(count=8).rows(np.tile(np.arange(8), 3))
+    found = calib_pin.calibrate(ARM, rows, validate=False).findings
+    expected = ["copied-measurements", "few-configurations"]
+    assert [finding.code for finding in found] == expected
 
 
 def cured(

@@ -344,9 +344,8 @@ class Chain:
             if len(recent) == RECENT:
                 del recent[next(iter(recent))]
             recent[key] = sweep(q, chosen)
-            for found in recent[key]:
-                found.flags.writeable = False
-        return recent[key]
+        # Those who asked may write what they get.
+        return tuple(found.copy() for found in recent[key])
 
     def _poses(self, q: Floats, placements: Sequence[Placement]) -> tuple[Floats]:
         return (self._sweep(q, placements, pin.forwardKinematics),)

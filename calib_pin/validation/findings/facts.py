@@ -368,6 +368,29 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
         yield _alike("unmoved-joints", said, numbers, info=several)
 
 
+def unseen_joints(case: Case) -> Iterator[Finding]:
+    """Joints whose turns move what is measured by less than its noise shows.
+
+    Of a target on the axis of the last joint, points beside it are not known.
+    """
+    if case.fitted is None:
+        return
+    data, still = case.fit.problem.data, still_joints(case.fit.problem)
+    # What an error of the expected size does, if nothing else were unknown.
+    shown_by = np.linalg.norm(case.fit.by_joints, axis=0)
+    unseen = [
+        joint
+        for joint, size in zip(data.joints, shown_by.tolist(), strict=True)
+        if size * expected_size(case.unit(joint)) < 1.0 and joint not in still
+    ]
+    if unseen:
+        said = f"turns of {enumerated(unseen)} move nothing that is measured: the "
+        said += "figures are those of the measured point, not of points beside it"
+        remedy = "mount the target 5 cm beside the axis, or measure orientations, too"
+        numbers = {"joints": ", ".join(unseen)}
+        yield told("unseen-joints", said, numbers, remedy)
+
+
 def design(case: Case) -> Iterator[Finding]:
     """Joints that are hardly moved, and joints that only move together."""
     if case.fitted is None or not len(case.data):
@@ -542,6 +565,7 @@ KINDS = (
     copies,
     repetitions,
     unmoved_joints,
+    unseen_joints,
     design,
     joint_turns,
     coarse_values,

@@ -17,7 +17,6 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from importlib.util import find_spec
 from itertools import compress, count, islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -25,7 +24,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError, OptionError, enumerated
+from calib_pin.errors import InputError, enumerated, require_package
 from calib_pin.io.columns import (
     ANGLE,
     COMMA,
@@ -649,9 +648,7 @@ def _read_parquet(file: str) -> Cells:
         InputError: If it cannot be read.
         OptionError: If the extra is missing.
     """
-    if find_spec("pyarrow") is None:
-        reason = "Parquet files need pyarrow, which is missing: pip install "
-        raise OptionError(reason + "'calib-pin[parquet]'", file=file)
+    require_package("pyarrow", "Parquet files need pyarrow", "parquet", file)
     import pyarrow as pa
     from pyarrow import parquet
 

@@ -175,7 +175,9 @@ def stated_in(file: str) -> Iterator[None]:
         raise error.within(file) from None
 
 
-def require_package(name: str, need: str, extra: str, file: object = None) -> None:
+def require_package(
+    name: str, need: str, extra: str, file: str | Path | None = None
+) -> None:
     """Refuse work for which a package is missing that an extra installs.
 
     Args:
@@ -189,9 +191,7 @@ def require_package(name: str, need: str, extra: str, file: object = None) -> No
     """
     if find_spec(name) is None:
         remedy = f"pip install 'calib-pin[{extra}]'"
-        raise OptionError(
-            f"{need}, which is missing: {remedy}", file=file and str(file)
-        )
+        raise OptionError(f"{need}, which is missing: {remedy}", file=file)
 
 
 def nearest(name: str, candidates: Iterable[str]) -> str:

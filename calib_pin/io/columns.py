@@ -86,6 +86,10 @@ UNITS = {
 """Ways of writing units. Others of angles have one."""
 
 
+GRAD = "grad"
+"""A German degree, elsewhere a gon: no header of ours has it."""
+
+
 def unit_called(text: str) -> str | None:
     """The unit of ours that is written so; None for other texts."""
     text = text.strip().lower()

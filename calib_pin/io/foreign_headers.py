@@ -17,6 +17,7 @@ import numpy as np
 from calib_pin.errors import InputError
 from calib_pin.io.columns import (
     ANGLE,
+    GRAD,
     LENGTH,
     UNITS,
     Column,
@@ -219,7 +220,7 @@ def _spaced(text: str) -> str:
 
 def _unit(text: str) -> str | None:
     """The unit that is meant: *Grad* is German for degrees, elsewhere gon is meant."""
-    return "deg" if text.strip().lower() == "grad" else unit_called(text)
+    return "deg" if text.strip().lower() == GRAD else unit_called(text)
 
 
 def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:

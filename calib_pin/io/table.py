@@ -14,10 +14,10 @@ import io
 import re
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import compress, count, islice
+from itertools import accumulate, chain, compress, count, islice, pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -28,6 +28,7 @@ from calib_pin.errors import InputError, enumerated, require_package
 from calib_pin.io.columns import (
     ANGLE,
     COMMA,
+    GRAD,
     NO_READING,
     PURE,
     THOUSANDS,
@@ -63,7 +64,7 @@ COMMENTS = ("#", "%", "//")
 OTHER = frozenset(" \t\r\n\v\f#%/")
 """First letters of all lines that are blank or comments."""
 
-SEPARATORS = "\t;, "
+SEPARATORS = "\t;|, "
 """In this order: where others separate, a comma is a decimal mark."""
 
 START = 1 << 12
@@ -89,6 +90,9 @@ BINARY: Sequence[tuple[bytes, bytes, str]] = (
 
 DOCUMENTS, DOCUMENT = (".yaml", ".yml", ".samples"), rb"\s*(\{|\[\s*[\[{\"\d-])"
 """Endings of files of YAML, and a pattern for the start of one of JSON."""
+
+BROKEN = re.compile(r'(?<![^\n\t;,])"[^"\n]*\n[^"]{,200}"(?=[\n\t;,])')
+"""A cell in quotes that has line ends in it, as those of a header in a sheet."""
 
 LIST = re.compile(r"\w*\W*[\[({].*\d[\s,;].*\d.*[\])}]", re.DOTALL)
 """Cells that hold several numbers."""
@@ -503,7 +507,7 @@ class Cells:
         """Columns without rows."""
         self.grown = [Growing() for _ in self.heading.names]
         self.comma = 0  # The first line with a decimal comma.
-        self.header = ""  # The line of the header, with its end.
+        self.head = set[str]()  # The header and the lines above it, with their ends.
 
     def columns(self) -> list[Column]:
         """The columns, whose names are those of the file."""
@@ -521,14 +525,14 @@ class Cells:
             InputError: If a row has more or fewer cells than the header, or its quotes
                 are not as CSV has them; names the line.
         """
-        if first <= self.heading.line < first + len(lines):
-            self.header = lines[self.heading.line - first].lstrip("\ufeff")
+        above = lines[: max(self.heading.line + 1 - first, 0)]
+        self.head |= {line.lstrip("\ufeff") for line in above}
         numbers = [
             number
             for number, line in enumerate(lines, first)
             if line[0] not in OTHER or not (line.isspace() or _is_comment(line))
             if number > self.heading.line
-            if line.lstrip("\ufeff") != self.header  # Of files behind each other.
+            if line.lstrip("\ufeff") not in self.head  # Of files behind each other.
         ]
         lines = [lines[number - first] for number in numbers]
         later, comma = bool(self.lines), self.heading.separator == ","
@@ -540,13 +544,25 @@ class Cells:
                 own.add(values)
             return
         rows = self._rows(numbers, lines)
-        if not comma and not self.comma:
-            marked = (any("," in c and COMMA.fullmatch(c) for c in row) for row in rows)
-            self.comma = next(compress(numbers, marked), 0)
+        if not self.comma and (not comma or any('"' in line for line in lines)):
+            self.comma = self._first_comma(numbers, rows)
         for name, own, cells in zip(
             self.heading.names, self.grown, zip(*rows, strict=True), strict=False
         ):
             own.add(self._with_points(name, cells) if self.comma else cells)
+
+    def _first_comma(self, numbers: Sequence[int], rows: Sequence[list[str]]) -> int:
+        """The first line with a decimal comma; 0 for none.
+
+        Between commas it is in quotes, as names and thousands may be that are none.
+        """
+        marked = [[c for c in row if "," in c and COMMA.fullmatch(c)] for row in rows]
+        if self.heading.separator == ",":
+            every, found = {*chain(*rows)}, {*chain(*marked)}
+            points = any("." in c and as_number(c.strip()) is not None for c in every)
+            if points or all(THOUSANDS.fullmatch(c.strip()) for c in found):
+                return 0
+        return next(compress(numbers, marked), 0)
 
     def _with_points(self, name: str, written: Sequence[str]) -> list[str]:
         """The last cells of a column with decimal points in the place of commas."""
@@ -577,7 +593,7 @@ class Cells:
                 # Blank cells behind the last column are none.
                 if len(row) < width or any(map(str.strip, row[width:])):
                     more = row[width:] if mark == "," else ()
-                    commas = bool(more) and all(c.strip().isdecimal() for c in more)
+                    commas = bool(more) and all(c.strip(" -").isdecimal() for c in more)
                     hint = " (the decimal mark must be a point)" * commas
                     raise csv.Error(f"{len(row)} cells for {width} columns{hint}")
                 rows.append(row[:width])
@@ -676,8 +692,8 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     if "\0" in "".join(first):
         raise InputError("not a text file (it contains NUL bytes)", file=file)
     lines = [
-        (number, line.strip("\n"))
-        for number, line in enumerate(first, 1)
+        (number, line)
+        for number, line in _numbered("".join(first))
         # Excel writes the separator in a line of its own, and blank lines as others.
         if line.strip(" ,;\t\r\n") and not re.fullmatch(r'"?sep=."?', line.strip())
     ]
@@ -697,11 +713,12 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     whole = [(number, cells) for number, cells in rows if len(cells) == width]
     # Sheets fill up the lines of a title with blank cells.
     top = next((n for n, cells in whole if 2 * cells.count("") < width), whole[0][0])
+    lead = [(0, [""] * width), *(one for one in cut if len(one[1]) == width)]
     own = (
-        (number, cells)
-        for number, cells in cut
-        if number < top and len(cells) == width and _is_header(cells)
-        if not (_is_row(cells, mark) or _units(cells))
+        (number, names)
+        for (_, groups), (number, cells) in pairwise(lead)
+        if number < top and not (_is_row(cells, mark) or _units(cells))
+        if _is_header(names := _grouped(groups, cells))
     )
     above = [one for one in cut[: len(plain)] if one[0] < top]
     longest = max(above, key=lambda one: len(one[1]), default=(0, []))
@@ -716,22 +733,46 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     raise InputError(reason + "missing", file=file, line=top, allowed=allowed)
 
 
+def _numbered(text: str) -> Iterator[tuple[int, str]]:
+    """Lines with their numbers; one with line ends in quotes has that of the last."""
+    number = 0
+    for line in BROKEN.sub(lambda cell: cell[0].replace("\n", "\v"), text).split("\n"):
+        number += 1 + line.count("\v")
+        yield number, line.replace("\v", " ")
+
+
 def _is_header(cells: Sequence[str]) -> bool:
     """Whether most cells of a line have a name, and none the name of another."""
     names = [cell for cell in cells if cell]
     return 2 * len(names) > len(cells) and len({*names}) == len(names)
 
 
-def _units(cells: Sequence[str]) -> list[str | None]:
-    """The units in a line that holds nothing else, as some write below the header."""
-    texts = [cell.strip(" []()") for cell in cells]
-    units = [*map(unit_called, texts)]
-    others = [text for text, unit in zip(texts, units, strict=True) if unit is None]
-    return units if any(units) and not any(others) else []
+def _grouped(groups: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Names that stand several times, behind that of the group above them.
+
+    A sheet states a group above the first of its columns.
+    """
+    above = accumulate(groups, lambda last, group: group or last)
+    return [
+        f"{group} {name}".strip() if name and names.count(name) > 1 else name
+        for group, name in zip(above, names, strict=True)
+    ]
 
 
-def _with_unit(name: str, unit: str | None) -> str:
-    return name if unit is None or split_header(name)[1] else f"{name} [{unit}]"
+def _units(cells: Sequence[str]) -> list[str]:
+    """The units in a line of units, as some write below the header; empty for others.
+
+    Most are ours. A sign says that there is none.
+    """
+    units = [cell.strip(" []()-") for cell in cells]
+    known = [unit for unit in units if unit_called(unit) or unit.lower() == GRAD]
+    others = [unit for unit in units if unit and unit not in known]
+    return units if len(known) > len(others) else []
+
+
+def _with_unit(name: str, unit: str) -> str:
+    stated = not unit or split_header(name)[1]
+    return name if stated else f"{name} [{unit_called(unit) or unit}]"
 
 
 def _is_comment(line: str) -> bool:

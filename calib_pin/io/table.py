@@ -17,7 +17,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, chain, compress, count, islice, pairwise
+from itertools import chain, compress, count, islice, pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -752,10 +752,12 @@ def _grouped(groups: Sequence[str], names: Sequence[str]) -> list[str]:
 
     A sheet states a group above the first of its columns.
     """
-    above = accumulate(groups, lambda last, group: group or last)
+    above = [""]
+    for group in groups:
+        above.append(group or above[-1])
     return [
         f"{group} {name}".strip() if name and names.count(name) > 1 else name
-        for group, name in zip(above, names, strict=True)
+        for group, name in zip(above[1:], names, strict=True)
     ]
 
 

@@ -538,7 +538,7 @@ def _far_off(ready: Registered) -> Booleans:
     """Which errors are far off all others, shape (N,); none where these are many."""
     sizes = error_sizes(ready.problem, ready.theta)[0][2]
     far: Booleans = sizes > FAR * np.median(sizes)
-    return far & (far.mean() <= FEW)
+    return far if far.mean() <= FEW else np.zeros_like(far)
 
 
 def _errors(ready: Registered) -> tuple[dict[str, float], float]:

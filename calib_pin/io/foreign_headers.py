@@ -19,13 +19,14 @@ from calib_pin.io.columns import (
     ANGLE,
     GRAD,
     LENGTH,
+    NAMES,
     UNITS,
     Column,
     Floats,
     split_header,
     unit_called,
 )
-from calib_pin.io.measured_columns import NAMES, POSITION, optional, reserved
+from calib_pin.io.measured_columns import POSITION, optional, reserved
 from calib_pin.io.measured_columns import measured as measured_kinds
 from calib_pin.io.table import Table
 from calib_pin.setup import STATED

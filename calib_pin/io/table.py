@@ -2,8 +2,8 @@
 
 A column holds the number of every cell that is one, and the text of the others, so
 columns that mean nothing may hold anything, and a bad number is blamed on its own line.
-Where a column has few different cells, as one of names has, it holds the text of its
-numbers as well.
+One of names holds the text of its numbers as well, and so does any with few different
+cells.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ from calib_pin.io.columns import (
     ANGLE,
     COMMA,
     GRAD,
+    NAMES,
     NO_READING,
+    OURS,
     PURE,
     THOUSANDS,
     Column,
@@ -64,8 +66,9 @@ COMMENTS = ("#", "%", "//")
 OTHER = frozenset(" \t\r\n\v\f#%/")
 """First letters of all lines that are blank or comments."""
 
-SEPARATORS = "\t;|, "
-"""In this order: where others separate, a comma is a decimal mark."""
+SEPARATORS = "\t;,| "
+"""In this order: where others separate, a comma is a decimal mark, and names may have a
+bar."""
 
 START = 1 << 12
 """Bytes that tell what a file is."""
@@ -98,8 +101,8 @@ LIST = re.compile(r"\w*\W*[\[({].*\d[\s,;].*\d.*[\])}]", re.DOTALL)
 """Cells that hold several numbers."""
 
 TEXTS = 1 << 8
-"""Different cells of a column up to which the texts of its numbers are kept: names such
-as 01 and 1.10 are few, and numbers that are measured are not."""
+"""Different cells of a column up to which the texts of its numbers are kept, of one
+that may hold names, as 01 and 1.10, or be told in messages."""
 
 
 @dataclass(frozen=True)
@@ -338,6 +341,7 @@ def read_table(
     progress: Progress | None = None,
     *,
     columns: Mapping[str, str] = {},
+    names: Collection[str] | None = (*NAMES, *OURS),
 ) -> Table:
     """Read a file of columns: Parquet, or else CSV.
 
@@ -348,6 +352,7 @@ def read_table(
         progress: Told the part of the lines that is read, 0 to 1.
         columns: What columns with foreign names are, ours to theirs; theirs may state
             a unit in square brackets.
+        names: Our columns of names, see `read_cells`.
 
     Raises:
         InputError: If the file is no such text with a header and rows of the same
@@ -355,7 +360,10 @@ def read_table(
             it is a damaged Parquet file.
         OptionError: If it is a Parquet file, and the extra that reads it is missing.
     """
-    cells = read_cells(path, "", progress)
+    if names is not None:
+        theirs = (columns[name] for name in names if name in columns)
+        names = {*names, *(split_header(header)[0] for header in theirs)}
+    cells = read_cells(path, "", progress, names=names)
     found, lines = cells.heading, np.frombuffer(cells.lines, np.int64)
     if not len(lines):
         raise InputError("the file has a header but no rows", file=cells.file)
@@ -452,10 +460,14 @@ class Growing:
     """A column while its file is read.
 
     It grows where it is, which takes half the memory of joining parts.
+
+    Attributes:
+        most: Different cells up to which it keeps the texts of its numbers.
     """
 
-    def __init__(self) -> None:
-        """A column without rows."""
+    def __init__(self, named: bool = False) -> None:
+        """A column without rows, of names or of anything."""
+        self.most = np.inf if named else TEXTS
         self.numbers, self.codes = array("d"), array("i")
         self.words = defaultdict[str, int](count().__next__)
 
@@ -466,7 +478,7 @@ class Growing:
             numbers = cells
         else:
             numbers = read_numbers(cells)
-            kept = ~np.isfinite(numbers) | (len(self.words) <= TEXTS)
+            kept = ~np.isfinite(numbers) | (len(self.words) <= self.most)
             codes[kept] = [self.words[cell] for cell in compress(cells, kept)]
         self.numbers.frombytes(numbers.tobytes())
         self.codes.frombytes(codes.tobytes())
@@ -479,7 +491,7 @@ class Growing:
         numbers.setflags(write=False)
         finite = np.isfinite(numbers)
         # Some of them would be taken for other names than the rest.
-        if len(words) > TEXTS or (codes[finite] < 0).any():
+        if len(words) > self.most or (codes[finite] < 0).any():
             codes[finite] = -1
         if (codes < 0).all():
             words, codes = (), np.zeros(0, np.int64)
@@ -496,16 +508,20 @@ class Cells:
             for any blanks), and what was recognized, if it is that of a dialect.
         remarks: Sentences about how the file had to be read.
         lines: Line of each row, or its number.
+        names: Columns of names; None for all.
     """
 
     file: str
     heading: Heading
+    names: Collection[str] | None
     remarks: tuple[str, ...] = ()
     lines: array[int] = field(default_factory=lambda: array("q"))
 
     def __post_init__(self) -> None:
         """Columns without rows."""
-        self.grown = [Growing() for _ in self.heading.names]
+        known = [split_header(header)[0] for header in self.heading.names]
+        named = [self.names is None or name in self.names for name in known]
+        self.grown = [*map(Growing, named)]
         self.comma = 0  # The first line with a decimal comma.
         self.head = set[str]()  # The header and the lines above it, with their ends.
 
@@ -538,7 +554,8 @@ class Cells:
         later, comma = bool(self.lines), self.heading.separator == ","
         self.lines.extend(numbers)
         # The texts of numbers are for messages and names, and so for small files.
-        read = read_lines(lines, len(self.grown)) if later and comma else None
+        fast = later and comma and all(own.most == TEXTS for own in self.grown)
+        read = read_lines(lines, len(self.grown)) if fast else None
         if read is not None:
             for own, values in zip(self.grown, read, strict=True):
                 own.add(values)
@@ -604,7 +621,11 @@ class Cells:
 
 
 def read_cells(
-    source: str | Path | bytes, file: str = "", progress: Progress | None = None
+    source: str | Path | bytes,
+    file: str = "",
+    progress: Progress | None = None,
+    *,
+    names: Collection[str] | None = NAMES,
 ) -> Cells:
     """Read a file of cells: Parquet by its first bytes, or else text.
 
@@ -616,6 +637,8 @@ def read_cells(
         source: The file, or its bytes.
         file: Its path, for messages, where there are bytes.
         progress: Told the part of the file that is read, 0 to 1.
+        names: Columns whose cells are names, also where they look like numbers; None
+            for all.
 
     Raises:
         InputError: If there is no such file, it is of another kind, has no header, or
@@ -641,7 +664,8 @@ def read_cells(
             _opened(source) as raw,
             io.TextIOWrapper(raw, encoding) as stream,
         ):
-            found = Cells(file, _heading([*islice(stream, HEAD)], file), remarks)
+            head = _heading([*islice(stream, HEAD)], file)
+            found = Cells(file, head, names, remarks)
             size, first = raw.seek(0, io.SEEK_END), 1
             stream.seek(0)
             while lines := stream.readlines(LINES):
@@ -673,7 +697,7 @@ def _read_parquet(file: str) -> Cells:
             names = opened.schema_arrow.names
             lines = array("q", range(1, opened.metadata.num_rows + 1))
             heading = Heading(",", [name.strip() for name in names], 0, "")
-            found = Cells(file, heading, lines=lines)
+            found = Cells(file, heading, (), lines=lines)
             # One after the other, for memory.
             for name, own in zip(names, found.grown, strict=True):
                 cells = opened.read([name], use_threads=False).column(0)

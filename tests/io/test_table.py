@@ -244,7 +244,8 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
         # Names with line ends in quotes, as those of a sheet.
         ('"a\n[mm]","b\n\nc"\n0.5,2\n', "a~[mm] b~~c", 4, None),
         ('a 5" tool\n"b","c"\n0.5,2\n', "b c", 2, None),
-        ("a|b\n0,5|2\n", "a b", 1, [("0.5", "2")]),
+        ("a|b\n0.5|2\n", "a b", 1, [("0.5", "2")]),
+        ("a,b\n0.5,p|q\n1.5,p|r\n", "a b", 1, [("0.5", "p|q"), ("1.5", "p|r")]),
         # Decimal commas between commas.
         ('a,b\n"0,5",2\n"1,2345",3\n', "a b", 1, [("0.5", "2"), ("1.2345", "3")]),
         ('a,b\n"1,5",0.5\n', "a b", 1, [("1,5", "0.5")]),
@@ -267,6 +268,20 @@ def test_headers(text, header, line, rows):
     assert found.heading.line == line
     assert not found.remarks
     assert rows is None or rows_of(found) == rows
+
+
+@pytest.mark.parametrize("name", ["target", "tool [of the arm]", "Point"])
+@pytest.mark.parametrize("ending", ["{k:03d}", "{k}.50", "{k}.5000"])
+def test_names_stay_as_they_are_written(monkeypatch, name, ending):
+    """However many there are; one by one they would be other names in other files."""
+    monkeypatch.setattr(table_module, "LINES", 1000)
+    names = [ending.format(k=k) for k in range(600)]
+    data = f"a,{name}\n" + "".join(f"0.5,{cell}\n" for cell in names)
+    table = read_table(
+        data.encode(), columns={"target": "Point"} if "P" in name else {}
+    )
+    found = table.columns["tool" if "tool" in name else "target"]
+    assert [*found.texts()] == names
 
 
 @pytest.mark.parametrize("sign", ["", "# "])

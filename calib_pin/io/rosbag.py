@@ -173,8 +173,9 @@ def _table(path: str | Path, rows: Sequence[Mapping[str, object]]) -> Table:
     """Messages by columns, numbered from 1; one leaves blank what it does not state."""
     columns = dict[str, Column]()
     for name in dict.fromkeys(name for row in rows for name in row):
-        cells, own = np.array([row.get(name, np.nan) for row in rows]), Growing()
-        own.add(cells.tolist() if cells.dtype.kind == "U" else cells.astype(float))
+        cells = np.array([row.get(name, np.nan) for row in rows])
+        own = Growing(named=(texts := cells.dtype.kind == "U"))
+        own.add(cells.tolist() if texts else cells.astype(float))
         # A name that all rows have says nothing.
         if len((column := own.column(name)).words) != 1:
             columns[column.theirs] = column

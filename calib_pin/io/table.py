@@ -465,7 +465,7 @@ class Growing:
         most: Different cells up to which it keeps the texts of its numbers.
     """
 
-    def __init__(self, named: bool = False) -> None:
+    def __init__(self, *, named: bool) -> None:
         """A column without rows, of names or of anything."""
         self.most = np.inf if named else TEXTS
         self.numbers, self.codes = array("d"), array("i")
@@ -521,7 +521,7 @@ class Cells:
         """Columns without rows."""
         known = [split_header(header)[0] for header in self.heading.names]
         named = [self.names is None or name in self.names for name in known]
-        self.grown = [*map(Growing, named)]
+        self.grown = [Growing(named=one) for one in named]
         self.comma = 0  # The first line with a decimal comma.
         self.head = set[str]()  # The header and the lines above it, with their ends.
 
@@ -697,7 +697,7 @@ def _read_parquet(file: str) -> Cells:
             names = opened.schema_arrow.names
             lines = array("q", range(1, opened.metadata.num_rows + 1))
             heading = Heading(",", [name.strip() for name in names], 0, "")
-            found = Cells(file, heading, (), lines=lines)
+            found = Cells(file, heading, None, lines=lines)
             # One after the other, for memory.
             for name, own in zip(names, found.grown, strict=True):
                 cells = opened.read([name], use_threads=False).column(0)

@@ -11,6 +11,7 @@ import difflib
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from itertools import accumulate
 from pathlib import Path
 from typing import Self
@@ -172,6 +173,25 @@ def stated_in(file: str) -> Iterator[None]:
         if error.file is not None:
             raise
         raise error.within(file) from None
+
+
+def require_package(
+    name: str, need: str, extra: str, file: str | Path | None = None
+) -> None:
+    """Refuse work for which a package is missing that an extra installs.
+
+    Args:
+        name: The package, as it is imported.
+        need: What needs it, before the rest of the sentence.
+        extra: The extra of calib-pin.
+        file: The file that is worked on, if any.
+
+    Raises:
+        OptionError: If it is missing.
+    """
+    if find_spec(name) is None:
+        remedy = f"pip install 'calib-pin[{extra}]'"
+        raise OptionError(f"{need}, which is missing: {remedy}", file=file)
 
 
 def nearest(name: str, candidates: Iterable[str]) -> str:

@@ -11,19 +11,12 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from calib_pin.workers.threads import limit_blas
+
 __all__ = ["main"]
 
 INTERRUPTED = 130
 """Status of the application after Ctrl-C."""
-
-BLAS_THREADS = (
-    "BLIS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
-"""Variables that BLAS libraries read when they are loaded."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,8 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     # Whatever multiplies matrices is `serial_blas`, here as in any script. In a process
     # of our own BLAS need not even start threads that nobody uses.
-    for name in BLAS_THREADS:
-        os.environ[name] = "1"
+    limit_blas()
     if arguments is None:
         # A process of our own is short: looking for garbage takes a tenth of its time.
         gc.set_threshold(300_000)

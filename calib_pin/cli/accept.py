@@ -10,13 +10,13 @@ from pathlib import Path
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Accept
 from calib_pin.cli.results import dated
-from calib_pin.errors import enumerated, stated_in
+from calib_pin.errors import OptionError, enumerated, stated_in
 from calib_pin.io import json_text, measurements, results
 from calib_pin.io.json_text import Json, format_keys
 from calib_pin.io.table import read_table
 from calib_pin.report import acceptance_text, figures, html
 from calib_pin.report.cover import acceptance_cover
-from calib_pin.report.pdf import MISSING, can_write_pdf, pdf_report
+from calib_pin.report.pdf import pdf_report, require_pdf
 from calib_pin.setup import LimitSetup
 from calib_pin.validation import acceptance
 from calib_pin.validation.acceptance import Acceptance, judged
@@ -36,8 +36,11 @@ def accept(asked: Accept) -> int:
         # These of the calibration are not those of the test.
         entries = replace(entries, date=None, temperature=None, load="", speed="")
     made = [output / name for name in NAMES] if output is not None else []
-    without = [] if can_write_pdf() else made[-1:]
-    made = [file for file in made if file not in without]
+    without, why = list[Path](), ""
+    try:
+        require_pdf()
+    except OptionError as error:
+        made, without, why = made[:-1], made[-1:], error.reason
     file = files.calibration_file(asked)
     doubts = [doubt] if (doubt := results.doubt_of(calibrated, file)) else []
     files.check_outputs(made, [file or asked.robot, asked.setup, *rows_in], asked.force)
@@ -70,7 +73,7 @@ def accept(asked: Accept) -> int:
         contents = dict(zip(made, data, strict=True))
     for pdf in without:
         stays = f"; {pdf} is not from this test" if files.exists(pdf) else ""
-        printing.notice(f"no {pdf.name} is written: {MISSING}{stays}")
+        printing.notice(f"no {pdf.name} is written: {why}{stays}")
     asked.give(contents, blocks)
     *_, last = tests.values()
     passed = all(status == "pass" for _, status, *_ in acceptance.judged(last, limit))

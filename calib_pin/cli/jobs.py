@@ -194,7 +194,7 @@ def _of_csv(
     path: str | Path, notice: Callable[[str], None]
 ) -> Iterator[tuple[int, Cells]]:
     """The lines and the cells of jobs."""
-    table = read_table(path)
+    table = read_table(path, names=None)
     # A spreadsheet may call a column `Serial number`.
     plain = {name.casefold().replace(" ", "_"): name for name in table.columns}
     table = table.renamed(plain)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import typer
 
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import View, Windowed
-from calib_pin.errors import OptionError
+from calib_pin.errors import require_package
 
 if TYPE_CHECKING:
     from calib_pin.viewer.server import Window
@@ -59,9 +58,7 @@ def require_viser() -> None:
     Raises:
         OptionError: If it is missing.
     """
-    if find_spec("viser") is None:
-        reason = "the viewer needs viser, which is missing: pip install "
-        raise OptionError(f"{reason}'calib-pin[view]'")
+    require_package("viser", "the viewer needs viser", "view")
 
 
 def serve(asked: Windowed, window: Window) -> None:

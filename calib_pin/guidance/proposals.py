@@ -87,6 +87,7 @@ class Proposals:
     package_dirs: Sequence[Path]
     free: bool
     _known: tuple[Workspace, Candidates] | None = None
+    _degrees: bool | None = None
     _together: tuple[Floats, Indices] | None = None
 
     def check(self, chains: Chains, setup: Setup) -> None:
@@ -197,11 +198,12 @@ class Proposals:
 
     def _shown(self, fitted: Fitted, q: Floats, target: str, left: int) -> Proposal:
         """A configuration in the names, units and signs of the measurement file."""
-        chains, joints, degrees = fitted.chains, fitted.setup.joints, False
-        if self.file is not None:
+        chains, joints = fitted.chains, fitted.setup.joints
+        if self._degrees is None and self.file is not None:  # As its header stays.
             columns = read_table(self.file, columns=fitted.setup.columns).columns
             units = (columns[n].unit for n in {*chains.joints, *joints} & {*columns})
-            degrees = "deg" in units
+            self._degrees = "deg" in units
+        degrees = bool(self._degrees)
         table = encode_configurations(
             chains, q[None], [target], joints=joints, degrees=degrees
         )

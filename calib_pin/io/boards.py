@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib_pin.observations.corners as corners
-from calib_pin.errors import InputError, OptionError
+from calib_pin.errors import InputError, OptionError, require_package
 from calib_pin.io.files import read_bytes
 from calib_pin.setup import DICTIONARIES, TAGS, BoardSetup, CameraSetup
 from calib_pin.setup.arguments import taken
@@ -118,11 +118,9 @@ def vision() -> Any:
     # It reads these where it is loaded.
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(PIXELS))
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    try:
-        import cv2
-    except ImportError as error:
-        reason = "images need OpenCV, which is missing: pip install 'calib-pin[vision]'"
-        raise OptionError(reason) from error
+    require_package("cv2", "images need OpenCV", "vision")
+    import cv2
+
     return cv2
 
 

@@ -13,10 +13,9 @@ import subprocess
 import sys
 from contextlib import suppress
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 
-from calib_pin.errors import OptionError, RobotError
+from calib_pin.errors import RobotError, require_package
 
 SECONDS = 30.0
 """Time for a file [s]."""
@@ -26,10 +25,10 @@ LIMITS = {"RLIMIT_AS": 3 << 29, "RLIMIT_CPU": 600, "RLIMIT_CORE": 0}
 of a processor, should nobody be left to stop it [s]."""
 
 EXTRAS = {
-    "MJCF": ("calib-pin[mujoco]", "mujoco"),
-    "xacro": ("calib-pin[ros]", "xacro", "simpleeval"),
+    "MJCF": ("mujoco", "mujoco"),
+    "xacro": ("ros", "xacro", "simpleeval"),
 }
-"""The package to install, and those in it that read a kind of file."""
+"""The extra, and the packages in it that read a kind of file."""
 
 
 def converted(kind: str, file: Path, **about: object) -> tuple[bytes, str]:
@@ -46,9 +45,8 @@ def converted(kind: str, file: Path, **about: object) -> tuple[bytes, str]:
     """
     extra, *needed = EXTRAS[kind]
     for package in needed:
-        if find_spec(package) is None:
-            reason = f"{kind} files need the package {package}, which is missing: "
-            raise OptionError(f"{reason}pip install '{extra}'", file=file)
+        need = f"{kind} files need the package {package}"
+        require_package(package, need, extra, file)
     # Where this process has its packages from, and no thread that needs memory.
     more = {"PYTHONUTF8": "1", "PYTHONHASHSEED": "0", "OPENBLAS_NUM_THREADS": "1"}
     more["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))

@@ -10,11 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import nearest
-from calib_pin.observations.labels import Labels
+from calib_pin.observations import BlockKey, Labels
 from calib_pin.setup.values import LARGEST_ANGLE, LARGEST_LENGTH
 from calib_pin.units import MINUS, steps_of
 
 Floats = NDArray[np.float64]
+
+NAMES = (*BlockKey._fields, "target", "payload", "set")
+"""Columns of names; the first tell blocks apart."""
+
+OURS = {"image", "pose", "cycle"}
+"""Columns that our commands write for people, or for one another."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +90,10 @@ UNITS = {
     "degC": ("degc", "°c", "celsius"),
 }
 """Ways of writing units. Others of angles have one."""
+
+
+GRAD = "grad"
+"""A German degree, elsewhere a gon: no header of ours has it."""
 
 
 def unit_called(text: str) -> str | None:

@@ -38,7 +38,7 @@ from calib_pin.kinematics.joint_columns import advice, drives_of
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.tree import turns
 from calib_pin.measurement_models import declared
-from calib_pin.observations import Observations
+from calib_pin.observations import Booleans, Observations
 from calib_pin.parameterizations.placement import HAND_SET
 from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
 from calib_pin.units import steps_of
@@ -46,6 +46,7 @@ from calib_pin.validation.evaluation import error_sizes, prepared
 from calib_pin.validation.findings.case import some_of
 from calib_pin.validation.findings.facts import COMPUTED, require_motion, spread
 from calib_pin.validation.findings.sentences import shown
+from calib_pin.validation.model_errors import Registered
 
 TOUCHES = ("fixed-point", "plane-contact", "sphere-contact")
 DISTANCES = ("plane-distance", "point-distance", "relative-distance")
@@ -67,6 +68,9 @@ CLEAR = 0.5
 FITS = 0.2
 """Errors of the registered nominal robot, in parts of how far the tool moved, from
 which a reading is none: a robot is off by a tenth at most, a wrong reading by all."""
+
+FAR, FEW = 5.0, 0.1
+"""Errors of lost targets in the median of all, and which part of all may be such."""
 
 FEWEST = 3
 """Joints that are found without their names."""
@@ -503,7 +507,8 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
         )
         chains = chains.named(tuple(key.chain for key in data.keys))
         require_motion(data)
-        ready = prepared(chains, some_of(data)[0], setup)
+        rows, _ = some_of(data)
+        ready = prepared(chains, rows, setup)
         known = distinct_values(ready.problem)
         parameters = ready.problem.parameters
         unknown = int(np.sum(parameters.free & parameters.nuisance))
@@ -514,8 +519,30 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
             more = f", with {named} targets: do their names number the measurements?"
             reason += f"{unknown} already{more * (named > 1)}"
             raise InputError(reason, file=files[0])
+        errors, share = _errors(ready)
+        far = _far_off(ready)
+        if share >= FITS and len(far) == len(rows) and far.any():
+            # Of lost targets that nothing else marks a few are enough to hide a fit.
+            others = _errors(prepared(chains, rows.rows(~far), setup))
+            if others[1] < FITS:
+                errors, share = others
+                first = rows.source(int(np.argmax(far)))
+                said = f"{np.count_nonzero(far)} of {len(rows)} measurements"
+                remarks.append(f"far off all others: {said}, the first is {first}")
     except CalibPinError as error:
         return replace(look, fault=error)
+    return replace(look, data=data, errors=errors, share=share, remarks=remarks)
+
+
+def _far_off(ready: Registered) -> Booleans:
+    """Which errors are far off all others, shape (N,); none where these are many."""
+    sizes = error_sizes(ready.problem, ready.theta)[0][2]
+    far: Booleans = sizes > FAR * np.median(sizes)
+    return far if far.mean() <= FEW else np.zeros_like(far)
+
+
+def _errors(ready: Registered) -> tuple[dict[str, float], float]:
+    """Root mean square errors by quantity, and the first in parts of the motion."""
     errors = {n: rms(of) for n, _, of in error_sizes(ready.problem, ready.theta)}
     # How far measured points moved about their means, or else the tips: where both
     # tell no length, as on a positioner whose tool may sit anywhere, errors in another
@@ -529,7 +556,7 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
         ]
     )
     share = next(iter(errors.values())) / moved if errors and moved > 0.0 else inf
-    return replace(look, data=data, errors=errors, share=share, remarks=remarks)
+    return errors, share
 
 
 def best(looks: Sequence[Look]) -> Look:

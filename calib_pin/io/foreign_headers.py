@@ -17,14 +17,16 @@ import numpy as np
 from calib_pin.errors import InputError
 from calib_pin.io.columns import (
     ANGLE,
+    GRAD,
     LENGTH,
+    NAMES,
     UNITS,
     Column,
     Floats,
     split_header,
     unit_called,
 )
-from calib_pin.io.measured_columns import NAMES, POSITION, optional, reserved
+from calib_pin.io.measured_columns import POSITION, optional, reserved
 from calib_pin.io.measured_columns import measured as measured_kinds
 from calib_pin.io.table import Table
 from calib_pin.setup import STATED
@@ -219,7 +221,7 @@ def _spaced(text: str) -> str:
 
 def _unit(text: str) -> str | None:
     """The unit that is meant: *Grad* is German for degrees, elsewhere gon is meant."""
-    return "deg" if text.strip().lower() == "grad" else unit_called(text)
+    return "deg" if text.strip().lower() == GRAD else unit_called(text)
 
 
 def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:

@@ -16,9 +16,8 @@ import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 import calib_pin.observations.joining as joining
 from calib_pin.errors import InputError, counted, enumerated, stated_in
-from calib_pin.io.columns import ANGLE, LENGTH, Floats, kind_of_unit
+from calib_pin.io.columns import ANGLE, LENGTH, NAMES, Floats, kind_of_unit
 from calib_pin.io.dialects.base import header
-from calib_pin.io.measured_columns import NAMES
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import Notice, Table, require_columns, with_readings
 from calib_pin.measurement_models.declaration import QUATERNION, ROTATION_VECTOR

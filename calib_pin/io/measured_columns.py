@@ -14,6 +14,7 @@ from calib_pin.io.columns import (
     ELSEWHERE,
     KINDS,
     LENGTH,
+    NAMES,
     PURE,
     Floats,
     Kind,
@@ -28,7 +29,7 @@ from calib_pin.kinematics.tree import turns
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.measurement_models.declaration import DIAL
 from calib_pin.measurement_models.orientations import quaternions
-from calib_pin.observations import AT, BlockKey, Conditions, Indices, Labels
+from calib_pin.observations import AT, Conditions, Indices, Labels
 from calib_pin.setup import STATED, JointMap, OrientationSetup
 
 POSITION = ("x", "y", "z")
@@ -43,9 +44,6 @@ ORIENTATION: Mapping[str, Kind] = {
 
 ORIENTED = frozenset(ORIENTATION)
 """Their names."""
-
-NAMES = (*BlockKey._fields, "target", "payload", "set")
-"""Columns of names; the first tell blocks apart."""
 
 STROKE = replace(LENGTH, largest=0.1)
 """Readings of gauges."""

@@ -82,7 +82,9 @@ def decode_errors(
         ValueError: If there is no measurement, or a cell is no number.
         InputError: If it is no CSV file.
     """
-    cells = {of.header: of for of in read_cells(data, MEASUREMENTS).columns()}
+    cells = {
+        of.header: of for of in read_cells(data, MEASUREMENTS, names=WORDS).columns()
+    }
     words = {name: cells[name].texts() for name in WORDS}
     unknown, joints = MeasurementErrors.unknown(model, 0), model.chains.joints
     _, first = columns_of(model)

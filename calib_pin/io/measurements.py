@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import InputError, OutputError, RobotError, nearest
-from calib_pin.io.columns import Column, Floats, closest
+from calib_pin.io.columns import NAMES, OURS, Column, Floats, closest
 from calib_pin.io.files import write_atomically
 from calib_pin.io.foreign_headers import check_gauges
-from calib_pin.io.measured_columns import DIRECTION, NAMES, POSITION, place_of
+from calib_pin.io.measured_columns import DIRECTION, POSITION, place_of
 from calib_pin.io.table import Notice, Table, read_table, require_columns, with_readings
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -52,9 +52,6 @@ LINES = 5000
 
 Keys = dict[BlockKey, Indices | slice]
 """The rows of each block."""
-
-OURS = {"image", "pose", "cycle"}
-"""Columns that our commands write for people, or for one another."""
 
 
 def read_measurements(

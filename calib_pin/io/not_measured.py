@@ -31,8 +31,13 @@ FLAG = re.compile(
 )
 """Columns that say whether each row was measured; the last two, that it was not."""
 
-YES = frozenset(["1", "true", "yes", "ok", "good", "valid", "tracked"])
-NO = frozenset(["0", "false", "no", "bad", "lost", "invalid", "occluded"])
+YES = re.compile(
+    r"1|true|y|yes|ok|good|valid|tracked|visible|pass|passed|i\.?o\.?", re.IGNORECASE
+)
+NO = re.compile(
+    r"0|false|n|no|nok|ng|bad|lost|invalid|occluded|fail|failed|error|n\.?i\.?o\.?",
+    re.IGNORECASE,
+)
 """Their cells; numbers of a status may mean anything."""
 
 
@@ -59,12 +64,10 @@ def out_of_sight(name: str, column: Column) -> Booleans | None:
     """Which rows were not measured as a flag says, shape (N,); None if it is none."""
     if (flag := FLAG.fullmatch(name)) is None:
         return None
-    texts = column.texts().map(lambda text: text.strip().lower())
-    known = (YES | NO) - {*("01" if flag[2] else "")}
-    if not {*texts.distinct} <= known:
+    texts = column.texts().map(str.strip)
+    good, bad = ({t for t in texts.names if way.fullmatch(t)} for way in (YES, NO))
+    if not {*texts.distinct} <= (good | bad) - {*("01" if flag[2] else "")}:
         return None
-    bad = NO if flag[1] or flag[2] else YES
-    lost = np.isin(
-        texts.codes, [k for k, text in enumerate(texts.names) if text in bad]
-    )
+    gone = bad if flag[1] or flag[2] else good
+    lost = np.isin(texts.codes, [k for k, t in enumerate(texts.names) if t in gone])
     return lost if lost.any() and not lost.all() else None

@@ -427,6 +427,7 @@ def model_of(
     """
     setup, places = setup_of(record.setup), reference or record.places
     frames = {n: typed(FrameSetup, at) for n, at in places["frames"].items()}
+    placed = {n if "." in n else f"{n}.frame": at for n, at in frames.items()}
     # A model that looks at nothing with a name has no targets.
     blocks = {block.key: list(block.targets) or [""] for block in record.blocks}
     terms, given = make_terms(chains, blocks, setup)
@@ -458,7 +459,8 @@ def model_of(
         terms[key] = replace(term, measurement=measurement, error=error)
     model = CalibratedModel(chains, terms, given, theta, setup)
     # Frames and reference objects hold their own values.
-    return replace(model, theta=np.where(model.referred, 0.0, theta))
+    theta = np.where(model.referred, 0.0, theta)
+    return replace(model, theta=theta, placed=placed)
 
 
 def learned_record(model: CalibratedModel) -> LearnedRecord | None:

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from importlib.util import find_spec
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from calib_pin.errors import InputError, OptionError, enumerated
+from calib_pin.errors import InputError, enumerated, require_package
 from calib_pin.io.columns import Column
 from calib_pin.io.logs import POSE
 from calib_pin.io.measured_columns import POSITION
@@ -126,9 +125,7 @@ def _messages(
 
     Whatever is wrong with the bag is told in a line.
     """
-    if find_spec("rosbags") is None:
-        reason = "bags need rosbags, which is missing: pip install 'calib-pin[ros]'"
-        raise OptionError(reason, file=path)
+    require_package("rosbags", "bags need rosbags", "ros", path)
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -176,8 +173,9 @@ def _table(path: str | Path, rows: Sequence[Mapping[str, object]]) -> Table:
     """Messages by columns, numbered from 1; one leaves blank what it does not state."""
     columns = dict[str, Column]()
     for name in dict.fromkeys(name for row in rows for name in row):
-        cells, own = np.array([row.get(name, np.nan) for row in rows]), Growing()
-        own.add(cells.tolist() if cells.dtype.kind == "U" else cells.astype(float))
+        cells = np.array([row.get(name, np.nan) for row in rows])
+        own = Growing(named=(texts := cells.dtype.kind == "U"))
+        own.add(cells.tolist() if texts else cells.astype(float))
         # A name that all rows have says nothing.
         if len((column := own.column(name)).words) != 1:
             columns[column.theirs] = column

@@ -2,8 +2,8 @@
 
 A column holds the number of every cell that is one, and the text of the others, so
 columns that mean nothing may hold anything, and a bad number is blamed on its own line.
-Where a column has few different cells, as one of names has, it holds the text of its
-numbers as well.
+One of names holds the text of its numbers as well, and so does any with few different
+cells.
 """
 
 from __future__ import annotations
@@ -14,22 +14,24 @@ import io
 import re
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from importlib.util import find_spec
-from itertools import compress, count, islice
+from itertools import chain, compress, count, islice, pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError, OptionError, enumerated
+from calib_pin.errors import InputError, enumerated, require_package
 from calib_pin.io.columns import (
     ANGLE,
     COMMA,
+    GRAD,
+    NAMES,
     NO_READING,
+    OURS,
     PURE,
     THOUSANDS,
     Column,
@@ -64,8 +66,9 @@ COMMENTS = ("#", "%", "//")
 OTHER = frozenset(" \t\r\n\v\f#%/")
 """First letters of all lines that are blank or comments."""
 
-SEPARATORS = "\t;, "
-"""In this order: where others separate, a comma is a decimal mark."""
+SEPARATORS = "\t;,| "
+"""In this order: where others separate, a comma is a decimal mark, and names may have a
+bar."""
 
 START = 1 << 12
 """Bytes that tell what a file is."""
@@ -91,12 +94,15 @@ BINARY: Sequence[tuple[bytes, bytes, str]] = (
 DOCUMENTS, DOCUMENT = (".yaml", ".yml", ".samples"), rb"\s*(\{|\[\s*[\[{\"\d-])"
 """Endings of files of YAML, and a pattern for the start of one of JSON."""
 
+BROKEN = re.compile(r'(?<![^\n\t;,])"[^"\n]*\n[^"]{,200}"(?=[\n\t;,])')
+"""A cell in quotes that has line ends in it, as those of a header in a sheet."""
+
 LIST = re.compile(r"\w*\W*[\[({].*\d[\s,;].*\d.*[\])}]", re.DOTALL)
 """Cells that hold several numbers."""
 
 TEXTS = 1 << 8
-"""Different cells of a column up to which the texts of its numbers are kept: names such
-as 01 and 1.10 are few, and numbers that are measured are not."""
+"""Different cells of a column up to which the texts of its numbers are kept, of one
+that may hold names, as 01 and 1.10, or be told in messages."""
 
 
 @dataclass(frozen=True)
@@ -335,6 +341,7 @@ def read_table(
     progress: Progress | None = None,
     *,
     columns: Mapping[str, str] = {},
+    names: Collection[str] | None = (*NAMES, *OURS),
 ) -> Table:
     """Read a file of columns: Parquet, or else CSV.
 
@@ -345,6 +352,7 @@ def read_table(
         progress: Told the part of the lines that is read, 0 to 1.
         columns: What columns with foreign names are, ours to theirs; theirs may state
             a unit in square brackets.
+        names: Our columns of names, see `read_cells`.
 
     Raises:
         InputError: If the file is no such text with a header and rows of the same
@@ -352,7 +360,10 @@ def read_table(
             it is a damaged Parquet file.
         OptionError: If it is a Parquet file, and the extra that reads it is missing.
     """
-    cells = read_cells(path, "", progress)
+    if names is not None:
+        theirs = (columns[name] for name in names if name in columns)
+        names = {*names, *(split_header(header)[0] for header in theirs)}
+    cells = read_cells(path, "", progress, names=names)
     found, lines = cells.heading, np.frombuffer(cells.lines, np.int64)
     if not len(lines):
         raise InputError("the file has a header but no rows", file=cells.file)
@@ -449,10 +460,14 @@ class Growing:
     """A column while its file is read.
 
     It grows where it is, which takes half the memory of joining parts.
+
+    Attributes:
+        most: Different cells up to which it keeps the texts of its numbers.
     """
 
-    def __init__(self) -> None:
-        """A column without rows."""
+    def __init__(self, *, named: bool) -> None:
+        """A column without rows, of names or of anything."""
+        self.most = np.inf if named else TEXTS
         self.numbers, self.codes = array("d"), array("i")
         self.words = defaultdict[str, int](count().__next__)
 
@@ -463,7 +478,7 @@ class Growing:
             numbers = cells
         else:
             numbers = read_numbers(cells)
-            kept = ~np.isfinite(numbers) | (len(self.words) <= TEXTS)
+            kept = ~np.isfinite(numbers) | (len(self.words) <= self.most)
             codes[kept] = [self.words[cell] for cell in compress(cells, kept)]
         self.numbers.frombytes(numbers.tobytes())
         self.codes.frombytes(codes.tobytes())
@@ -476,7 +491,7 @@ class Growing:
         numbers.setflags(write=False)
         finite = np.isfinite(numbers)
         # Some of them would be taken for other names than the rest.
-        if len(words) > TEXTS or (codes[finite] < 0).any():
+        if len(words) > self.most or (codes[finite] < 0).any():
             codes[finite] = -1
         if (codes < 0).all():
             words, codes = (), np.zeros(0, np.int64)
@@ -493,18 +508,22 @@ class Cells:
             for any blanks), and what was recognized, if it is that of a dialect.
         remarks: Sentences about how the file had to be read.
         lines: Line of each row, or its number.
+        names: Columns of names; None for all.
     """
 
     file: str
     heading: Heading
+    names: Collection[str] | None
     remarks: tuple[str, ...] = ()
     lines: array[int] = field(default_factory=lambda: array("q"))
 
     def __post_init__(self) -> None:
         """Columns without rows."""
-        self.grown = [Growing() for _ in self.heading.names]
+        known = [split_header(header)[0] for header in self.heading.names]
+        named = [self.names is None or name in self.names for name in known]
+        self.grown = [Growing(named=one) for one in named]
         self.comma = 0  # The first line with a decimal comma.
-        self.header = ""  # The line of the header, with its end.
+        self.head = set[str]()  # The header and the lines above it, with their ends.
 
     def columns(self) -> list[Column]:
         """The columns, whose names are those of the file."""
@@ -522,32 +541,45 @@ class Cells:
             InputError: If a row has more or fewer cells than the header, or its quotes
                 are not as CSV has them; names the line.
         """
-        if first <= self.heading.line < first + len(lines):
-            self.header = lines[self.heading.line - first].lstrip("\ufeff")
+        above = lines[: max(self.heading.line + 1 - first, 0)]
+        self.head |= {line.lstrip("\ufeff") for line in above}
         numbers = [
             number
             for number, line in enumerate(lines, first)
             if line[0] not in OTHER or not (line.isspace() or _is_comment(line))
             if number > self.heading.line
-            if line.lstrip("\ufeff") != self.header  # Of files behind each other.
+            if line.lstrip("\ufeff") not in self.head  # Of files behind each other.
         ]
         lines = [lines[number - first] for number in numbers]
         later, comma = bool(self.lines), self.heading.separator == ","
         self.lines.extend(numbers)
         # The texts of numbers are for messages and names, and so for small files.
-        read = read_lines(lines, len(self.grown)) if later and comma else None
+        fast = later and comma and all(own.most == TEXTS for own in self.grown)
+        read = read_lines(lines, len(self.grown)) if fast else None
         if read is not None:
             for own, values in zip(self.grown, read, strict=True):
                 own.add(values)
             return
         rows = self._rows(numbers, lines)
-        if not comma and not self.comma:
-            marked = (any("," in c and COMMA.fullmatch(c) for c in row) for row in rows)
-            self.comma = next(compress(numbers, marked), 0)
+        if not self.comma and (not comma or any('"' in line for line in lines)):
+            self.comma = self._first_comma(numbers, rows)
         for name, own, cells in zip(
             self.heading.names, self.grown, zip(*rows, strict=True), strict=False
         ):
             own.add(self._with_points(name, cells) if self.comma else cells)
+
+    def _first_comma(self, numbers: Sequence[int], rows: Sequence[list[str]]) -> int:
+        """The first line with a decimal comma; 0 for none.
+
+        Between commas it is in quotes, as names and thousands may be that are none.
+        """
+        marked = [[c for c in row if "," in c and COMMA.fullmatch(c)] for row in rows]
+        if self.heading.separator == ",":
+            every, found = {*chain(*rows)}, {*chain(*marked)}
+            points = any("." in c and as_number(c.strip()) is not None for c in every)
+            if points or all(THOUSANDS.fullmatch(c.strip()) for c in found):
+                return 0
+        return next(compress(numbers, marked), 0)
 
     def _with_points(self, name: str, written: Sequence[str]) -> list[str]:
         """The last cells of a column with decimal points in the place of commas."""
@@ -578,7 +610,7 @@ class Cells:
                 # Blank cells behind the last column are none.
                 if len(row) < width or any(map(str.strip, row[width:])):
                     more = row[width:] if mark == "," else ()
-                    commas = bool(more) and all(c.strip().isdecimal() for c in more)
+                    commas = bool(more) and all(c.strip(" -").isdecimal() for c in more)
                     hint = " (the decimal mark must be a point)" * commas
                     raise csv.Error(f"{len(row)} cells for {width} columns{hint}")
                 rows.append(row[:width])
@@ -589,7 +621,11 @@ class Cells:
 
 
 def read_cells(
-    source: str | Path | bytes, file: str = "", progress: Progress | None = None
+    source: str | Path | bytes,
+    file: str = "",
+    progress: Progress | None = None,
+    *,
+    names: Collection[str] | None = NAMES,
 ) -> Cells:
     """Read a file of cells: Parquet by its first bytes, or else text.
 
@@ -601,6 +637,8 @@ def read_cells(
         source: The file, or its bytes.
         file: Its path, for messages, where there are bytes.
         progress: Told the part of the file that is read, 0 to 1.
+        names: Columns whose cells are names, also where they look like numbers; None
+            for all.
 
     Raises:
         InputError: If there is no such file, it is of another kind, has no header, or
@@ -626,7 +664,8 @@ def read_cells(
             _opened(source) as raw,
             io.TextIOWrapper(raw, encoding) as stream,
         ):
-            found = Cells(file, _heading([*islice(stream, HEAD)], file), remarks)
+            head = _heading([*islice(stream, HEAD)], file)
+            found = Cells(file, head, names, remarks)
             size, first = raw.seek(0, io.SEEK_END), 1
             stream.seek(0)
             while lines := stream.readlines(LINES):
@@ -649,9 +688,7 @@ def _read_parquet(file: str) -> Cells:
         InputError: If it cannot be read.
         OptionError: If the extra is missing.
     """
-    if find_spec("pyarrow") is None:
-        reason = "Parquet files need pyarrow, which is missing: pip install "
-        raise OptionError(reason + "'calib-pin[parquet]'", file=file)
+    require_package("pyarrow", "Parquet files need pyarrow", "parquet", file)
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -660,7 +697,7 @@ def _read_parquet(file: str) -> Cells:
             names = opened.schema_arrow.names
             lines = array("q", range(1, opened.metadata.num_rows + 1))
             heading = Heading(",", [name.strip() for name in names], 0, "")
-            found = Cells(file, heading, lines=lines)
+            found = Cells(file, heading, None, lines=lines)
             # One after the other, for memory.
             for name, own in zip(names, found.grown, strict=True):
                 cells = opened.read([name], use_threads=False).column(0)
@@ -679,8 +716,8 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     if "\0" in "".join(first):
         raise InputError("not a text file (it contains NUL bytes)", file=file)
     lines = [
-        (number, line.strip("\n"))
-        for number, line in enumerate(first, 1)
+        (number, line)
+        for number, line in _numbered("".join(first))
         # Excel writes the separator in a line of its own, and blank lines as others.
         if line.strip(" ,;\t\r\n") and not re.fullmatch(r'"?sep=."?', line.strip())
     ]
@@ -700,11 +737,12 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     whole = [(number, cells) for number, cells in rows if len(cells) == width]
     # Sheets fill up the lines of a title with blank cells.
     top = next((n for n, cells in whole if 2 * cells.count("") < width), whole[0][0])
+    lead = [(0, [""] * width), *(one for one in cut if len(one[1]) == width)]
     own = (
-        (number, cells)
-        for number, cells in cut
-        if number < top and len(cells) == width and _is_header(cells)
-        if not (_is_row(cells, mark) or _units(cells))
+        (number, names)
+        for (_, groups), (number, cells) in pairwise(lead)
+        if number < top and not (_is_row(cells, mark) or _units(cells))
+        if _is_header(names := _grouped(groups, cells))
     )
     above = [one for one in cut[: len(plain)] if one[0] < top]
     longest = max(above, key=lambda one: len(one[1]), default=(0, []))
@@ -719,22 +757,48 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     raise InputError(reason + "missing", file=file, line=top, allowed=allowed)
 
 
+def _numbered(text: str) -> Iterator[tuple[int, str]]:
+    """Lines with their numbers; one with line ends in quotes has that of the last."""
+    number = 0
+    for line in BROKEN.sub(lambda cell: cell[0].replace("\n", "\v"), text).split("\n"):
+        number += 1 + line.count("\v")
+        yield number, line.replace("\v", " ")
+
+
 def _is_header(cells: Sequence[str]) -> bool:
     """Whether most cells of a line have a name, and none the name of another."""
     names = [cell for cell in cells if cell]
     return 2 * len(names) > len(cells) and len({*names}) == len(names)
 
 
-def _units(cells: Sequence[str]) -> list[str | None]:
-    """The units in a line that holds nothing else, as some write below the header."""
-    texts = [cell.strip(" []()") for cell in cells]
-    units = [*map(unit_called, texts)]
-    others = [text for text, unit in zip(texts, units, strict=True) if unit is None]
-    return units if any(units) and not any(others) else []
+def _grouped(groups: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Names that stand several times, behind that of the group above them.
+
+    A sheet states a group above the first of its columns.
+    """
+    above = [""]
+    for group in groups:
+        above.append(group or above[-1])
+    return [
+        f"{group} {name}".strip() if name and names.count(name) > 1 else name
+        for group, name in zip(above[1:], names, strict=True)
+    ]
 
 
-def _with_unit(name: str, unit: str | None) -> str:
-    return name if unit is None or split_header(name)[1] else f"{name} [{unit}]"
+def _units(cells: Sequence[str]) -> list[str]:
+    """The units in a line of units, as some write below the header; empty for others.
+
+    Most are ours. A sign says that there is none.
+    """
+    units = [cell.strip(" []()-") for cell in cells]
+    known = [unit for unit in units if unit_called(unit) or unit.lower() == GRAD]
+    others = [unit for unit in units if unit and unit not in known]
+    return units if len(known) > len(others) else []
+
+
+def _with_unit(name: str, unit: str) -> str:
+    stated = not unit or split_header(name)[1]
+    return name if stated else f"{name} [{unit_called(unit) or unit}]"
 
 
 def _is_comment(line: str) -> bool:

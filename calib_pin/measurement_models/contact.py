@@ -231,6 +231,8 @@ def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
     for name, stated in setup.planes.items():
         normal = np.array(stated.normal, float)
         length = float(np.linalg.norm(normal))
+        # One that was normed already stays as it is, to the last bit.
+        length = 1.0 if abs(length - 1.0) < 1e-14 else length
         if not 0.0 < length < np.inf:
             raise OptionError(
                 f"the normal of the plane '{name}' has no direction",

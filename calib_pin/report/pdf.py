@@ -12,14 +12,11 @@ from dataclasses import is_dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
-from importlib.util import find_spec
 
-from calib_pin.errors import OptionError, printable
+from calib_pin.errors import printable, require_package
 from calib_pin.report.blocks import Block, Cell
 from calib_pin.report.cover import Cover
 from calib_pin.report.figures.canvas import AFTER, BEFORE, Drawn
-
-MISSING = "a PDF needs typst, which is missing: pip install 'calib-pin[pdf]'"
 
 
 def require_pdf() -> None:
@@ -28,13 +25,7 @@ def require_pdf() -> None:
     Raises:
         OptionError: If the extra is missing.
     """
-    if not can_write_pdf():
-        raise OptionError(MISSING)
-
-
-def can_write_pdf() -> bool:
-    """Whether the extra is installed."""
-    return find_spec("typst") is not None
+    require_package("typst", "a PDF needs typst", "pdf")
 
 
 def pdf_report(cover: Cover, blocks: Iterable[Block]) -> bytes:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -103,10 +104,13 @@ class CalibratedModel(Brief, Terms):
         theta: Values of all parameters, shape (P,), frames and instruments at zero:
             the terms have these in their references.
         setup: The setup it was fitted with.
+        placed: Its frames by name as a file states them, from which it was read: angles
+            that turn into a matrix and back are others, by an eps.
     """
 
     theta: Floats
     setup: Setup
+    placed: Mapping[str, FrameSetup] = field(default_factory=dict)
 
     @staticmethod
     def create(problem: Problem, theta: Floats) -> CalibratedModel:
@@ -167,8 +171,10 @@ class CalibratedModel(Brief, Terms):
             for joint, correction in self.of(name).urdf_corrections().items()
         }
 
-    def frames(self) -> dict[str, FrameSetup]:
+    def frames(self) -> Mapping[str, FrameSetup]:
         """Where the fit has the stations, and then the tools, by their names."""
+        if self.placed:
+            return self.placed
         stations, tools = dict[str, FrameSetup](), dict[str, FrameSetup]()
         for key, term in self.terms.items():
             free, base = self.given.free[term.of_error], term.error.base

@@ -25,15 +25,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from calib_pin.errors import CalibPinError
+from calib_pin.workers.threads import limit_blas
 
 GLANCE = 1.0
 """Time after which whoever waits looks whether results may still come [s]."""
 
 AHEAD = 8
 """Items of every worker that are sent, or wait for an earlier result."""
-
-LIBRARIES = ("BLIS", "MKL", "NUMBA", "OMP", "OPENBLAS")
-"""Libraries that read a number of threads when they are loaded."""
 
 KEPT = 2
 """Shared values that a worker keeps: a search and what it asks for in between."""
@@ -154,9 +152,8 @@ SERIAL = Workers()
 
 def alone() -> None:
     """Give this process one thread: there is a worker for every core."""
-    for library in LIBRARIES:
-        os.environ[f"{library}_NUM_THREADS"] = "1"
-    os.environ["VECLIB_MAXIMUM_THREADS"] = "1"
+    limit_blas()
+    os.environ["NUMBA_NUM_THREADS"] = "1"
     if numba := sys.modules.get("numba"):  # It has read them already.
         numba.config.NUMBA_NUM_THREADS = 1
 

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from calib_pin.errors import CalibPinError, OptionError, words_of
+from calib_pin.errors import CalibPinError, OptionError, require_package, words_of
 from calib_pin.workers.base import Submit, WorkerLost, Workers, run
 
 PATIENCE = 5.0
@@ -38,12 +38,8 @@ class Cluster(Workers, AbstractContextManager["Cluster"]):
 
     def __init__(self, address: str) -> None:
         """Meet the scheduler."""
-        try:
-            distributed = import_module("distributed")
-        except ImportError as error:
-            raise OptionError(
-                "a cluster needs dask.distributed: pip install 'calib-pin[cluster]'"
-            ) from error
+        require_package("distributed", "a cluster needs dask.distributed", "cluster")
+        distributed = import_module("distributed")
         # What dask logs of lost connections is said in one line.
         for name in logging.root.manager.loggerDict:
             if name.partition(".")[0] == "distributed":

@@ -236,7 +236,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
 
     server = SimpleNamespace(Window=Window)
     monkeypatch.setitem(sys.modules, "calib_pin.viewer.server", server)  # type: ignore[arg-type]
-    monkeypatch.setattr("calib_pin.cli.view.find_spec", lambda _: True)
+    monkeypatch.setattr("calib_pin.errors.find_spec", lambda _: True)
     return scenes
 
 

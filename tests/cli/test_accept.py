@@ -44,7 +44,7 @@ def without_typst(monkeypatch) -> None:
     """The extra is not installed: no PDF is written, which takes the longest."""
     find = importlib.util.find_spec
     monkeypatch.setattr(
-        "calib_pin.report.pdf.find_spec",
+        "calib_pin.errors.find_spec",
         lambda name, *more: None if name == "typst" else find(name, *more),
     )
 

@@ -221,6 +221,20 @@ def test_a_line_says_what_to_change(name, job, fails):
     fails(f"init {ROBOT} rows.csv -o s.yaml", *words)
 
 
+@pytest.mark.parametrize(
+    ("rows", "fits"), [([3], True), ([3, 9, 20], True), (..., False)]
+)
+def test_a_few_lost_targets_hide_no_fit(rows, fits, job, capsys):
+    """What stands there for them is a number once, and no sign of anything."""
+    points = job.points.copy()
+    points[rows] = -1.0 + 0.3 * np.sin(np.arange(120.0).reshape(40, 3)[rows])
+    written(text({OWN: job.q, XYZ: points}))
+    assert main(["init", ROBOT, "rows.csv", "-o", "s.yaml"]) == 0
+    assert ("NO fit" not in Path("s.yaml").read_text()) == fits
+    said = f"far off all others: {len(rows)} of 40" if fits else "no reading"
+    assert said in capsys.readouterr().err
+
+
 def test_a_sign_for_no_reading_is_left_out(job):
     written(lost("-9999", 6)(job))
     columns = ", ".join(f"{joint}: j{k}" for k, joint in enumerate(JOINTS))

@@ -121,7 +121,7 @@ def test_progress_on_the_error_stream(here):
 
 
 def test_without_the_extra(here, monkeypatch, fails):
-    monkeypatch.setattr("calib_pin.cli.view.find_spec", lambda _: None)
+    monkeypatch.setattr("calib_pin.errors.find_spec", lambda _: None)
     fails("view no/robot.urdf", "calib-pin[view]")
 
 

@@ -31,7 +31,7 @@ def test_no_urdf(tmp_path, monkeypatch, program, said):
 
 
 def test_an_extra_that_is_missing(monkeypatch):
-    monkeypatch.setattr(children, "find_spec", lambda _: None)
+    monkeypatch.setattr("calib_pin.errors.find_spec", lambda _: None)
     for kind, extra in (("MJCF", "mujoco"), ("xacro", "ros")):
         with refused(OptionError, f"calib-pin[{extra}]"):
             converted(kind, Path("arm"))

@@ -387,7 +387,7 @@ REFUSED = [
         (f"{R}# c\n0,{cell},0,1\n", 4, "elbow", cell.strip())
         for cell in ("abc", "1e999", "1_0")
     ),
-    (f'{R}0,"1,5",0,1\n', 3, "elbow", "1,5", "decimal"),
+    (f'{R}0.5,"1,5",0,1\n', 3, "elbow", "1,5", "decimal"),
     # Columns that are missing, doubled or have a wrong unit.
     ("lift,elbow_joint,wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'elbow_joint'"),
     ("lift,elbow (deg),distance\n0,0,1\n", 1, "elbow", None, "'elbow (deg)'"),

@@ -141,6 +141,12 @@ def test_damaged_files_cost_a_line(write: Write) -> None:
         read_or_refused(file)
 
 
+def test_names_keep_their_digits(write: Write) -> None:
+    names = [f"{k:03d}" for k in range(300)]
+    table = read_table(write({"target": names, "x": np.arange(300.0)}))
+    assert [*table.labels("target")] == names
+
+
 def test_without_the_extra(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     file = write({"x": [1.0]})
     monkeypatch.setitem(sys.modules, "pyarrow", None)

@@ -259,5 +259,5 @@ def test_bags_that_cannot_be_used(made, monkeypatch, capsys):
     (file,) = Path(bag).glob("*.db3")
     file.write_bytes(file.read_bytes()[:4000])
     refused(f"{join} --topic /a", "bag", capsys)
-    monkeypatch.setattr("calib_pin.io.rosbag.find_spec", lambda _: None)
+    monkeypatch.setattr("calib_pin.errors.find_spec", lambda _: None)
     refused(join, "calib-pin[ros]", capsys)

@@ -192,6 +192,9 @@ LINES = ["# p\xe4th", "a,b", "", "1,\xe4", '" x ","#"', "  ", " # c", "2,"]
 KEPT = [(4, ("1", "\xe4")), (5, (" x ", "#")), (8, ("2", ""))]
 
 
+GROUPED = "A~x~[m] y~[m] B~x~[m] z w"
+
+
 def rows_of(found: Cells) -> list[tuple[str, ...]]:
     texts = [column.texts() for column in found.columns()]
     return [*zip(*texts, strict=True)]
@@ -233,6 +236,20 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
         # Units below the names, and the minus of typesetting.
         ("a;b;c\n;\u00b0;[mm]\n1;0,5;2\n", "a b~[deg] c~[mm]", 2, None),
         ("a,b\nm,s\n\u22121.5,2\n", "a~[m] b~[s]", 2, [("\u22121.5", "2")]),
+        ("a,b,c,d\n-,deg,[C],mm\n1,0.5,2,3\n", "a b~[deg] c~[C] d~[mm]", 2, None),
+        ("a;b\nGrad;Grad\n1;0,5\n", "a~[Grad] b~[Grad]", 2, None),
+        # Groups of columns above their names, where these stand several times.
+        ("A,,B,\na,x,x,c\n1,0.5,2,3\n", "a A~x B~x c", 2, None),
+        ("A,,B,,\nx,y,x,z,w\nm,m,m,,\n1,0.5,2,3,4\n", GROUPED, 3, None),
+        # Names with line ends in quotes, as those of a sheet.
+        ('"a\n[mm]","b\n\nc"\n0.5,2\n', "a~[mm] b~~c", 4, None),
+        ('a 5" tool\n"b","c"\n0.5,2\n', "b c", 2, None),
+        ("a|b\n0.5|2\n", "a b", 1, [("0.5", "2")]),
+        ("a,b\n0.5,p|q\n1.5,p|r\n", "a b", 1, [("0.5", "p|q"), ("1.5", "p|r")]),
+        # Decimal commas between commas.
+        ('a,b\n"0,5",2\n"1,2345",3\n', "a b", 1, [("0.5", "2"), ("1.2345", "3")]),
+        ('a,b\n"1,5",0.5\n', "a b", 1, [("1,5", "0.5")]),
+        ('a,b\n"1,500",2\n', "a b", 1, [("1,500", "2")]),
         # Blank cells behind the last column.
         ("a,b\n1.5,2,\n3.5,4, ,\n", "a b", 1, [("1.5", "2"), ("3.5", "4")]),
         # Numbers may name columns, and texts alone are rows, too.
@@ -241,6 +258,7 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
         ("a b\n0.5\n", "a~b", 1, [("0.5",)]),
         # Files behind each other.
         ("a,b\n0.5,1\n\ufeffa,b\n2,3\n", "a b", 1, [("0.5", "1"), ("2", "3")]),
+        ("t\na,b\nm,m\n0.5,1\n" * 2, "a~[m] b~[m]", 3, [("0.5", "1")] * 2),
     ],
 )
 def test_headers(text, header, line, rows):
@@ -250,6 +268,20 @@ def test_headers(text, header, line, rows):
     assert found.heading.line == line
     assert not found.remarks
     assert rows is None or rows_of(found) == rows
+
+
+@pytest.mark.parametrize("name", ["target", "tool [of the arm]", "Point"])
+@pytest.mark.parametrize("ending", ["{k:03d}", "{k}.50", "{k}.5000"])
+def test_names_stay_as_they_are_written(monkeypatch, name, ending):
+    """However many there are; one by one they would be other names in other files."""
+    monkeypatch.setattr(table_module, "LINES", 1000)
+    names = [ending.format(k=k) for k in range(600)]
+    data = f"a,{name}\n" + "".join(f"0.5,{cell}\n" for cell in names)
+    table = read_table(
+        data.encode(), columns={"target": "Point"} if "P" in name else {}
+    )
+    found = table.columns["tool" if "tool" in name else "target"]
+    assert [*found.texts()] == names
 
 
 @pytest.mark.parametrize("sign", ["", "# "])

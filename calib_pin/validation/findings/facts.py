@@ -88,6 +88,9 @@ COARSE, MOST = 0.5, 2.0
 which values cannot have been rounded: the errors would be larger, but for what was set
 aside. Joints are often commanded to round numbers."""
 
+DIGITS = (2, 3, 4)
+"""Digits with which a sheet may show numbers of any size."""
+
 ROUNDED = 1.0 / np.sqrt(12.0)
 """Standard deviation of what rounding adds, in steps."""
 
@@ -544,7 +547,9 @@ def _joint_step(case: Case, quantity: Quantity) -> tuple[float, str, float]:
 def coarse_step(values: Floats, unit: str) -> float:
     """The largest step of 1, 2 or 5 times a power of ten that all values are on.
 
-    Zero where there is none, or too few values differ to tell.
+    Where all are written with as many digits, as `1.54E+03`, each has a step of its
+    own, and theirs is the root mean square. Zero where there is none, or too few values
+    differ to tell.
 
     Args:
         values: Values, shape (N,) [unit].
@@ -555,9 +560,13 @@ def coarse_step(values: Floats, unit: str) -> float:
     for some in (values[:: max(1, len(values) // 50)], values):
         parts = some / steps[:, None]
         steps = steps[np.all(np.abs(parts - np.round(parts)) < 1e-6, axis=1)]
-    if len(steps) and len(np.unique(np.round(values / steps[0]))) >= VALUES:
-        return float(steps[0])
-    return 0.0
+    found = steps[:1] if len(np.unique(values)) >= VALUES else steps[:0]
+    for scale, digits in product(STEPS[unit], DIGITS if len(found) else ()):
+        powers = np.floor(np.log10(np.maximum(np.abs(values / scale), 1e-12)))
+        own = scale * 10.0 ** (powers + 1.0 - digits)
+        if np.all(np.abs(values / own - np.round(values / own)) < 1e-6):
+            found = np.append(found, np.sqrt(np.mean(own**2)))
+    return float(found.max(initial=0.0))
 
 
 KINDS = (

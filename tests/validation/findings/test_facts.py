@@ -36,6 +36,10 @@ def test_the_largest_step_of_all_values(step: float) -> None:
 
 def test_no_step() -> None:
     assert coarse_step(RANDOM, "m") == 0.0
+    shown = np.array([float(f"{1e3 * value:.2E}") for value in RANDOM])
+    sizes = 10.0 ** (np.floor(np.log10(np.abs(shown))) - 2.0)
+    rms = 1e-3 * np.sqrt(np.mean(sizes**2))
+    assert coarse_step(1e-3 * shown, "m") == pytest.approx(rms)
     # Ten of them may stand on a grid because someone wanted them there.
     assert coarse_step(np.repeat(np.arange(10.0), 6), "m") == 0.0
     degrees = np.radians(0.1 * np.round(np.degrees(RANDOM) / 0.1))

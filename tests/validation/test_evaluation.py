@@ -67,6 +67,18 @@ def test_moved_since(job, shift, severity, verdict) -> None:
     assert calib_pin.evaluate(model, moved, registration=True).findings == ()
 
 
+@pytest.mark.parametrize("count", [4, 5])
+def test_what_few_rows_tell_of_a_frame_is_no_move(job, count) -> None:
+    """Base and tool use up most of their values, and leave less whatever is true."""
+    _, model, rows = job
+    for start in range(0, len(rows) - count, count):
+        some = rows.rows(slice(start, start + count))
+        assert calib_pin.evaluate(model, some).findings == ()
+        moved = replace(some, values=some.values + np.eye(3)[0])
+        (finding,) = calib_pin.evaluate(model, moved).findings
+        assert finding.code == "frames-moved"
+
+
 def test_reversed_joint(job) -> None:
     _, model, rows = job
     rows = rows.rows(slice(0, 12))

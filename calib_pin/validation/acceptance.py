@@ -626,7 +626,9 @@ def _frames(
             for name, model in models.items()
         }
         again = _at_station(robot.model, visits)
-        was, now = (np.linalg.norm(error_table(*f[:2])) for f in (fits[NOW], again))
+        was, now = (
+            np.linalg.norm(error_table(*f[:2])[:, :3]) for f in (fits[NOW], again)
+        )
         # A station uses up all values of a pose: what a robot leaves has to tell.
         limit = most_left(again.problem, "m") * len(visits) ** 0.5
         if again.dof:

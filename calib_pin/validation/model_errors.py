@@ -198,7 +198,7 @@ def found_distances(
     before: Registered,
     after: Registered,
     stated: Sequence[DistanceSetup],
-    fitted: bool = False,
+    fitted: bool,
 ) -> tuple[FoundDistance, ...]:
     """Known distances beside those that the nominal and the fitted robot find.
 

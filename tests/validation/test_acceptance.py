@@ -261,3 +261,19 @@ def test_one_pose_tells_no_station_from_an_error(calibration, poses, moved, told
     visited = replace(visited, values=visited.values + moved * np.eye(3)[0])
     test = run(result, Observations.of(visited), result.model.setup)
     assert test.tests["calibrated"].elsewhere == told
+
+
+def test_angles_hide_no_move_of_the_instrument() -> None:
+    """Seven milliradians are no seven millimeters, beside which five are nothing."""
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(1)
+    setup = Setup(noise={"position": 1e-4, "orientation": 4e-3})
+    problem = nominal_problem(chain, "pose", setup)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=60)
+    result = calib_pin.calibrate(chain, rows, setup, validate=False)
+    q = np.tile(chain.random_configurations(5, rng), (10, 1))
+    visited = calib_pin.simulate(problem, truth, rng, q=q).only
+    for moved in (0.0, 5e-3):
+        there = replace(visited, values=visited.values + moved * np.eye(7)[0])
+        test = run(result, Observations.of(there), setup).tests["calibrated"]
+        assert test.elsewhere == (moved > 0.0)

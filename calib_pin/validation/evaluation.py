@@ -137,9 +137,13 @@ def _unregistered(
     """Frames or an instrument that are not where a calibration has seen them."""
     some, _ = some_of(rows)
     here, again = (prepared(robot, some, registration=anew) for anew in (False, True))
-    pair = [error_sizes(at.problem, at.theta)[0] for at in (here, again)]
-    name, unit, _ = pair[0]
-    before, after = (rms(sizes) for _, _, sizes in pair)
+    tables = [error_sizes(at.problem, at.theta) for at in (here, again)]
+    sizes = [
+        (name, unit, rms(was), rms(now))
+        for (name, unit, was), (_, _, now) in zip(*tables, strict=True)
+    ]
+    # Of several instruments one may have moved.
+    name, unit, before, after = max(sizes, key=lambda one: one[2] / max(one[3], 1e-300))
     if again.reason or not after < MOVED * before:
         return
     # Whatever stands where, what few measurements have told about it is not left.

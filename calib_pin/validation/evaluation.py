@@ -154,9 +154,9 @@ def _unregistered(
     said = "base, tool or instrument stand elsewhere than at the calibration: "
     said += f"registered on these measurements, the {name} errors fall from "
     said += f"{shown(before, unit, 3)} to {shown(after, unit, 3)} rms"
-    sizes = {"rms_before": before, "rms_after": after}
-    large = before > most_left(here.problem, unit)
-    yield finding("frames-moved", said, sizes, "evaluate with --register", error=large)
+    numbers = {"rms_before": before, "rms_after": after}
+    remedy, large = "evaluate with --register", before > most_left(here.problem, unit)
+    yield finding("frames-moved", said, numbers, remedy, error=large)
 
 
 def prepared(

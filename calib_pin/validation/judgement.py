@@ -345,9 +345,13 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         grounds: What is judged.
         coarse: Errors, by the reach, that noise may leave where nobody knows it.
     """
-    quantity = next(iter(grounds.left), None)
-    if quantity is None or quantity.unit not in ("m", "px"):
-        return ""
+    some = (quantity for quantity in grounds.left if quantity.unit in ("m", "px"))
+    reasons = (_inexplicable(grounds, quantity, coarse) for quantity in some)
+    return next(filter(None, reasons), "")
+
+
+def _inexplicable(grounds: Judgement, quantity: QuantityErrors, coarse: float) -> str:
+    """The same of one quantity."""
     before, after = (sizes.rms for sizes in quantity.shown)
     noise = _noise(grounds, quantity)
     # Half of the nominal robot's errors may be left.
@@ -506,15 +510,13 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
         where = f"{gain.configurations} configurations, each predicted by the others"
     old, new = (shown(sizes.rms, quantity.unit, 3) for sizes in (before, after))
     held = after is quantity.validation_after
-    # Too few others are left to predict them.
-    far = after.rms > NOISY * quantity.after.rms and not grounds.misjudged
     if gain.method == PRESS or not held:
         of_first = (g for g in grounds.gains if g.method == gain.method)
         by = _by(grounds, next((g for g in of_first if g.quantity == name), gain))
         found = f"{name} errors smaller by {by}"
         if nothing:
             found = f"{name} errors differ by {by} if it is corrected"
-    elif nothing and far:
+    elif nothing and _certain(grounds, quantity) is not after:
         found = f"errors differ by {_by(grounds, gain)} if it is corrected"
     elif nothing:
         found = f"{name} error {old} rms as it is, {new} corrected"
@@ -523,11 +525,27 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
     if not nothing and held and gain.mean > 0.0 and after.rms > before.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
         found = f"errors smaller by {_by(grounds, gain)}"
-    noise, left = _noise(grounds, quantity), (quantity.after if far else after).rms
-    if noise and left >= NOISY * noise:
-        times = f"{left / noise:.2g} times the noise"
-        where += f" ({times}, {shown(noise, quantity.unit, 3)})"
+    noisy = (_by_noise(grounds, quantity) for quantity in grounds.errors)
+    if times := "; ".join(filter(None, noisy)):
+        where += f" ({times})"
     return found, where
+
+
+def _certain(grounds: Judgement, quantity: QuantityErrors) -> Accuracy:
+    """The errors that are shown, but for those that too few others predict."""
+    after = quantity.shown[1]
+    far = after.rms > NOISY * quantity.after.rms and not grounds.misjudged
+    return quantity.after if far else after
+
+
+def _by_noise(grounds: Judgement, quantity: QuantityErrors) -> str:
+    """Errors by their noise, in words; empty where they are no more than that."""
+    noise, left = _noise(grounds, quantity), _certain(grounds, quantity).rms
+    if not noise or left < NOISY * noise:
+        return ""
+    name = f"{quantity.name} " * (quantity is not grounds.errors[0])
+    times = f"{name}{left / noise:.2g} times the noise"
+    return f"{times}, {shown(noise, quantity.unit, 3)}"
 
 
 def _by(grounds: Judgement, gain: Gain, sign: float = 1.0) -> str:

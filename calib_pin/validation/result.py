@@ -1091,7 +1091,7 @@ class Evaluation(Printed):
         counts: Number of measurements that have each quantity.
         registered: Whether what is unknown of base, tool and instrument was fitted to
             them.
-        verdict: `good` or `untrusted`.
+        verdict: `good`, `unchecked` or `untrusted`.
         reason: Why it must not be trusted; empty where it is good.
         outside: Number of them outside the region of a learned correction.
         located: Names of references, such as sockets, that were not there before and

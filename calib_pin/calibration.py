@@ -27,7 +27,6 @@ from calib_pin.estimation.formulation import (
     setup_of,
 )
 from calib_pin.estimation.problem import tool_points
-from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import as_stated
@@ -232,13 +231,6 @@ def _result(
     # Against the sigma that is stated, or was assumed.
     chi2 = 2.0 * replace(fitted.problem, units=np.zeros(0)).cost(fitted.theta)
     names = [parameter.name for parameter in parameters]
-    accuracies = {
-        name: replace(
-            accuracy,
-            tip=tip_accuracy(fitted, model.problem, seed, name),
-        )
-        for name, accuracy in judgement.accuracies.items()
-    }
     return CalibrationResult(
         model=CalibratedModel.create(model.problem, model.theta),
         reference=CalibratedModel.create(fitted.problem, np.zeros_like(fitted.theta)),
@@ -276,7 +268,7 @@ def _result(
             outliers=fitted.robust.outliers,
             gains=held_out.gains,
         ),
-        **vars(breakdown(model, errors, accuracies)),
+        **vars(breakdown(model, errors, judgement.accuracies)),
         covariance=NamedArray.of(fitted.covariance, names, names),
         fitted=_measured(
             model, model.weighted(training), errors, measurement_leverages(fitted)

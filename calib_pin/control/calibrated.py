@@ -11,7 +11,6 @@ import numpy as np
 from calib_pin.control.joints import Kinematics
 from calib_pin.errors import OptionError, require_known
 from calib_pin.estimation.terms import FRAME
-from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.spatial import Floats, adjoint, interpolate, invert
 from calib_pin.observations import UNSTATED, BlockKey, Conditions, Signs
 from calib_pin.parameterizations import NOTHING
@@ -19,6 +18,7 @@ from calib_pin.parameterizations.error_model import ErrorModel, varying
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.result import REMEDY, CalibrationResult, frames_of
+from calib_pin.validation.tool_accuracy import SAMPLES
 
 NOTHING_LEFT = 1e-9
 """Standard deviation that is rounding [m]."""

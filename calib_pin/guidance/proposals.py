@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.guidance.fitted import Fitted
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.measured_columns import own_columns, read_positions
@@ -25,6 +24,7 @@ from calib_pin.planning.planned_problem import TipTests, identification
 from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Aims, Candidates, Workspace, require_plannable
 from calib_pin.setup import Setup
+from calib_pin.validation.tool_accuracy import SAMPLES
 
 MORE = 20
 """Most further rows that are looked ahead to."""

@@ -156,7 +156,7 @@ class Watch:
             self._aside = {key for key in keys if key[2]}
             used = np.array([not key[2] for key in keys])
             self._fitted = self._fit(job, used, robust=True)
-        yield from self._reconsidered(rows, keys, used)
+        yield from self._reconsidered(rows, keys)
         yield from self._guided(rows)
 
     def _fit(self, job: Fitted, used: Booleans, *, robust: bool = False) -> Fitted:
@@ -185,9 +185,7 @@ class Watch:
             text += "; set aside: is the target seated? is the robot still?"
         return Event("row", text, numbers | found._asdict() | {"wrong": found.wrong})
 
-    def _reconsidered(
-        self, rows: Observations, keys: Sequence[Key], used: Booleans
-    ) -> Iterator[Event]:
+    def _reconsidered(self, rows: Observations, keys: Sequence[Key]) -> Iterator[Event]:
         """Tell of rows that agree now, and of those that the fit has set aside."""
         fitted = self._fitted
         if fitted is None or fitted.lost:

@@ -24,8 +24,8 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameters import ParameterSet, matching
 from calib_pin.setup import MonteCarloSetup, Setup
 from calib_pin.simulation import simulate
-from calib_pin.validation.judgement import expected_accuracy
 from calib_pin.validation.tip_drift import absorbed, apart
+from calib_pin.validation.tool_accuracy import ToolErrors
 
 TESTS = 100
 """Configurations of the workspace at which every robot is compared with its truth."""
@@ -218,7 +218,7 @@ def _compared(
     position, orientation = apart(A, absorbed(A, calibrated))
     expected = bound = np.nan
     if fitted.noise:
-        found = expected_accuracy(fitted, term, model.theta, q, rng)
+        found = ToolErrors.of(fitted, term, q).expected(rng)
         expected, bound = found.calibrated.position, found.bound.position
     return replace(
         trial,

@@ -12,7 +12,6 @@ from calib_pin.errors import OptionError, require_known
 from calib_pin.estimation.formulation import Stated, setup_of
 from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
@@ -41,6 +40,7 @@ from calib_pin.planning.workspace import (
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates, robot_errors
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate, Printed
+from calib_pin.validation.tool_accuracy import SAMPLES
 
 CRITERION_NAMES = (*CRITERIA, "prediction")
 """Names of all criteria."""

@@ -22,7 +22,6 @@ from calib_pin.estimation.identifiability import (
 )
 from calib_pin.estimation.nominal import asked, register, structure_at
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
@@ -41,6 +40,7 @@ from calib_pin.planning.workspace import Aims, Candidates, sides_tried
 from calib_pin.setup import Setup
 from calib_pin.validation.model_errors import registration_reason
 from calib_pin.validation.result import RobotError
+from calib_pin.validation.tool_accuracy import SAMPLES
 
 
 def planned_keys(

@@ -20,7 +20,6 @@ from calib_pin.errors import InputError, OptionError, RobotError, nearest
 from calib_pin.estimation.nominal import DRAWS, lacking_frames
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.terms import Term
-from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.joint_space import quasi_random
 from calib_pin.kinematics.spatial import Floats
@@ -36,6 +35,7 @@ from calib_pin.observations import (
 )
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import matching
+from calib_pin.validation.tool_accuracy import SAMPLES
 
 SWAY = np.array(
     [

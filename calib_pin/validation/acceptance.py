@@ -53,6 +53,7 @@ from calib_pin.setup import LimitSetup, Setup
 from calib_pin.validation import model_errors
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.sentences import shown
+from calib_pin.validation.judgement import most_left
 from calib_pin.validation.result import CalibrationResult
 
 MODELS = ("position", "pose")
@@ -83,6 +84,10 @@ OF_STATION = ("AP", "orientation")
 """Quantities that depend on where the instrument stands."""
 
 ELSEWHERE = "the station is not where it was at the calibration; --register fits it"
+
+APART = 5.0
+"""Errors from where a station was, by those with another one, from which it is not
+there; each for a value that is left over."""
 
 ENDS = ("", "_low", "_high")
 """Endings of the columns of an interval."""
@@ -608,20 +613,28 @@ def _frames(
             how = f"base and tool {own}"
         return {"robot": fit}, "" if fit.dof else f"{what} {own}", how, doubts
     models = {"nominal": robot.reference, NOW: robot.model}
-    fits = {name: _at_station(model, on, alone) for name, model in models.items()}
     elsewhere = visits.keys[0] not in robot.model.problem(visits).terms
     if registration or elsewhere or not alone:
+        fits = {name: _at_station(model, on, alone) for name, model in models.items()}
         said, unlikely = _misfit(robot, fits[NOW])
         doubts += [said] * unlikely
         how = f"tool as calibrated, station {own}; {said}"
     else:
-        again, none = fits[NOW], np.zeros((len(robot.model.theta), 0))
-        for name, model in models.items():
-            fits[name] = FrameFit(model.problem(visits), model.theta, none)
-        sizes = [np.linalg.norm(error_table(*f[:2])) for f in (fits[NOW], again)]
-        # Five times the errors with another station.
-        if sizes[0] > 5.0 * sizes[1]:
-            doubts.append(ELSEWHERE)
+        none = np.zeros((len(robot.model.theta), 0))
+        fits = {
+            name: FrameFit(model.problem(visits), model.theta, none)
+            for name, model in models.items()
+        }
+        again = _at_station(robot.model, visits)
+        was, now = (
+            np.linalg.norm(error_table(*f[:2])[:, :3]) for f in (fits[NOW], again)
+        )
+        # A station uses up all values of a pose: what a robot leaves has to tell.
+        limit = most_left(again.problem, "m") * len(visits) ** 0.5
+        if again.dof:
+            values = visits.configurations * again.problem.layout.width
+            limit = APART * (values / again.dof) ** 0.5 * now
+        doubts += [ELSEWHERE] * bool(was > limit)
         how = "base and tool as calibrated"
     how += " (nominal robot: as registered on the calibration's measurements)"
     fitted = "" if fits[NOW].dof else f"the station was {own}"
@@ -717,7 +730,7 @@ def _as_stated(chains: Chains, rows: Observations, setup: Setup) -> FrameFit:
 
 
 def _at_station(
-    model: CalibratedModel, rows: Observations, alone: bool = True
+    model: CalibratedModel, rows: Observations, alone: bool = False
 ) -> FrameFit:
     """A robot with its tool, whose station is fitted to measurements of one block."""
     problem, theta = extended(model.problem(rows), model.theta, rows)

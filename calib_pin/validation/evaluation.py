@@ -17,19 +17,24 @@ from calib_pin.estimation.formulation import (
     require_conditions,
     setup_of,
 )
-from calib_pin.estimation.problem import Problem, error_table
+from calib_pin.estimation.problem import Problem, distinct_values, error_table
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import Measurements, Observations
-from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.findings import explained, find
-from calib_pin.validation.findings.case import Case, Others, some_of
+from calib_pin.validation.findings.case import (
+    CHANCE,
+    Case,
+    Others,
+    by_chance,
+    some_of,
+)
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.findings.sentences import told as finding
-from calib_pin.validation.judgement import CHECK, told, too_large
+from calib_pin.validation.judgement import CHECK, most_left, told, too_large
 from calib_pin.validation.model_errors import (
     Registered,
     located_names,
@@ -40,9 +45,6 @@ from calib_pin.validation.result import Accuracy, Evaluation
 
 MOVED = 0.5
 """Part of the errors that a registration may leave to be worth a word."""
-
-LARGE = 5.0
-"""Errors, in expected sizes of an error, that are not those of a calibration."""
 
 
 @serial_blas
@@ -134,18 +136,27 @@ def _unregistered(
 ) -> Iterator[Finding]:
     """Frames or an instrument that are not where a calibration has seen them."""
     some, _ = some_of(rows)
-    again = prepared(robot, some, registration=True)
-    pair = [error_sizes(p.problem, p.theta)[0] for p in (prepared(robot, some), again)]
-    name, unit, _ = pair[0]
-    before, after = (rms(sizes) for _, _, sizes in pair)
+    here, again = (prepared(robot, some, registration=anew) for anew in (False, True))
+    tables = [error_sizes(at.problem, at.theta) for at in (here, again)]
+    sizes = [
+        (name, unit, rms(was), rms(now))
+        for (name, unit, was), (_, _, now) in zip(*tables, strict=True)
+    ]
+    # Of several instruments one may have moved.
+    name, unit, before, after = max(sizes, key=lambda one: one[2] / max(one[3], 1e-300))
     if again.reason or not after < MOVED * before:
+        return
+    # Whatever stands where, what few measurements have told about it is not left.
+    was, now = (2.0 * at.problem.cost(at.theta) for at in (here, again))
+    left = distinct_values(again.problem) - again.used_up
+    if by_chance(was, now, again.used_up, left) > CHANCE:
         return
     said = "base, tool or instrument stand elsewhere than at the calibration: "
     said += f"registered on these measurements, the {name} errors fall from "
     said += f"{shown(before, unit, 3)} to {shown(after, unit, 3)} rms"
-    sizes = {"rms_before": before, "rms_after": after}
-    large = before > LARGE * expected_size(unit)
-    yield finding("frames-moved", said, sizes, "evaluate with --register", error=large)
+    numbers = {"rms_before": before, "rms_after": after}
+    remedy, large = "evaluate with --register", before > most_left(here.problem, unit)
+    yield finding("frames-moved", said, numbers, remedy, error=large)
 
 
 def prepared(

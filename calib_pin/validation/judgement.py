@@ -9,34 +9,34 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import starmap
-from math import erf
 
 import numpy as np
 
-from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, Gain, PoseErrors
+from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, Gain
 from calib_pin.estimation.fit import FittedModel, with_effects
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import distinct_values, known_count, known_values
+from calib_pin.estimation.problem import (
+    Problem,
+    distinct_values,
+    known_count,
+    known_values,
+)
 from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
 from calib_pin.estimation.statistics.variance_components import unplaced
-from calib_pin.estimation.terms import Term
-from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import JointPrior
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings import find
-from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
+from calib_pin.validation.findings.case import DOUBTFUL, FOREIGN, Case, Others
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.held_out import ALL, PRESS, HeldOut
 from calib_pin.validation.model_errors import ModelErrors, quantity_errors
 from calib_pin.validation.result import Accuracy, QuantityErrors, ToolAccuracy
 from calib_pin.validation.splits import FEWEST_HELD_OUT
+from calib_pin.validation.tool_accuracy import LIKELY, tool_accuracy
 
 SCALE = (
     "the absolute scale is unobservable: a robot larger by any factor fits these "
@@ -60,9 +60,6 @@ CHECK = (
 
 NAMED = 3
 """Causes that a reason names; findings name all of them."""
-
-UNEXPLAINED = 20.0
-"""Remaining errors, in expected sizes of an error, that no calibration leaves."""
 
 NOISY = 3.0
 """Multiple of the noise up to which errors that are left say nothing."""
@@ -112,13 +109,6 @@ Of 345 simulated jobs with 0.95 or more, narrow ones and paths among them, one w
 worse; a real arm of a humanoid, measured in front of it, has 0.95.
 """
 
-LIKELY = 0.95
-"""Probability of a bound, and from which a configuration counts as better."""
-
-SAMPLES, DRAWS = (100, 300), 400
-"""Configurations at which the tool is predicted, measured ones and others; and draws of
-an error by which a bound is found, for each size of errors."""
-
 
 @dataclass(frozen=True)
 class Judgement:
@@ -129,8 +119,7 @@ class Judgement:
         errors: Accuracy by quantity.
         gains: Paired tests on held-out configurations, the first of all quantities.
         findings: Defects of the data or the result.
-        accuracies: Errors of the tool to expect by chain, without the predicted
-            uncertainty of tips.
+        accuracies: Errors of the tool to expect by chain.
         aside: Part of the configurations that was set aside, or would have to be.
         causes: Findings from which errors follow that no robot explains.
     """
@@ -213,12 +202,13 @@ def judge(
     fitted, data = model.fit, model.fit.problem.data
     counting = data.rows(data.weight > 0.0)
     quantities = model.problem.layout.quantities
-    promising = model
-    if missing := unplaced(fitted.problem.setup):
-        # They err elsewhere as well. Of two calibrations both have them in common.
-        promising = replace(model, fit=with_effects(fitted, missing))
+    # What was not estimated errs elsewhere as well.
+    missing = unplaced(fitted.problem.setup)
+    expecting = with_effects(fitted, missing) if missing else fitted
     accuracies = {
-        name: tool_accuracy(promising, term, counting, np.random.default_rng(seed))
+        name: tool_accuracy(
+            model, expecting, term, counting, np.random.default_rng(seed)
+        )
         for name, term in model.problem.by_chain.items()
     }
     case = Case.of(fitted, Chains.of(chains), progress, others, accuracies)
@@ -250,10 +240,24 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
 
 def too_large(name: str, unit: str, found: Accuracy) -> str:
     """Why errors of a quantity are more than a robot has; empty where they are not."""
-    if not found.rms > UNEXPLAINED * expected_size(unit):
+    if not found.rms > FOREIGN * expected_size(unit):
         return ""
     size = f"{name} errors of {shown(found.rms, unit, 3)} rms remain"
     return f"{size}, far more than a robot's geometry explains"
+
+
+def most_left(problem: Problem, unit: str, part: float = LARGE) -> float:
+    """Errors that no calibrated robot exceeds, by its reach, in their unit.
+
+    Args:
+        problem: The problem of measurements of the robot.
+        unit: The unit; an angle or a pixel counts as the length that is as usual.
+        part: The part of the reach, `LARGE` or `COARSE`.
+    """
+    blocks = problem.blocks
+    tips = (term.error.chain.poses(data.q)[:, :3, 3] for term, data, _, _ in blocks)
+    reach = max(float(np.linalg.norm(points, axis=1).max()) for points in tips)
+    return part * reach * expected_size(unit) / expected_size("m")
 
 
 def told(findings: Sequence[Finding]) -> str:
@@ -341,20 +345,22 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         grounds: What is judged.
         coarse: Errors, by the reach, that noise may leave where nobody knows it.
     """
-    quantity = next(iter(grounds.left), None)
-    if quantity is None or quantity.unit not in ("m", "px"):
-        return ""
+    some = (quantity for quantity in grounds.left if quantity.unit in ("m", "px"))
+    reasons = (_inexplicable(grounds, quantity, coarse) for quantity in some)
+    return next(filter(None, reasons), "")
+
+
+def _inexplicable(grounds: Judgement, quantity: QuantityErrors, coarse: float) -> str:
+    """The same of one quantity."""
     before, after = (sizes.rms for sizes in quantity.shown)
-    noise, blocks = _noise(grounds, quantity), grounds.fitted.problem.blocks
+    noise = _noise(grounds, quantity)
     # Half of the nominal robot's errors may be left.
     if after <= max(0.5 * before, NOISY * (noise or 0.0)):
         return ""
-    tips = (term.error.chain.poses(data.q)[:, :3, 3] for term, data, _, _ in blocks)
-    reach = max(float(np.linalg.norm(points, axis=1).max()) for points in tips)
     # Whatever finds the corners of a board finds them well.
     known = noise is not None or quantity.unit == "px"
-    size = expected_size(quantity.unit) / expected_size("m") * reach
-    if after <= (LARGE if known else coarse) * size:
+    part = LARGE if known else coarse
+    if after <= most_left(grounds.fitted.problem, quantity.unit, part):
         return ""
     times = "" if noise is None else f", {after / noise:.2g} times the noise"
     state = "" if known else ", state the 'noise' if the instrument is so coarse"
@@ -504,15 +510,13 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
         where = f"{gain.configurations} configurations, each predicted by the others"
     old, new = (shown(sizes.rms, quantity.unit, 3) for sizes in (before, after))
     held = after is quantity.validation_after
-    # Too few others are left to predict them.
-    far = after.rms > NOISY * quantity.after.rms and not grounds.misjudged
     if gain.method == PRESS or not held:
         of_first = (g for g in grounds.gains if g.method == gain.method)
         by = _by(grounds, next((g for g in of_first if g.quantity == name), gain))
         found = f"{name} errors smaller by {by}"
         if nothing:
             found = f"{name} errors differ by {by} if it is corrected"
-    elif nothing and far:
+    elif nothing and _certain(grounds, quantity) is not after:
         found = f"errors differ by {_by(grounds, gain)} if it is corrected"
     elif nothing:
         found = f"{name} error {old} rms as it is, {new} corrected"
@@ -521,11 +525,27 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
     if not nothing and held and gain.mean > 0.0 and after.rms > before.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
         found = f"errors smaller by {_by(grounds, gain)}"
-    noise, left = _noise(grounds, quantity), (quantity.after if far else after).rms
-    if noise and left >= NOISY * noise:
-        times = f"{left / noise:.2g} times the noise"
-        where += f" ({times}, {shown(noise, quantity.unit, 3)})"
+    noisy = (_by_noise(grounds, quantity) for quantity in grounds.errors)
+    if times := "; ".join(filter(None, noisy)):
+        where += f" ({times})"
     return found, where
+
+
+def _certain(grounds: Judgement, quantity: QuantityErrors) -> Accuracy:
+    """The errors that are shown, but for those that too few others predict."""
+    after = quantity.shown[1]
+    far = after.rms > NOISY * quantity.after.rms and not grounds.misjudged
+    return quantity.after if far else after
+
+
+def _by_noise(grounds: Judgement, quantity: QuantityErrors) -> str:
+    """Errors by their noise, in words; empty where they are no more than that."""
+    noise, left = _noise(grounds, quantity), _certain(grounds, quantity).rms
+    if not noise or left < NOISY * noise:
+        return ""
+    name = f"{quantity.name} " * (quantity is not grounds.errors[0])
+    times = f"{name}{left / noise:.2g} times the noise"
+    return f"{times}, {shown(noise, quantity.unit, 3)}"
 
 
 def _by(grounds: Judgement, gain: Gain, sign: float = 1.0) -> str:
@@ -533,133 +553,3 @@ def _by(grounds: Judgement, gain: Gain, sign: float = 1.0) -> str:
     units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
     unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))
     return f"{sign * factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
-
-
-def tool_accuracy(
-    model: FittedModel, term: Term, data: Observations, rng: np.random.Generator
-) -> ToolAccuracy:
-    """The accuracy to expect of a chain where it was measured and elsewhere."""
-    if not model.fit.noise:
-        return ToolAccuracy()
-    blocks = tuple(b for b in data.blocks if b.chain == term.key.chain)
-    spread = term.error.chain.random_configurations(SAMPLES[1], rng)
-    term = replace(term, error=term.error.carrying(model.problem.setup.heaviest))
-    given, measured = (model.fit, term, model.theta), None
-    if blocks:
-        kept = Observations(blocks).sample(SAMPLES[0]).q[:, term.columns]
-        measured = expected_accuracy(*given, kept, rng)
-    return ToolAccuracy(None, measured, expected_accuracy(*given, spread, rng))
-
-
-def expected_accuracy(
-    fitted: Fit, term: Term, theta: Floats, q: Floats, rng: np.random.Generator
-) -> ExpectedAccuracy:
-    """Accuracy of a chain of the nominal and the corrected robot.
-
-    With the mean mu and the covariance C of the errors, and G the mean of `J^T J`, the
-    nominal robot's expected square is `mu^T G mu + tr(G C)` and that of the corrected
-    one `tr(G C)`. Their difference for the true errors, `mu^T G mu + 2 mu^T G z` with
-    `z ~ N(0, C)`, is normal, and so is the probability that the corrected robot is the
-    better one. All is averaged over the likely sizes of errors.
-
-    Args:
-        fitted: The fit.
-        term: A term of its problem about the solution, of the chain.
-        theta: Parameter values about that, shape (P,).
-        q: Configurations of the chain, shape (N, n) [rad, m].
-        rng: Draws the errors by which the bound is found.
-    """
-    parameters, index = fitted.problem.parameters, term.of_error
-    scales, nuisance = parameters.scales[index], parameters.nuisance[index]
-    robot = parameters.free[index] & ~nuisance
-    _, J = term.error.jacobian(q, theta[index])
-    own = without_frames(J * scales, J)[:, :, robot]
-    effects = np.zeros((*J.shape[:2], 0))
-    if fitted.effects is not None:
-        absorbed = fitted.posterior.by_effects[index]
-        absorbed = J @ np.where(nuisance[:, None], 0.0, absorbed)
-        effects = without_frames(absorbed - fitted.effects.twists(term, q), J)
-    mean, own_scales = (theta[index] / scales)[robot], scales[robot, None]
-    likely = (one.by_noise[index[robot]] for one in fitted.likely_posteriors)
-    C = np.array([half @ half.T for half in (by / own_scales for by in likely)])
-    pair = []
-    for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad")):
-        scatter = _scatter(fitted, term, unit)
-        pair.append(_sizes(mean, own[:, k], effects[:, k], scatter, C, rng))
-    nominal, calibrated, bound, unmodeled = starmap(PoseErrors, zip(*pair, strict=True))
-    better, share = _better(mean, own[:, :3], effects[:, :3], C)
-    return ExpectedAccuracy(nominal, calibrated, bound, unmodeled, better, share)
-
-
-def _sizes(
-    mean: Floats,
-    J: Floats,
-    effects: Floats,
-    scatter: float,
-    C: Floats,
-    rng: np.random.Generator,
-) -> list[float]:
-    """Errors of position or orientation: nominal, calibrated, bound, and unmodeled.
-
-    Args:
-        mean: The estimated errors, shape (p,).
-        J: Derivative by the scaled errors of the robot, shape (N, 3, p).
-        effects: Errors by independent effects that the model lacks, beyond the part
-            that the fit has absorbed, shape (N, 3, S).
-        scatter: Variance of each component that is left beside these.
-        C: Covariances of the errors for several sizes of them, shape (S, p, p).
-        rng: Random generator of the bound.
-    """
-    G = np.einsum("ndi,ndj->ij", J, J, optimize=True) / len(J)
-    # In an order that no rounding changes, as each meets draws of its own.
-    squares = [np.sort(np.maximum(np.linalg.eigvals(G @ c).real, 0.0)) for c in C]
-    left = float(np.mean([s.sum() for s in squares]))
-    by_effects = np.einsum("ndi,ndj->ij", effects, effects, optimize=True) / len(J)
-    lacking = np.maximum(np.linalg.eigvalsh(by_effects), 0.0)
-    every = (np.concatenate([s, lacking]) for s in squares)
-    draws = [s @ rng.chisquare(1.0, (len(s), DRAWS)) for s in every]
-    # At so many configurations, what scatters is about its mean.
-    others = float(lacking.sum()) + 3.0 * scatter
-    gain = np.sum((J @ mean) ** 2, axis=1).mean()
-    bound = np.quantile(np.concatenate(draws), LIKELY) + 3.0 * scatter
-    found = np.sqrt([gain + left + others, left + others, bound, others])
-    return [float(size) for size in found]
-
-
-def _better(mean: Floats, J: Floats, effects: Floats, C: Floats) -> tuple[float, float]:
-    """Probability of the corrected robot to be better, and share where it surely is.
-
-    The differences of single configurations, and of the whole, are normal along one
-    direction of the errors each: `gain + 2 (along^T z + beside^T g)`, errors `z ~ N(0,
-    C)` with all C equally likely, effects `g ~ N(0, I)`.
-    """
-    moved = J @ mean
-    parts = (
-        np.sum(moved**2, axis=1),
-        np.einsum("nd,ndi->ni", moved, J),
-        np.einsum("nd,ndi->ni", moved, effects),
-    )
-    # The last one is the whole.
-    gain, along, beside = (np.concatenate([p, p.mean(axis=0)[None]]) for p in parts)
-    variances = np.sum((along @ C) * along, axis=2) + np.sum(beside**2, axis=1)
-    ratios = gain / np.sqrt(np.maximum(8.0 * variances, 1e-300))
-    chances = 0.5 + 0.5 * np.vectorize(erf)(ratios).mean(axis=0)
-    return float(chances[-1]), float(np.mean(chances[:-1] >= LIKELY))
-
-
-def _scatter(fitted: Fit, term: Term, unit: str) -> float:
-    """Variance of a component that neither noise nor the known effects explain.
-
-    Of the first quantity in a unit that the chain of a part is measured by; zero where
-    noise is neither stated nor repeated, so that nothing tells both apart.
-    """
-    of_keys = fitted.problem.layout.of_keys.items()
-    own = [of_key for key, of_key in of_keys if key.chain == term.key.chain]
-    for k, noise in enumerate(fitted.noise):
-        if noise.unit == unit and any(k in of_key for of_key in own):
-            found = (noise.unmodeled or 0.0) ** 2
-            if fitted.effects is not None:
-                explained = max(1.0 - float(fitted.effects.noise[k]), 0.0)
-                found -= explained * (noise.factor * noise.given) ** 2
-            return max(found, 0.0)
-    return 0.0

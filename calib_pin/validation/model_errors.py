@@ -198,7 +198,7 @@ def found_distances(
     before: Registered,
     after: Registered,
     stated: Sequence[DistanceSetup],
-    fitted: bool = False,
+    fitted: bool,
 ) -> tuple[FoundDistance, ...]:
     """Known distances beside those that the nominal and the fitted robot find.
 
@@ -233,6 +233,7 @@ class Registered:
         reason: Why that must not be trusted; empty where it may.
         located: Names of stations and references, such as sockets, that were not there
             before and stand where the measurements put them.
+        used_up: Number of values that base, tool and instrument have used up.
     """
 
     problem: Problem
@@ -242,6 +243,7 @@ class Registered:
     registered: bool = False
     reason: str = ""
     located: tuple[str, ...] = ()
+    used_up: int = 0
 
 
 def registered(
@@ -296,7 +298,15 @@ def registered_anew(
         registered=True,
         reason=registration_reason(problem, result),
         located=tuple(n for n in located_names(problem) if n not in before),
+        used_up=_used_up(problem, result),
     )
+
+
+def _used_up(problem: Problem, result: LeastSquaresResult) -> int:
+    """Number of values that a registration has used up."""
+    parameters = problem.parameters
+    A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
+    return int(np.linalg.matrix_rank(A)) if A.size and np.isfinite(A).all() else 0
 
 
 def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
@@ -308,9 +318,7 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
     """
     if result.status is Status.NOT_FINITE:
         return result.status.advice
-    parameters, values = problem.parameters, distinct_values(problem)
-    A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
-    rank = int(np.linalg.matrix_rank(A)) if A.size else 0
+    values, rank = distinct_values(problem), _used_up(problem, result)
     if rank and values <= rank:
         return (
             f"{values} measured values are used up by the {rank} unknowns of base, "

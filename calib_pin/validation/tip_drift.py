@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.tip_accuracy import frame_motions
 from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp, so3_log
 from calib_pin.parameterizations import NOTHING
 from calib_pin.validation.calibrated_model import CalibratedChain
 from calib_pin.validation.result import Accuracy
+from calib_pin.validation.tool_accuracy import frame_motions
 
 SAMPLES = 1000
 """Configurations of the workspace."""
@@ -99,7 +99,7 @@ def tip_drift(
     """
     q = first.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
     same = first.setup.payloads == second.setup.payloads
-    payload = next(iter(first.setup.payloads), "") if same else NOTHING
+    payload = first.setup.heaviest if same else NOTHING
     carried = first.error.tool
 
     def tools(model: CalibratedChain) -> Floats:

@@ -22,7 +22,6 @@ from matplotlib.figure import Figure
 import calib_pin
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
@@ -30,6 +29,7 @@ from calib_pin.planning.planned_problem import TipTests, identification
 from calib_pin.planning.search import Found, Search
 from calib_pin.planning.workspace import Candidates, Workspace
 from calib_pin.setup import FrameSetup, Setup
+from calib_pin.validation.tool_accuracy import SAMPLES
 from calib_pin.workers.local import LocalProcesses
 
 TOOL = FrameSetup((0.05, 0.03, 0.1))

@@ -30,12 +30,12 @@ from benchmarks.verdict.jobs import SEED, Job, draw, stream
 from benchmarks.verdict.truth import WORKSPACE, position_error
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.fitted import robot_rows
-from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.robot_state import expected_setup
+from calib_pin.validation.tool_accuracy import without_frames
 
 WEEKS, FEW, FULL = 12, 10, 100
 """Weeks of a run, measurements of each, and those of a full calibration."""

@@ -28,7 +28,6 @@ import numpy as np
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Information
@@ -39,6 +38,7 @@ from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.tool_accuracy import SAMPLES
 from studies.shared import summary
 
 MODELS = {

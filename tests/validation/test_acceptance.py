@@ -7,8 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.setup import LimitSetup
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
+from calib_pin.setup import LimitSetup, Setup
 from calib_pin.validation.acceptance import (
     FrameErrors,
     Interval,
@@ -18,6 +23,7 @@ from calib_pin.validation.acceptance import (
     judged,
     moved_after,
 )
+from calib_pin.validation.acceptance import tested as run
 
 X = np.array([[1.0, 0.0, 0.0], [1.2, 0.0, 0.0], [1.0, 0.3, 0.0], [1.2, 0.3, 0.4]])
 C = np.array([1.0, 0.1, 0.0])
@@ -224,3 +230,50 @@ def test_a_visit_that_is_far_away_has_all_of_the_scatter(away, count):
     attained = np.zeros((2 * count, 3))
     attained[5] = away
     assert bad_visits(attained, np.repeat([0, 1], count)) == [5]
+
+
+@pytest.fixture(scope="module")
+def calibration() -> tuple[Problem, Floats, calib_pin.CalibrationResult]:
+    """A calibration of sixty positions, and the robot that was measured."""
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(1)
+    problem = nominal_problem(chain, "position", Setup())
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=60, noise=1e-4)
+    return problem, truth, calib_pin.calibrate(chain, rows)
+
+
+@pytest.mark.parametrize(
+    ("poses", "moved", "told"),
+    [
+        (1, 0.0, False),
+        (1, 0.05, True),
+        (2, 0.0, False),
+        (5, 0.0, False),
+        (5, 1e-3, True),
+    ],
+)
+def test_one_pose_tells_no_station_from_an_error(calibration, poses, moved, told):
+    """Another station would explain all of it, and the errors may be 5 times RP."""
+    problem, truth, result = calibration
+    rng = np.random.default_rng(207)
+    q = np.tile(problem.only.error.chain.random_configurations(poses, rng), (10, 1))
+    visited = calib_pin.simulate(problem, truth, rng, q=q, noise=1e-6).only
+    visited = replace(visited, values=visited.values + moved * np.eye(3)[0])
+    test = run(result, Observations.of(visited), result.model.setup)
+    assert test.tests["calibrated"].elsewhere == told
+
+
+def test_angles_hide_no_move_of_the_instrument() -> None:
+    """Seven milliradians are no seven millimeters, beside which five are nothing."""
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(1)
+    setup = Setup(noise={"position": 1e-4, "orientation": 4e-3})
+    problem = nominal_problem(chain, "pose", setup)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=60)
+    result = calib_pin.calibrate(chain, rows, setup, validate=False)
+    q = np.tile(chain.random_configurations(5, rng), (10, 1))
+    visited = calib_pin.simulate(problem, truth, rng, q=q).only
+    for moved in (0.0, 5e-3):
+        there = replace(visited, values=visited.values + moved * np.eye(7)[0])
+        test = run(result, Observations.of(there), setup).tests["calibrated"]
+        assert test.elsewhere == (moved > 0.0)

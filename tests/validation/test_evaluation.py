@@ -67,6 +67,37 @@ def test_moved_since(job, shift, severity, verdict) -> None:
     assert calib_pin.evaluate(model, moved, registration=True).findings == ()
 
 
+@pytest.mark.parametrize("count", [4, 5])
+def test_what_few_rows_tell_of_a_frame_is_no_move(job, count) -> None:
+    """Base and tool use up most of their values, and leave less whatever is true."""
+    _, model, rows = job
+    for start in range(0, len(rows) - count, count):
+        some = rows.rows(slice(start, start + count))
+        assert calib_pin.evaluate(model, some).findings == ()
+        moved = replace(some, values=some.values + np.eye(3)[0])
+        (finding,) = calib_pin.evaluate(model, moved).findings
+        assert finding.code == "frames-moved"
+
+
+@pytest.mark.parametrize("moved", [0, 1])
+def test_one_of_two_instruments_has_moved(moved) -> None:
+    """Whichever comes first in the file."""
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(2)
+    keys = BlockKey("position", station="a"), BlockKey("pose", station="b")
+    problem = nominal_problem(chain, keys, Setup())
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=60, noise=1e-4)
+    model = calib_pin.calibrate(chain, rows, validate=False).model
+    blocks = [*calib_pin.simulate(problem, truth, rng, count=24, noise=1e-4).blocks]
+    assert calib_pin.evaluate(model, Observations.of(*blocks)).findings == ()
+    values = blocks[moved].values.copy()
+    values[:, 1] += 3e-3
+    blocks[moved] = replace(blocks[moved], values=values)
+    (finding,) = calib_pin.evaluate(model, Observations.of(*blocks)).findings
+    assert finding.code == "frames-moved"
+    assert finding.evidence["rms_before"] == pytest.approx(3e-3, rel=0.05)
+
+
 def test_reversed_joint(job) -> None:
     _, model, rows = job
     rows = rows.rows(slice(0, 12))

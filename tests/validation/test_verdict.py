@@ -119,6 +119,27 @@ def test_noise_is_known_where_instruments_are_mixed(unsought) -> None:
     assert "are noise" not in result.reason and "times the noise" in result.reason
 
 
+@pytest.mark.parametrize(
+    ("scatter", "verdict", "said"),
+    [
+        (8e-3, "good", "(position (pose) 50 times the noise, 0.173 mm)"),
+        (1.5e-2, "untrusted", "position (pose) errors of 16.1 mm rms remain"),
+    ],
+)
+def test_a_second_instrument_is_judged_as_well(scatter, verdict, said, unsought):
+    """Its positions scatter, which no robot explains, beside others that are right."""
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(2)
+    keys = BlockKey("position", station="a"), BlockKey("pose", station="b")
+    problem = nominal_problem(chain, keys, Setup())
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    right, wrong = calib_pin.simulate(problem, truth, rng, count=80, noise=1e-4).blocks
+    values = wrong.values.copy()
+    values[:, :3] += scatter / np.sqrt(3.0) * rng.standard_normal((len(values), 3))
+    rows = Observations.of(right, replace(wrong, values=values))
+    result = calib_pin.calibrate(chain, rows, validate=False)
+    assert result.verdict == verdict and said in result.reason, result.reason
+
+
 def test_copies_are_no_repetitions_that_tell_the_noise(unsought) -> None:
     """Rows of another robot, each twice to the last digit, leave 13 mm."""
     chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(4)

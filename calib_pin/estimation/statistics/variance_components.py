@@ -85,6 +85,7 @@ from calib_pin.estimation.terms import FRAME, Term, assembled, kept
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.observations import Observations
+from calib_pin.observations.labels import numbered
 from calib_pin.parameterizations import (
     NOTHING,
     PARAMETERIZATIONS,
@@ -464,7 +465,7 @@ def _pure_errors(
     place = label[layout.row] * layout.width + layout.column
     for own in layout.of_components:
         r, w = residual[own], weight[own]
-        _, group = np.unique(place[own], return_inverse=True)
+        _, group = numbered(place[own])
         total = np.bincount(group, w)
         mean = np.bincount(group, w * r) / np.where(total > 0.0, total, 1.0)
         squares = float(np.sum(w * (r - mean[group]) ** 2))
@@ -484,9 +485,7 @@ def repetitions(problem: Problem) -> NDArray[np.intp]:
         # another distance.
         if not data.values.shape[1] or data.start.size:
             used[own] = False
-    labels = np.arange(len(used), 2 * len(used))
-    labels[used] = np.unique(repeated(problem)[used], return_inverse=True)[1]
-    return labels
+    return np.where(used, repeated(problem), np.arange(len(used), 2 * len(used)))
 
 
 # Gears and compliance.

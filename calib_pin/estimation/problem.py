@@ -127,9 +127,9 @@ class Layout:
         """Columns of the table that is shown."""
         return int(self.quantities[-1].columns.stop)
 
-    def table(self, flat: Floats, count: int, absent: float = np.nan) -> Floats:
-        """Components side by side, those of other models absent, (M,) -> (count, D)."""
-        result = np.full((count, self.width), absent)
+    def table(self, flat: Floats, count: int) -> Floats:
+        """Components side by side, NaN for other models, (M,) -> (count, D)."""
+        result = np.full((count, self.width), np.nan)
         result[self.row, self.column] = flat
         return result
 
@@ -427,10 +427,7 @@ class Problem(Terms):
             own = self.own_of_stations[name]
             stations[name], rest = eliminate(own, shared, r, J)
             left.append(rest)
-        R, jac = np.concatenate(left), np.zeros((1, len(theta)))
-        if not np.isfinite(R).all():
-            return self._whole(theta, [(np.full(1, np.nan), jac)])
-        R = np.asarray(np.linalg.qr(R, mode="r"))
+        R = np.asarray(np.linalg.qr(np.concatenate(left), mode="r"))
         jac = np.zeros((len(R), len(theta)))
         jac[:, shared] = R[:, :-1]
         return self._whole(theta, [(R[:, -1], jac)])
@@ -482,8 +479,7 @@ class Problem(Terms):
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        reduced = any(not isinstance(one, RowByRow) for one in self._evaluators)
-        return reduced or bool(self.own_of_stations)
+        return evaluator(self) == "kernel" or bool(self.own_of_stations)
 
     @cached_property
     def _evaluators(self) -> Sequence[Evaluator]:

@@ -160,8 +160,6 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     """
     loss = problem.setup.loss
     require_known("loss", loss, LOSSES)
-    # Prepared once: references, weights and units may change.
-    _ = problem.many
     squared = balanced(problem, solver)
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
@@ -578,7 +576,7 @@ def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
         # Two subsets of images that are wrong may agree.
         if agreed >= (3 if images else 1):
             break
-    return problem.with_terms(best.terms)
+    return replace(problem, terms=best.terms)
 
 
 def _concentrated(

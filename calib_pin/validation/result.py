@@ -13,7 +13,6 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import (
-    VERDICTS,
     ExpectedAccuracy,
     Finding,
     Gain,
@@ -94,6 +93,9 @@ class QuantityErrors:
         if self.unit not in DISPLAY:
             raise ValueError(f"'{self.unit}' is no unit of '{self.name}'")
 
+
+VERDICTS = ("good", "no-gain", "unchecked", "untrusted")
+"""Verdicts on a calibration."""
 
 AXES = ("x", "y", "z")
 """Names of the components of a vector."""

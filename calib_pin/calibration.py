@@ -20,17 +20,18 @@ from calib_pin.estimation.fit import (
 from calib_pin.estimation.formulation import (
     Stated,
     fitting,
-    geometric_setup,
     make_terms,
     require_conditions,
     require_known,
     setup_of,
+    with_parameters,
 )
 from calib_pin.estimation.problem import tool_points
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import AT, Measurements, Observations, states_sigmas
+from calib_pin.parameterizations import outside_urdf
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.assessment import (
@@ -333,12 +334,14 @@ def _urdf(
     fitted = model.fit
     if judgement.verdict[0] == "untrusted":
         return UrdfResult((), "the calibration is untrusted")
-    setup = geometric_setup(chains, training, fitted.problem.setup)
-    if not setup.parameters:
+    setup = replace(fitted.problem.setup, learned=None)
+    names = tuple(n for n in setup.parameters if n not in outside_urdf())
+    if not names:
         return UrdfResult((), "nothing of this calibration has a place in a URDF")
-    if setup.parameters == fitted.problem.setup.parameters:
-        geometry = FittedModel(fitted, *fitted.problem.rebased(fitted.theta))
-    else:
+    geometry = FittedModel(fitted, *fitted.problem.rebased(fitted.theta))
+    if names != setup.parameters:
+        # A gear ratio and an offset may nearly cancel: alone it needs its own fit.
+        setup = with_parameters(chains, training, setup, names)
         geometry = fit_model(chains, training, setup, seed)
     held_out = check(
         geometry, training, seed, validation=held, validate=validate, workers=workers

@@ -14,11 +14,8 @@ import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
 
-VERDICTS = ("good", "no-gain", "unchecked", "untrusted")
-"""Verdicts on a calibration."""
-
 TRUSTED = ("good", "no-gain")
-"""Those of a result that may be used: as it is, or to leave the robot as it is."""
+"""Verdicts on a result that may be used: as it is, or to leave the robot as it is."""
 
 Severity = Literal["info", "warning", "error"]
 

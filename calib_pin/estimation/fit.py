@@ -28,11 +28,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.formulation import (
-    at_conditions,
-    make_problem,
-    require_conditions,
-)
+from calib_pin.estimation.formulation import at_conditions, make_problem
 from calib_pin.estimation.identifiability import visible_nuisances
 from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.estimation.robust import robustly
@@ -219,7 +215,6 @@ def with_warm_up(
         return setup
     from scipy.optimize import minimize_scalar
 
-    require_conditions(measurements, setup)
     setup = at_conditions(chains, measurements, setup)
     span = float(passed(measurements.conditions.time, setup.thermal.switched_on).max())
     if not span > 0.0:
@@ -251,7 +246,6 @@ def with_drift(
 
     Arguments as for `with_time_course`.
     """
-    require_conditions(measurements, setup)
     setup = at_conditions(chains, measurements, setup)
     unknown = [kind for kind in KINDS.values() if getattr(setup.drift, kind) is None]
     sizes: dict[str, Any] = dict.fromkeys(unknown, 0.0)
@@ -334,10 +328,9 @@ def with_learned(problem: _Terms, learned: LearnedCorrection) -> _Terms:
     """
     terms = {}
     for key, term in problem.terms.items():
-        shift = learned.shift[term.of_error]
-        own = replace(learned, shift=shift)
+        own = replace(learned, shift=learned.shift[term.of_error])
         terms[key] = replace(term, error=replace(term.error, learned=own))
-    return problem.with_terms(terms)
+    return replace(problem, terms=terms)
 
 
 def learned_correction(

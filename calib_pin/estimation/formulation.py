@@ -84,9 +84,13 @@ def at_conditions(chains: Chains, data: Observations, setup: Setup) -> Setup:
 
     Args:
         chains: The chains.
-        data: The measurements, which state what is needed.
+        data: The measurements.
         setup: The setup.
+
+    Raises:
+        InputError: If they do not state what is needed, see `require_conditions`.
     """
+    require_conditions(data, setup)
     held = data.conditions
     if ThermalGrowth.name in setup.parameters and setup.thermal.reference is None:
         # A tenth of a degree is as good, and looks like a temperature.
@@ -132,7 +136,6 @@ def make_problem(
     """
     chains, (data,) = fitting(chains, setup, Observations.of(data))
     _require_payloads(data, setup)
-    require_conditions(data, setup)
     setup = at_conditions(chains, data, setup)
     targets = {block.key: block.target.distinct for block in data.blocks}
     terms, given = make_terms(chains, targets, setup)
@@ -352,7 +355,7 @@ def nominal_problem(
         frames = term.frames
         base, tool = frame_pose(frames.base), frame_pose(frames.end) * frames.offset
         placed[key] = replace(term, error=term.error.with_frames(base, tool))
-    return problem.with_terms(placed)
+    return replace(problem, terms=placed)
 
 
 def restricted(setup: Setup, names: Sequence[str]) -> Setup:
@@ -419,24 +422,6 @@ def _require_payloads(data: Observations, setup: Setup) -> None:
             reason = "there are several payloads, and the row names none"
         row = int(np.argmax(data.payload.where(name)))
         raise data.error(row, reason, column="payload", allowed=", ".join(known))
-
-
-def geometric_setup(chains: Robots, measurements: Observations, setup: Setup) -> Setup:
-    """The setup of the geometry that a URDF can hold; without parameters for none.
-
-    The geometry of a fit with gears and compliance is no use without them: a gear ratio
-    and an offset may nearly cancel, say. It needs a fit of its own.
-
-    Args:
-        chains: The nominal chains.
-        measurements: The measurements to fit.
-        setup: Estimated and known quantities.
-    """
-    plain = replace(setup, learned=None)
-    names = tuple(n for n in setup.parameters if n not in outside_urdf())
-    if names == setup.parameters:
-        return plain
-    return with_parameters(chains, measurements, plain, names)
 
 
 def with_parameters(

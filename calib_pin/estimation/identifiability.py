@@ -225,14 +225,6 @@ def observability(s: Floats, count: int) -> dict[str, float]:
     }
 
 
-def everett_count(revolute: NDArray[np.bool_], frames: int = 2) -> int:
-    """Everett's count 4 R + 2 P + 6 of a complete model measured by full poses.
-
-    Each of its frames beyond a base and a tool has six more.
-    """
-    return int(4 * revolute.sum() + 2 * (~revolute).sum() + 6 * (frames - 1))
-
-
 KINDS = (
     *("joint offset", "link length", "link offset", "link twist"),
     *("axis tilt", "axis shift"),

@@ -1,4 +1,4 @@
-"""Very many measurements by compiled kernels, chunk by chunk into one factor.
+"""Very many measurements, or members of a population, by compiled kernels.
 
 The Jacobian of a million measurements does not fit into memory, and nothing needs it: a
 step of Gauss-Newton, a rank and a covariance follow from the triangular factor R of the
@@ -32,7 +32,8 @@ from calib_pin.compiled import kernels, link_kernels, row_kernels
 from calib_pin.compiled.threads import Threads
 from calib_pin.estimation.terms import Block, Term, kept
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.measurement_models import Batch
+from calib_pin.observations import Conditions, Measurements
 from calib_pin.parameterizations import Screw
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.linearization import ordered_screws
@@ -335,3 +336,46 @@ def _applied(screws: list[int]) -> list[Factor]:
 def _to_axis(axis: Floats) -> pin.SE3:
     """A rotation that takes z to a unit axis."""
     return pin.SE3(pin.Quaternion.FromTwoVectors(np.eye(3)[2], axis), np.zeros(3))
+
+
+class PopulationPart:
+    """The measurements of one batch, for a whole population; see `PopulationCost`."""
+
+    def __init__(self, block: Block, segments: Segments, batch: Batch) -> None:
+        """Compute what does not depend on the parameters."""
+        self._batch, self._segments, self._term = batch, segments, block.term
+        self._comparison = kernels.COMPARISONS.index(batch.comparison)
+        start, conditions = block.data.start, block.data.conditions.rows(batch.rows)
+
+        def move(q: Floats, at: Conditions) -> tuple[Floats, NDArray[np.int64], Floats]:
+            factors = block.term.error.basis(q, at) * segments.factors
+            motion, starts = compiled.motions(q * segments.signs, segments.revolute)
+            return motion, starts, factors.T.copy()
+
+        motion, starts, factors = move(block.data.q[batch.rows], conditions)
+        begin, begin_factors = motion[:0], factors[:, :0]
+        if start.size:
+            begin, _, begin_factors = move(start[batch.rows], conditions.at_start)
+        self._rows = kernels.Rows(
+            starts=starts,
+            motion=motion,
+            begin=begin,
+            revolute=segments.revolute,
+            joints=segments.joints,
+            factors=factors,
+            begin_factors=begin_factors,
+            point=batch.point,
+            site=batch.site,
+            values=batch.values.T.copy(),
+            weights=batch.weights.T.copy(),
+        )
+
+    def costs(self, theta: Floats) -> Floats:
+        """Half the sums of squares of these measurements, shape (S, P) -> (S,)."""
+        of_robot, instrument = self._term.values(theta)
+        links = self._segments.links(of_robot)
+        amounts = of_robot[:, self._term.error.joint_corrections]
+        found, result = self._batch.geometry(instrument), np.empty(len(instrument))
+        of_members = links, amounts, found.points, found.sites
+        kernels.population_costs(self._comparison, *of_members, self._rows, result)
+        return result

@@ -388,8 +388,7 @@ def asked(
 
 def named_targets(problem: Problem, key: BlockKey) -> tuple[str, ...]:
     """The targets that the measurements of a block name."""
-    blocks = [block for block in problem.data.blocks if block.key == key]
-    return blocks[0].target.distinct if blocks else ("",)
+    return next((b.target.distinct for b in problem.data.blocks if b.key == key), ("",))
 
 
 def payloads_in_turn(problem: Problem, key: BlockKey, count: int) -> tuple[str, ...]:
@@ -541,7 +540,7 @@ def registered(problem: Problem, theta: Floats) -> Problem:
     few, found = replace(problem, data=Observations(tuple(blocks))), Located()
     for term in problem.terms.values():
         found.state(problem.parameters, term)
-    return problem.with_terms(found.placed(few, few.blocks, theta))
+    return replace(problem, terms=found.placed(few, few.blocks, theta))
 
 
 @dataclass
@@ -629,7 +628,7 @@ def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
         found.keep(term, theta)
     del found.bases[station]
     few = [b._replace(data=b.data.sample(SAMPLE)) for b in problem.blocks]
-    return problem.with_terms(found.placed(problem, few, theta))
+    return replace(problem, terms=found.placed(problem, few, theta))
 
 
 def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:
@@ -733,9 +732,7 @@ def _with_stations(
         theta: Parameter values, shape (P,).
         new: Measurements from these stations.
     """
-    every = dict(problem.terms)
-    for block in new:
-        every[block.key] = _elsewhere(problem, block)
+    every = {**problem.terms, **{b.key: _elsewhere(problem, b) for b in new}}
     there = replace(problem, data=Observations(tuple(new)))
     there, values = _of_terms(there, every, theta)
     found = Located()
@@ -746,7 +743,7 @@ def _with_stations(
     if len(problem.units):
         known = fitted_components(there.layout, problem.layout)
         there = replace(there, units=problem.units[known])
-    return there.with_terms(found.placed(there, there.blocks, values)), values
+    return replace(there, terms=found.placed(there, there.blocks, values)), values
 
 
 def _elsewhere(problem: Problem, block: Measurements) -> Term:

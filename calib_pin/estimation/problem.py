@@ -32,7 +32,8 @@ from calib_pin.estimation.terms import (
 )
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
-from calib_pin.observations import BlockKey, Measurements, Observations
+from calib_pin.observations import BlockKey, Indices, Measurements, Observations
+from calib_pin.observations.labels import firsts, numbered
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
@@ -126,9 +127,9 @@ class Layout:
         """Columns of the table that is shown."""
         return int(self.quantities[-1].columns.stop)
 
-    def table(self, flat: Floats, count: int, absent: float = np.nan) -> Floats:
-        """Components side by side, those of other models absent, (M,) -> (count, D)."""
-        result = np.full((count, self.width), absent)
+    def table(self, flat: Floats, count: int) -> Floats:
+        """Components side by side, NaN for other models, (M,) -> (count, D)."""
+        result = np.full((count, self.width), np.nan)
         result[self.row, self.column] = flat
         return result
 
@@ -260,6 +261,20 @@ class Shared:
             for block in self.data.blocks
         ]
         return found[0] if len(found) == 1 else np.concatenate(found)
+
+    @cached_property
+    def repeated(self) -> Indices:
+        """Label of what is measured in one configuration, see `repeated`, (N,)."""
+        data = self.data
+        labels, sides = data.groups(), np.zeros(len(data), np.int64)
+        held = data.conditions.direction
+        if held.size and "direction" in needed_conditions(self.setup.parameters):
+            sides = np.unique(held, axis=0, return_inverse=True)[1].reshape(-1)
+        for codes in (data.things(), data.payload.codes, sides):
+            count = int(codes.max(initial=0)) + 1
+            if count > 1:
+                labels = numbered(labels * count + codes)[1]
+        return labels
 
 
 @dataclass(frozen=True)
@@ -412,10 +427,7 @@ class Problem(Terms):
             own = self.own_of_stations[name]
             stations[name], rest = eliminate(own, shared, r, J)
             left.append(rest)
-        R, jac = np.concatenate(left), np.zeros((1, len(theta)))
-        if not np.isfinite(R).all():
-            return self._whole(theta, [(np.full(1, np.nan), jac)])
-        R = np.asarray(np.linalg.qr(R, mode="r"))
+        R = np.asarray(np.linalg.qr(np.concatenate(left), mode="r"))
         jac = np.zeros((len(R), len(theta)))
         jac[:, shared] = R[:, :-1]
         return self._whole(theta, [(R[:, -1], jac)])
@@ -467,8 +479,7 @@ class Problem(Terms):
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        reduced = any(not isinstance(one, RowByRow) for one in self._evaluators)
-        return reduced or bool(self.own_of_stations)
+        return evaluator(self) == "kernel" or bool(self.own_of_stations)
 
     @cached_property
     def _evaluators(self) -> Sequence[Evaluator]:
@@ -599,29 +610,19 @@ def representative(problem: Problem) -> list[BlockKey]:
     return [key for key in keys if problem.terms[key].frames.station in shown]
 
 
-def repeated(problem: Problem) -> NDArray[np.int64]:
-    """Label of the measurements of one thing in one configuration, shape (N,).
+def repeated(problem: Problem) -> Indices:
+    """Label of the measurements of one thing in one configuration, from 0, shape (N,).
 
     Where lost motion is estimated, one configuration reached from two sides is two.
     """
-    data = problem.data
-    labels, sides = data.groups(), np.zeros(len(data), np.int64)
-    held = data.conditions.direction
-    if held.size and "direction" in needed_conditions(problem.setup.parameters):
-        sides = np.unique(held, axis=0, return_inverse=True)[1].reshape(-1)
-    for codes in (data.things(), data.payload.codes, sides):
-        count = int(codes.max(initial=0)) + 1
-        if count > 1:
-            labels = labels * count + codes
-    return labels
+    return problem._known.repeated
 
 
 def distinct_values(problem: Problem) -> int:
     """Measured values and distances, repetitions of a configuration left out."""
     rows = np.flatnonzero(problem.data.weight > 0.0)
-    _, first = np.unique(repeated(problem)[rows], return_index=True)
     counted = np.zeros(len(problem.data), bool)
-    counted[rows[first]] = True
+    counted[rows[firsts(repeated(problem)[rows])]] = True
     used = counted[problem.layout.row] & np.isfinite(problem.sigma)
     return int(used.sum()) + len(problem.further.distances)
 

@@ -68,6 +68,7 @@ from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.estimation.terms import RowByRow
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations, states_sigmas
+from calib_pin.observations.labels import firsts, numbered
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import LOSSES
 
@@ -159,8 +160,6 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     """
     loss = problem.setup.loss
     require_known("loss", loss, LOSSES)
-    # Prepared once: references, weights and units may change.
-    _ = problem.many
     squared = balanced(problem, solver)
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
@@ -225,7 +224,7 @@ class Studentized:
         self.whole[self.labels] = problem.data.groups()
         width, row = len(self.layout.components), self.layout.row
         keys = self.labels[row] * width + self.layout.component
-        cells, place = np.unique(keys, return_inverse=True)
+        cells, place = numbered(keys)
         self.configuration, self.quantity = cells // width, cells % width
         with np.errstate(over="ignore"):
             self.components = np.where(np.isfinite(r), r**2, np.inf)
@@ -294,7 +293,7 @@ def failing(problem: Problem) -> Indices:
     labels = labels + len(every)
     for block in alone:
         labels[block.rows] = every[block.rows]
-    return np.unique(labels, return_inverse=True)[1]
+    return numbered(labels)[1]
 
 
 def studentized(
@@ -563,8 +562,7 @@ def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
             return np.flatnonzero(np.isin(labels, some))
         chosen = []
         for order in map(rng.permutation, targets):
-            _, first = np.unique(labels[order], return_index=True)
-            chosen.append(order[np.sort(first)][:size])
+            chosen.append(order[firsts(labels[order])][:size])
         return np.sort(np.concatenate(chosen))
 
     best, least, agreed = problem, np.inf, 0
@@ -578,7 +576,7 @@ def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
         # Two subsets of images that are wrong may agree.
         if agreed >= (3 if images else 1):
             break
-    return problem.with_terms(best.terms)
+    return replace(problem, terms=best.terms)
 
 
 def _concentrated(

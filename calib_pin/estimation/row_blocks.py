@@ -254,11 +254,9 @@ def expected_places(system: Terms, parameters: ParameterSet) -> Floats:
             index = term.index[own]
             if len(own) == FRAME and frame <= len(places):
                 twists = np.array([term.error.screws[k].twist for k in own]).T
-                there = np.eye(FRAME)
-                there[:3, 3:] = skew(places[frame - 1])
                 # Both in the scales of the parameters: translations, then rotations.
                 scales = parameters.scales[index]
-                block = np.linalg.solve(twists * scales, there * scales)
+                block = np.linalg.solve(twists * scales, places[frame - 1] * scales)
                 result[np.ix_(index, index)] = block
             # What several chains share has one place.
             left[index] = False
@@ -266,7 +264,7 @@ def expected_places(system: Terms, parameters: ParameterSet) -> Floats:
 
 
 def feet(chain: Chain) -> Floats:
-    """Place of the errors of every joint, in its own frame, shape (n, 3) [m].
+    """Twists in the frame of every joint by those about its place, shape (n, 6, 6).
 
     A frame may stand anywhere on its axis, and the robot is the same. Errors that are
     equally large about every frame are not: a milliradian about a frame that stands a
@@ -276,9 +274,10 @@ def feet(chain: Chain) -> Floats:
     nearly parallel.
     """
     frames, zero = chain.joint_frames(), np.zeros((1, len(chain.joints)))
-    point, result = chain.poses(zero)[0, :3, 3], np.zeros((len(frames), 3))
+    point, result = chain.poses(zero)[0, :3, 3], np.tile(np.eye(6), (len(frames), 1, 1))
     for k in reversed(range(len(frames))):
         turn, origin, axis = frames[k, :3, :3], frames[k, :3, 3], chain.axes[k]
-        result[k] = ((point - origin) @ turn @ axis) * axis
-        point = origin + turn @ result[k]
+        place = ((point - origin) @ turn @ axis) * axis
+        result[k, :3, 3:] = skew(place)
+        point = origin + turn @ place
     return result

@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from calib_pin.compiled.threads import Threads
 from calib_pin.errors import require_known, stated_in
 from calib_pin.estimation.identifiability import Directions
 from calib_pin.estimation.problem import (
@@ -21,7 +22,9 @@ from calib_pin.estimation.problem import (
     evaluator,
     known_count,
 )
+from calib_pin.estimation.terms import compilable
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import BatchedModel
 from calib_pin.observations import states_sigmas
 from calib_pin.progress import Progress
 from calib_pin.setup import SOLVERS
@@ -155,8 +158,6 @@ class Solver:
         self, problem: Problem, directions: Directions, nominal: Floats, start: Floats
     ) -> Solution:
         """Differential evolution in a box around the nominal robot."""
-        from calib_pin.estimation.population import PopulationCost
-
         scales = problem.parameters.scales
         basis = scales[:, None] * directions.basis
         costs = PopulationCost(problem)
@@ -267,3 +268,69 @@ def _status_of(
     if found.status is Status.CONVERGED:
         return Status.COLLAPSED
     return found.status
+
+
+WORTHWHILE = 40_000
+"""Evaluations of a configuration that are worth a thread: about a millisecond."""
+
+
+class PopulationCost:
+    """Half the sum of squared whitened residuals and priors of every member.
+
+    Args:
+        problem: The problem.
+        threads: Number of threads; default one per available core.
+
+    Attributes:
+        evaluator: `kernel`, or `loop` where the members are evaluated one by one: the
+            measurement model has no batch form, something was learned, or places of
+            the chain bend row by row.
+
+    Examples:
+        >>> import numpy as np, calib_pin
+        >>> from calib_pin.estimation.formulation import nominal_problem
+        >>> from calib_pin.setup import Setup
+        >>> from calib_pin.simulation import exact_problem
+        >>> chain = calib_pin.load_chain("space6")
+        >>> nominal = nominal_problem(chain, "position", Setup())
+        >>> zero = np.zeros(len(nominal.parameters))
+        >>> problem = exact_problem(nominal, zero, np.zeros((5, 6)), [""] * 5)
+        >>> PopulationCost(problem)(np.array([zero, zero + 1e-3])) > 1e-6
+        array([False,  True])
+    """
+
+    def __init__(self, problem: Problem, threads: int | None = None) -> None:
+        """Compute what does not depend on the parameters."""
+        from calib_pin.estimation.many_rows import PopulationPart, Segments
+
+        self._problem, self._threads = problem, Threads(threads)
+        self._parts: list[PopulationPart] = []
+        self.evaluator = "kernel"
+        for block in problem.blocks:
+            error, measurement = block.term.error, block.term.measurement
+            batches = (
+                measurement.batches(block.data, 1.0 / block.table(problem.sigma))
+                if compilable(error) and isinstance(measurement, BatchedModel)
+                else ()
+            )
+            if not batches:
+                self.evaluator = "loop"
+                return
+            segments = Segments(error)
+            self._parts += [PopulationPart(block, segments, one) for one in batches]
+
+    def __call__(self, theta: Floats) -> Floats:
+        """Costs of parameter values, shape (S, P) -> (S,)."""
+        if self.evaluator == "loop":
+            return np.array([self._problem.cost(member) for member in theta])
+        further = self._problem.further.residual(theta)
+        costs = 0.5 * np.asarray(np.sum(further**2, axis=-1))
+
+        def evaluate(members: slice) -> None:
+            for part in self._parts:
+                costs[members] += part.costs(theta[members])
+
+        least = -(-WORTHWHILE // max(len(self._problem.data), 1))
+        for _ in self._threads.map(evaluate, self._threads.slices(len(theta), least)):
+            pass
+        return costs

@@ -353,10 +353,6 @@ class Terms:
                 found.setdefault(key.chain, term)
         return found
 
-    def with_terms(self, terms: Mapping[BlockKey, Term]) -> Self:
-        """The same with terms about other references, and of the same parameters."""
-        return replace(self, terms=terms)
-
     def of_chain(self, name: str | None = None) -> Term:
         """The first term of a chain, by default of the first that has joints."""
         if name is None:
@@ -374,7 +370,7 @@ class Terms:
             zero for frames and instruments, those of the robot as they are.
         """
         terms = {key: term.rebased(theta) for key, term in self.terms.items()}
-        return self.with_terms(terms), np.where(self.referred, 0.0, theta)
+        return replace(self, terms=terms), np.where(self.referred, 0.0, theta)
 
     @cached_property
     def referred(self) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -61,10 +62,11 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
     directed = "direction" in needed_conditions(result.model.setup.parameters)
     tables = [p.table(name, directed) for name, p in parts if p is not None]
     columns = dict[str, Any]()
+    blanks = [np.full(len(table["set"]), np.nan) for table in tables]
     for name in dict.fromkeys(name for table in tables for name in table):
-        every = [table.get(name, [np.nan] * len(table["set"])) for table in tables]
-        cells = [cell for own in every for cell in own]
-        columns[name] = cells if name in WORDS else np.array(cells)
+        every = [t.get(name, none) for t, none in zip(tables, blanks, strict=True)]
+        words = name in WORDS
+        columns[name] = [*chain(*every)] if words else np.concatenate(every)
     return encode_table(columns, LEGEND.format(run=run).splitlines())
 
 

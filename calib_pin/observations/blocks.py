@@ -158,10 +158,10 @@ class Observations(SourcedRows):
 
     def rows(self, index: NDArray[Any]) -> Observations:
         """The rows of a boolean mask or of ascending positions."""
-        index = np.asarray(index)
-        if index.dtype == bool and index.all():
+        every = np.arange(len(self))
+        order = every[index]
+        if np.array_equal(order, every):
             return self
-        order = np.arange(len(self))[index]
         picked = [
             block.rows(order[(order >= rows.start) & (order < rows.stop)] - rows.start)
             for block, rows in zip(self.blocks, self.slices, strict=True)

@@ -16,6 +16,9 @@ Booleans = NDArray[np.bool_]
 SAME = 1e-6
 """Largest difference of joint positions within one configuration [rad, m]."""
 
+SPARSE = 8
+"""Largest code, by the number of rows, up to which codes are counted, not sorted."""
+
 
 @dataclass(frozen=True, eq=False)
 class Labels(Sequence[str]):
@@ -61,8 +64,7 @@ class Labels(Sequence[str]):
     @property
     def distinct(self) -> tuple[str, ...]:
         """The names that occur, in the order in which they do."""
-        used, first = np.unique(self.codes, return_index=True)
-        return tuple(self.names[k] for k in used[np.argsort(first)].tolist())
+        return tuple(self.names[k] for k in self.codes[firsts(self.codes)].tolist())
 
     def map(self, change: Callable[[str], str]) -> Labels:
         """The labels of changed names; a name that does not occur is left out."""
@@ -105,6 +107,43 @@ class Labels(Sequence[str]):
     __hash__ = None  # type: ignore[assignment]
 
 
+def numbered(codes: Indices) -> tuple[Indices, Indices]:
+    """The codes that occur, ascending, and the number of that of each row, (N,).
+
+    As `np.unique` with its inverse, which sorts them: of a million rows that takes as
+    long as to evaluate their measurements.
+
+    Args:
+        codes: Codes, not negative, shape (N,).
+
+    Examples:
+        >>> numbered(np.array([7, 3, 7]))
+        (array([3, 7]), array([1, 0, 1]))
+    """
+    if codes.max(initial=0) > SPARSE * len(codes):
+        distinct, number = np.unique(codes, return_inverse=True)
+        return distinct, number
+    used = np.bincount(codes) > 0
+    return np.flatnonzero(used), (np.cumsum(used) - 1)[codes]
+
+
+def firsts(codes: Indices) -> Indices:
+    """The first row of each code that occurs, ascending.
+
+    Args:
+        codes: Codes, not negative, shape (N,).
+
+    Examples:
+        >>> firsts(np.array([7, 3, 7]))
+        array([0, 1])
+    """
+    distinct, number = numbered(codes)
+    first = np.empty(len(distinct), np.int64)
+    # Of the rows of one code, the last that is written is the first.
+    first[number[::-1]] = np.arange(len(codes))[::-1]
+    return np.sort(first)
+
+
 def grouped(q: Floats) -> Indices:
     """Label rows that must stay together when data are split, shape (N,).
 
@@ -138,8 +177,6 @@ def grouped(q: Floats) -> Indices:
             label[order] = old + begin - group
             sizes = np.diff(np.append(np.flatnonzero(apart), len(order)))
             shared = order[np.repeat(sizes > 1, sizes)]
-    used = np.zeros(len(q) + 1, np.int64)
-    used[label] = 1
-    result: Indices = (np.cumsum(used) - 1)[label][run]
+    result: Indices = numbered(label)[1][run]
     result.setflags(write=False)
     return result

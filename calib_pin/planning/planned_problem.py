@@ -84,13 +84,14 @@ def planned_problem(
             raise InputError(reason, file=measured.files[0] or None)
         # Rows may reach farther than the window that the setup states.
         reach = setup.ranger.range[1]
-        return found.with_terms(
-            {
+        return replace(
+            found,
+            terms={
                 key: replace(term, measurement=replace(term.measurement, reach=reach))
                 if isinstance(term.measurement, PlaneDistance)
                 else term
                 for key, term in found.terms.items()
-            }
+            },
         )
     problem = nominal_problem(chains, keys, setup)
     require_known(problem.terms.values(), setup)
@@ -100,7 +101,7 @@ def planned_problem(
         if term.frames.tool in assumed:
             error = error.with_frames(error.base, ASSUMED_TOOL * term.frames.offset)
         terms[key] = replace(term, error=error)
-    return problem.with_terms(terms)
+    return replace(problem, terms=terms)
 
 
 def assumed_tools(problem: Problem) -> set[str]:

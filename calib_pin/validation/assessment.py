@@ -28,7 +28,6 @@ from calib_pin.estimation.identifiability import (
     Directions,
     Structure,
     combinations,
-    everett_count,
     geometric_columns,
     half_covariance,
     observability,
@@ -235,7 +234,10 @@ def _ranks(
     """Ranks of a structure, with the singular values s of some configurations."""
     of_terms = [term.frames for term in problem.terms.values()]
     frames = {own.station for own in of_terms} | {own.tool for own in of_terms}
-    everett = everett_count(problem.chains.revolute, len(frames))
+    # Everett's count of a complete model measured by full poses; each of its frames
+    # beyond a base and a tool has six more.
+    turns = problem.chains.revolute
+    everett = int(4 * turns.sum() + 2 * (~turns).sum() + 6 * (len(frames) - 1))
     return Identifiability(
         parameters=int(problem.parameters.free.sum()),
         rank=structure.rank,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +36,9 @@ from calib_pin.validation.result import Accuracy, FoundDistance, QuantityErrors
 
 ARRAYS = ("positions", "before", "after", "variance")
 """Those that have a row for each measurement."""
+
+Pair: TypeAlias = tuple[Accuracy | None, Accuracy | None]
+"""Accuracy before and after; None where no measurement has any."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,9 @@ class ModelErrors:
 
     def at(self, kept: NDArray[np.generic]) -> ModelErrors:
         """Those of some of the measurements, a mask or positions within them."""
+        every = np.arange(len(self.positions))
+        if np.array_equal(every[kept], every):
+            return self
         return replace(self, **{name: getattr(self, name)[kept] for name in ARRAYS})
 
     def replaced(self, kept: NDArray[np.intp], by: ModelErrors) -> ModelErrors:
@@ -86,12 +94,22 @@ class ModelErrors:
         distances = tuple(anew.get(d.between, d) for d in self.distances)
         return replace(self, distances=distances, **arrays)
 
-    def accuracy(self, quantity: Quantity) -> tuple[Accuracy | None, Accuracy | None]:
+    def accuracy(self, quantity: Quantity) -> Pair:
         """Accuracy of a quantity before and after; None where none has it."""
-        before, after = (quantity.errors(e) for e in (self.before, self.after))
-        if not len(after):
-            return None, None
-        return Accuracy.of(before), Accuracy.of(after)
+        place = quantity.columns.start, quantity.columns.stop
+        if place not in self._accuracies:
+            sizes = (quantity.errors(e) for e in (self.before, self.after))
+            before, after = (Accuracy.of(s) if len(s) else None for s in sizes)
+            self._accuracies[place] = before, after
+        return self._accuracies[place]
+
+    @cached_property
+    def _accuracies(self) -> dict[tuple[int, int], Pair]:
+        """Accuracies that have been asked for, by their columns.
+
+        The verdict, the result and every station, tool and chain ask for them.
+        """
+        return {}
 
     def counted(self, weight: Floats) -> ModelErrors:
         """Those that are not set aside; all of them where no other is left.
@@ -101,7 +119,7 @@ class ModelErrors:
                 (N',).
         """
         kept = weight[self.positions] > 0.0
-        return self if kept.all() or not kept.any() else self.at(kept)
+        return self.at(kept) if kept.any() else self
 
 
 def quantity_errors(

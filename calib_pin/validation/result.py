@@ -13,7 +13,6 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import (
-    VERDICTS,
     ExpectedAccuracy,
     Finding,
     Gain,
@@ -26,6 +25,7 @@ from calib_pin.estimation.terms import FRAME, Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity
 from calib_pin.observations import BlockKey, Indices, Measurements, Observations
+from calib_pin.observations.labels import Labels
 from calib_pin.plugins import upper
 from calib_pin.setup.arguments import as_array
 from calib_pin.units import DISPLAY
@@ -93,6 +93,9 @@ class QuantityErrors:
         if self.unit not in DISPLAY:
             raise ValueError(f"'{self.unit}' is no unit of '{self.name}'")
 
+
+VERDICTS = ("good", "no-gain", "unchecked", "untrusted")
+"""Verdicts on a calibration."""
 
 AXES = ("x", "y", "z")
 """Names of the components of a vector."""
@@ -178,18 +181,21 @@ class MeasurementErrors:
             directions: Whether directions of approach are told that no file states.
         """
         rows, held = self.rows, self.rows.conditions
-        keys = [rows.keys[k] for k in rows.block_of.tolist()]
+        names = map(Labels.of, zip(*rows.keys, strict=True))
         found: dict[str, Sequence[Any]] = {
             "set": [name] * len(self),
             "file": rows.files,
             "line": rows.lines.tolist(),
             "target": rows.target,
             "payload": rows.payload,
-            **{name: [getattr(key, name) for key in keys] for name in BlockKey._fields},
+            **{
+                field: own[rows.block_of]
+                for field, own in zip(BlockKey._fields, names, strict=True)
+            },
         }
 
         def add(form: str, names: Iterable[object], values: Floats) -> None:
-            found.update(zip(map(form.format, names), values.T.tolist(), strict=True))
+            found.update(zip(map(form.format, names), values.T, strict=True))
 
         width = max(block.values.shape[1] for block in rows.blocks)
         start, values, stated = (
@@ -210,7 +216,7 @@ class MeasurementErrors:
             add("direction.{}", rows.joints, held.direction.astype(float))
         for column in ("temperature", "time"):
             if len(getattr(held, column)):
-                found[column] = getattr(held, column).tolist()
+                found[column] = getattr(held, column)
         add("measured.{}", range(1, width + 1), values)
         add("{}", ("weight", "leverage"), np.array([rows.weight, self.leverage]).T)
         add("tool.{}", AXES, self.points)

@@ -21,6 +21,7 @@ from calib_pin.estimation.terms import own_name
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.observations import AT, Observations, fitted_and_held_out
+from calib_pin.observations.labels import firsts, numbered
 from calib_pin.setup import Setup
 
 FOLDS = 5
@@ -151,7 +152,7 @@ def labels(*columns: object) -> NDArray[np.int64]:
         # One column after the other: to sort rows takes ten times as long.
         _, own = np.unique(np.asarray(column), return_inverse=True)
         own = result * (own.max(initial=0) + 1) + own.reshape(-1)
-        result = np.unique(own, return_inverse=True)[1]
+        result = numbered(own)[1]
     return np.asarray(result)
 
 
@@ -198,7 +199,7 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
 
 def _few(mask: NDArray[np.bool_], groups: NDArray[np.int64]) -> NDArray[np.bool_]:
     """As many groups of a part as tell its errors, evenly spread, shape (N,)."""
-    own = np.unique(groups[mask])
+    own, _ = numbered(groups[mask])
     return mask & np.isin(groups, own[:: max(1, int(mask.sum()) // MOST)])
 
 
@@ -291,8 +292,7 @@ def stretches(rows: Observations) -> NDArray[np.int64]:
     chain = labels([key.chain for key in rows.keys])
     path = labels(rows.files.codes, chain[rows.block_of])
     in_order = rows.in_order[np.argsort(path[rows.in_order], kind="stable")]
-    _, first = np.unique(configuration[in_order], return_index=True)
-    order = in_order[np.sort(first)]
+    order = in_order[firsts(configuration[in_order])]
     file, q, count = path[order], rows.q[order], len(order)
     scatter = q.std(axis=0) if count else np.zeros(0)
     moves = scatter > 1e-9

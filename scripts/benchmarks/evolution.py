@@ -26,8 +26,8 @@ from scipy import optimize
 import calib_pin
 from benchmarks.ranger import Ranger
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.solve import PopulationCost
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.setup import SolverSetup

@@ -211,7 +211,7 @@ def _rows(noise: float) -> IdentificationRows:
     nominal = nominal_problem(robot(), "position", _geometric(Settings(noise=noise)))
     part = nominal.only
     error = part.error.with_frames(part.error.base, ASSUMED_TOOL)
-    problem = nominal.with_terms({part.key: replace(part, error=error)})
+    problem = replace(nominal, terms={part.key: replace(part, error=error)})
     workspace = Workspace.create(problem)
     spread = workspace.candidates(SAMPLES, np.random.default_rng(0))
     _, rows, _ = identification(problem, workspace.aims, spread)

@@ -21,8 +21,8 @@ import numpy as np
 import calib_pin
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.solve import PopulationCost
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.references import Plane

@@ -13,8 +13,8 @@ from calib_pin.compiled import comparisons, kernels, link_kernels
 from calib_pin.compiled.blocks import BLOCK, motions
 from calib_pin.errors import RobotError
 from calib_pin.estimation.many_rows import ManyRows, Segments
-from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.solve import PopulationCost
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot

@@ -15,8 +15,8 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.many_rows import ManyRows
-from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.solve import PopulationCost
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -210,9 +210,9 @@ def test_what_kernels_do_not_know_goes_row_by_row(
     error = replace(term.error, learned=Wave(shift=np.zeros(len(term.error.screws))))
     terms = {term.key: replace(term, error=error)}
     few = through_kernels(plain, monkeypatch)
-    learned = few.with_terms(terms)
+    learned = replace(few, terms=terms)
     assert few.many and not learned.many
-    expected = plain.with_terms(terms).errors(theta)
+    expected = replace(plain, terms=terms).errors(theta)
     np.testing.assert_array_equal(learned.errors(theta), expected)
     assert np.abs(expected - plain.errors(theta)).max() > 1e-3
 
@@ -415,11 +415,13 @@ def test_what_no_kernel_knows_is_evaluated_in_a_loop() -> None:
     problem = measured(load_chain("space6"), "position", ["placement"], 40, prior=PRIOR)
     theta, term = members(problem, 3), problem.only
     plain = PopulationCost(problem)(theta)
-    unbatched = problem.with_terms({term.key: replace(term, measurement=Unbatched())})
+    unbatched = replace(
+        problem, terms={term.key: replace(term, measurement=Unbatched())}
+    )
     found = assert_costs(unbatched, theta, "loop")
     np.testing.assert_allclose(found, plain, rtol=1e-10)
     learned = replace(term, error=replace(term.error, learned=Wave()))
-    found = assert_costs(problem.with_terms({term.key: learned}), theta, "loop")
+    found = assert_costs(replace(problem, terms={term.key: learned}), theta, "loop")
     assert np.abs(found - plain).min() > 1.0
     bending = measured(load_chain("space6"), "pose", BENDING, 20, payloads=LOAD)
     assert_costs(bending, members(bending, 2), "loop")
@@ -429,7 +431,7 @@ def test_what_no_kernel_knows_is_evaluated_in_a_loop() -> None:
 def test_the_number_of_threads_changes_no_cost(
     model: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calib_pin.estimation.population.WORTHWHILE", 1)
+    monkeypatch.setattr("calib_pin.estimation.solve.WORTHWHILE", 1)
     problem = measured(load_chain("space6"), model, ["placement"], 301)
     theta = members(problem, 7)
     one, *others = (PopulationCost(problem, k)(theta).tobytes() for k in (1, 2, 3))

@@ -12,8 +12,8 @@ import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import asked, named_targets, registered
-from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem, known_count, measured_count
+from calib_pin.estimation.solve import PopulationCost
 from calib_pin.estimation.terms import frames_of_blocks
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chains import Chains

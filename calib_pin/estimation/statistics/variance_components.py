@@ -81,10 +81,11 @@ from calib_pin.estimation.statistics.distributions import (
     chi_square_tail,
     f_tail,
 )
-from calib_pin.estimation.terms import FRAME, Term, assembled, kept
+from calib_pin.estimation.terms import Term, assembled, kept
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats, skew
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
+from calib_pin.observations.labels import numbered
 from calib_pin.parameterizations import (
     NOTHING,
     PARAMETERIZATIONS,
@@ -464,7 +465,7 @@ def _pure_errors(
     place = label[layout.row] * layout.width + layout.column
     for own in layout.of_components:
         r, w = residual[own], weight[own]
-        _, group = np.unique(place[own], return_inverse=True)
+        _, group = numbered(place[own])
         total = np.bincount(group, w)
         mean = np.bincount(group, w * r) / np.where(total > 0.0, total, 1.0)
         squares = float(np.sum(w * (r - mean[group]) ** 2))
@@ -484,9 +485,7 @@ def repetitions(problem: Problem) -> NDArray[np.intp]:
         # another distance.
         if not data.values.shape[1] or data.start.size:
             used[own] = False
-    labels = np.arange(len(used), 2 * len(used))
-    labels[used] = np.unique(repeated(problem)[used], return_inverse=True)[1]
-    return labels
+    return np.where(used, repeated(problem), np.arange(len(used), 2 * len(used)))
 
 
 # Gears and compliance.
@@ -521,9 +520,8 @@ class Systematic:
             problem: A problem with the rows.
             theta: Parameter values at which frames and instrument stand, shape (P,).
         """
-        moved = [term.rebased(theta) for term in problem.terms.values()]
-        about = [replace(term, error=self._about(term)) for term in moved]
-        terms, given = assembled(about)
+        moved = problem.rebased(theta)[0].terms.values()
+        terms, given = assembled([replace(t, error=self._about(t)) for t in moved])
         plain, data = Setup(noise=problem.setup.noise), problem.data
         there = Problem(problem.chains, terms, given, data, plain, problem.units)
         _, J = there.linearize_rows(np.zeros(len(given)))
@@ -537,13 +535,11 @@ class Systematic:
             term: The term about its solution, see `Terms.rebased`.
             q: Positions of its joints, shape (N, n) [rad, m].
         """
-        there, result = self._about(term), np.zeros((len(q), 6, len(self.names)))
+        there = self._about(term)
         _, J = there.jacobian(q, np.zeros(len(there.screws)))
-        for k, name in enumerate(there.parameters.names):
-            if name in self.names:
-                own = self.names.index(name)
-                result[:, :, own] += J[:, :, k] * self.sizes[own]
-        return result
+        # Several parameters may be one effect: those of a joint and of its followers.
+        names = np.array(there.parameters.names)
+        return np.asarray(J @ ((names[:, None] == self.names) * self.sizes))
 
     def _about(self, term: Term) -> ErrorModel:
         """The effects of the chain of a term about its frames."""
@@ -712,9 +708,7 @@ def _at_feet(error: ErrorModel, placed: dict[str, Floats]) -> ErrorModel:
     for k, screw in enumerate(screws):
         name = screw.parameter.name
         if name.rsplit(".", 2)[1] == Placement.name:
-            about = np.eye(FRAME)
-            about[:3, 3:] = skew(places[screw.frame - 1])
-            twist = placed.setdefault(name, about @ screw.twist)
+            twist = placed.setdefault(name, places[screw.frame - 1] @ screw.twist)
             screws[k] = replace(screw, twist=twist)
     return replace(error, screws=tuple(screws))
 

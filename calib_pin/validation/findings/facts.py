@@ -29,6 +29,7 @@ from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.measurement_models.orientations import numbers_of
 from calib_pin.measurement_models.readings import places_of
 from calib_pin.observations import Indices, Observations
+from calib_pin.observations.labels import Booleans, numbered
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.alternatives import (
@@ -134,8 +135,8 @@ def require_motion(data: Observations) -> None:
     q = data.q
     if len(q) < FEWEST or any(block.start.size for block in data.blocks):
         return
-    first = np.abs(q - q[0]).max(axis=1) < STOOD
-    second = np.abs(q - q[np.argmin(first)]).max(axis=1) < STOOD
+    first = _near(q, q[0])
+    second = _near(q, q[np.argmin(first)])
     if not (first | second).all():
         return
     for block, rows in zip(data.blocks, data.slices, strict=True):
@@ -151,6 +152,14 @@ def require_motion(data: Observations) -> None:
             said += f", while their {quantity.name} values scatter by "
             said += f"{shown(scatter, quantity.unit, 3)}: what wrote the joints did "
             raise block.error(0, f"{said}not follow the robot")
+
+
+def _near(q: Floats, one: Floats) -> Booleans:
+    """Whether joints stand as in one configuration, (N, n) and (n,) -> (N,)."""
+    pairs = zip(q.T, one.tolist(), strict=True)
+    # Joint by joint: the rows of a million are short.
+    near = [np.abs(joint - at) < STOOD for joint, at in pairs]
+    return np.asarray(np.logical_and.reduce(near))
 
 
 def constant_orientation(case: Case) -> Iterator[Finding]:
@@ -346,7 +355,7 @@ def _by_chance(case: Case, pairs: int) -> bool:
 def _things_there(data: Observations) -> Indices:
     """Label of the measurements of one thing at one configuration, shape (N,)."""
     labels = data.groups() * (data.things().max() + 1) + data.things()
-    return np.asarray(np.unique(labels, return_inverse=True)[1])
+    return numbered(labels)[1]
 
 
 def still_joints(problem: Problem) -> tuple[str, ...]:

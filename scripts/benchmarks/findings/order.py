@@ -173,7 +173,7 @@ def _remounted(
     tool = part.error.tool.copy()
     tool.translation = tool.translation + _way(rng, size)
     error = part.error.with_frames(part.error.base, tool)
-    other = job.problem.with_terms({part.key: replace(part, error=error)})
+    other = replace(job.problem, terms={part.key: replace(part, error=error)})
     later = replace(job, problem=other).measured(rng, q=rows.q[first:])
     both = replace(rows, values=np.concatenate([rows.values[:first], later.values]))
 

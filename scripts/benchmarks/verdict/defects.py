@@ -163,7 +163,7 @@ def _moved(number: int) -> Case:
     base = se3_exp(shift) @ term.error.base.homogeneous
     error = term.error.with_frames(pin.SE3(base), term.error.tool)
     terms = {term.key: replace(term, error=error)}
-    moved = replace(job, problem=job.problem.with_terms(terms))
+    moved = replace(job, problem=replace(job.problem, terms=terms))
     return Case(job, job.measured(rng), job.setup, moved.measured(rng, 30))
 
 

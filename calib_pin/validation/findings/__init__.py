@@ -155,7 +155,7 @@ def _cause(case: Case) -> Explanation | None:
 
     Those that hide all others come first; the others compete by what they leave.
     """
-    for kind in (facts.gauge_readings, readings.joint_sets):
+    for kind in (facts.gauge_readings, readings.joint_sets, readings.lost_line):
         if found := _tried(kind, case):
             return found
     changes = _tried(course.changes, case)

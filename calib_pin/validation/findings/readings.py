@@ -11,13 +11,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, permutations, product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from calib_pin.errors import CalibPinError, RobotError, enumerated
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
+from calib_pin.estimation.problem import error_table
 from calib_pin.estimation.terms import FRAME, Term
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -25,10 +26,14 @@ from calib_pin.kinematics.spatial import Floats, from_quaternion, to_quaternion
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
 from calib_pin.measurement_models.readings import (
+    SHIFTS,
+    from_below,
     in_files,
     measured_lengths,
+    place_of,
     places_of,
     postures,
+    with_positions,
     with_values,
 )
 from calib_pin.measurement_models.references import Center
@@ -37,10 +42,12 @@ from calib_pin.observations import (
     BlockKey,
     Booleans,
     Frame,
+    Indices,
     Measurements,
     Observations,
     apart,
 )
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import (
     AXES,
     HELD,
@@ -56,7 +63,14 @@ from calib_pin.validation.findings.alternatives import (
     Explanation,
     JointReading,
 )
-from calib_pin.validation.findings.case import COMPARED, Case, QuickFit, unlikely
+from calib_pin.validation.findings.case import (
+    ABSURD,
+    COMPARED,
+    Case,
+    QuickFit,
+    located,
+    unlikely,
+)
 from calib_pin.validation.findings.sentences import lines_of, shown, written
 
 TURNS, GEARS = (90.0, -90.0, 180.0), (2.0, 0.5)
@@ -98,6 +112,13 @@ FARTHEST = 10
 SEVERAL, NEAREST = 2, 3
 """Lines of a configuration from which these may stand elsewhere together, and how many
 of them."""
+
+SHIFTED = {"shift": "line", "shift_configurations": "configuration"}
+"""Words of what joint positions are shifted by, by the keys of a reading."""
+
+SIDE, APART = 6, 4.0
+"""Fewest measurements on each side of a lost line, and factor by which these err less
+than if they were on the other side, in the geometric mean."""
 
 STRETCH = 0.1
 """Part of all measurements from which some in a row were measured otherwise."""
@@ -211,27 +232,119 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
 
 def line_order(case: Case) -> Iterator[Alternative]:
     """Explanations by the order of the joint positions, the likeliest kinds first."""
-    longest = max(map(len, in_files(case.data)))
-    for lines in range(1, min(FARTHEST, longest // 2) + 1):
+    files = in_files(case.data)
+    count = sum(int(postures(case.data.q[own])[-1]) + 1 for own in files)
+    for lines in range(1, min(FARTHEST, max(map(len, files)) // 2) + 1):
         yield _shifted(lines)
         yield _shifted(-lines)
-    count = sum(int(number[-1]) + 1 for number in postures(case.data))
     if SEVERAL * count < len(case.data):
         for k in range(1, min(NEAREST, count // 2) + 1):
-            yield _shifted(k, "configuration")
-            yield _shifted(-k, "configuration")
+            yield _shifted(k, "shift_configurations")
+            yield _shifted(-k, "shift_configurations")
     said, of = "the joint positions stand in reversed order", "order of the lines"
     yield Alternative("lines-reversed", said, of, ReadingSetup(reversed=True))
 
 
-def _shifted(number: int, of: str = "line") -> Alternative:
+def _shifted(number: int, key: str = "shift", place: str = "") -> Alternative:
     """Joint positions so many lines, or configurations, below or above their own."""
     where, far = "below" if number > 0 else "above", abs(number)
-    said = f"the joint positions stand {far} {of}{'s' * (far > 1)} {where} their "
-    said += "measurement"
-    line = ReadingSetup(shift=number)
-    line = line if of == "line" else ReadingSetup(shift_configurations=number)
-    return Alternative("lines-shifted", said, "order of the lines", line)
+    said = f"from line {place} on " if place else ""
+    said += f"the joint positions stand {far} {SHIFTED[key]}{'s' * (far > 1)} {where} "
+    said += "their measurement"
+    stated: dict[str, Any] = {key: number, "shift_from": (place,) if place else ()}
+    read = ReadingSetup(**stated)
+    found = Alternative("lines-shifted", said, "order of the lines", read)
+    return replace(found, figure="over-order" if place else "")
+
+
+def lost_line(case: Case) -> Explanation | None:
+    """Joint positions that stand elsewhere from some line on, where one was lost.
+
+    The robot is the one that was fitted, which may have set aside what is behind that
+    line, or the nominal one where the first or the last third of the measurements has
+    it.
+    """
+    data, found = case.data, list[Explanation]()
+    third = np.argsort(data.in_order) * 3 // len(data)
+    robots: list[QuickFit] = [case.fit]
+    if case.doubtful:
+        robots += _standing(case, data, third == 0)
+    elif case.fitted is None or np.sum(data.weight == 0.0) < SIDE:
+        return None
+    of_each = len(data) // data.configurations
+    shifts = [("shift", k) for k in dict.fromkeys((1, 2, of_each))]
+    shifts += [("shift_configurations", 1)] * (of_each >= SEVERAL)
+    for (key, far), sign in product(shifts, (1, -1)):
+        there = from_below(data, sign * far, SHIFTS[key])
+        shifted = with_positions(data, data.q[there])
+        last = (third == 2) & (there >= 0)
+        more = _standing(case, shifted, last) if case.doubtful else ()
+        for robot in (*robots, *more):
+            here, other = (_errors_of(robot, read) for read in (data, shifted))
+            other[there < 0] = np.nan
+            for own in in_files(data):
+                number = SHIFTS[key](data.q[own])
+                behind = np.searchsorted(number, number + max(-sign * far, 0))
+                first = _lost(case, here[own], other[own], behind)
+                if first == 0:
+                    continue
+                left = here.copy()
+                left[own[first:]] = np.nan
+                left[own[behind[first] :]] = other[own[behind[first] :]]
+                before, after = (
+                    float(np.sqrt(np.nanmean(sizes**2))) for sizes in (here, left)
+                )
+                place = place_of(data, int(own[first]))
+                fault = (_shifted(sign * far, key, place),)
+                one = Explanation(fault, before, after, robot.robot, judged="error")
+                found.append(one)
+    return min(found, key=lambda one: one.after, default=None)
+
+
+def _standing(case: Case, data: Observations, part: Booleans) -> Iterator[QuickFit]:
+    """The nominal robot where a part of the measurements has it, if it can be there."""
+    setup = replace(case.setup, parameters=(), learned=None, fixed=(), bounds={})
+    data = data.weighted(part.astype(float))
+    try:
+        problem = make_problem(case.chains, data, replace(setup, prior={}))
+        problem = located(problem, thorough=True)
+    except (CalibPinError, np.linalg.LinAlgError):
+        return  # A point is behind the camera, say.
+    yield QuickFit(problem, np.zeros(len(problem.parameters)), robot=False)
+
+
+def _errors_of(fit: QuickFit, data: Observations) -> Floats:
+    """Errors of the first quantity of all measurements, shape (N,) [its unit]."""
+    problem = replace(fit.problem, data=data, expected=None)
+    errors = fit.quantity.errors(error_table(problem, fit.theta))
+    return np.minimum(errors, ABSURD * expected_size(fit.quantity.unit))
+
+
+def _lost(case: Case, here: Floats, other: Floats, behind: Indices) -> int:
+    """The line from which on positions are shifted, the first one for none.
+
+    What is before it and what is behind it must fit far better so.
+
+    Args:
+        case: The case.
+        here: Errors as the lines are, shape (n,).
+        other: Errors if they are shifted, NaN of those that then have none, shape (n,).
+        behind: The first line that has positions if those from a line on are shifted,
+            shape (n,).
+    """
+    least = expected_size(case.fit.quantity.unit)
+    old, new = (np.log(np.fmax(errors, least)) for errors in (here, other))
+    usual = float(np.nanmedian(np.fmin(old, new)))
+    old, new = (np.nan_to_num(log, nan=usual) for log in (old, new))
+    lines = np.arange(len(here))
+    of_old, of_new = (np.append(0.0, np.cumsum(log)) for log in (old, new))
+    # A line without positions costs as much as others do.
+    cost = of_old[lines] - of_new[behind] + usual * (behind - lines)
+    first = int(np.argmin(cost))
+    sides = (new - old)[:first], (old - new)[behind[first] :]
+    moved = [side[side != 0.0] for side in sides]
+    clear = all(len(m) >= SIDE and m.mean() > np.log(APART) for m in moved)
+    return first if clear else 0
 
 
 def units(case: Case) -> Iterator[Alternative]:

@@ -30,13 +30,13 @@ from calib_pin.measurement_models.orientations import numbers_of
 from calib_pin.measurement_models.readings import places_of
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.setup import ReadingSetup
+from calib_pin.setup import AnchorSetup, ReadingSetup, Setup
 from calib_pin.validation.findings.alternatives import (
     Alternative,
     Explanation,
     setup_lines,
 )
-from calib_pin.validation.findings.case import CHANCE, Case
+from calib_pin.validation.findings.case import CHANCE, SOME, Case
 from calib_pin.validation.findings.readings import offset_by
 from calib_pin.validation.findings.sentences import lines_of, listed, named, shown, told
 
@@ -151,6 +151,40 @@ def require_motion(data: Observations) -> None:
             said += f", while their {quantity.name} values scatter by "
             said += f"{shown(scatter, quantity.unit, 3)}: what wrote the joints did "
             raise block.error(0, f"{said}not follow the robot")
+
+
+def require_distances(data: Observations, setup: Setup) -> None:
+    """Refuse distances that no wire and no beam has: a tenth of them below zero.
+
+    Fewer are outliers. Where a bias is estimated, any distance may be read.
+
+    Args:
+        data: The measurements.
+        setup: The setup, which may state by how much wires read too much.
+
+    Raises:
+        InputError: If there are such distances.
+    """
+    for block in data.blocks:
+        model, names = declared(block.model), block.target.names
+        if [*model.columns] != ["distance"]:
+            continue
+        anchors = [setup.anchors.get(name, AnchorSetup()) for name in names]
+        least = np.array([-np.inf if a.estimate_bias else a.bias for a in anchors])
+        below = block.values[:, 0] < least[block.target.codes]
+        if below.mean() <= SOME:
+            continue
+        said = f"{np.sum(below)} of {len(block)} distances are negative: the "
+        if below.all():
+            remedy = "instrument counts the other way; state in the setup file: "
+            remedy += "reading: {scale: -1}"
+        else:
+            remedy = "instrument was not zero where the distance is; add to all of "
+            remedy += "them what it read there too little"
+            if block.model == "point-distance":
+                remedy += ", or state in the setup file: anchors: {NAME: "
+                remedy += "{estimate_bias: true}}"
+        raise block.error(int(np.argmax(below)), said + remedy, column="distance")
 
 
 def constant_orientation(case: Case) -> Iterator[Finding]:

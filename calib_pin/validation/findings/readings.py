@@ -36,7 +36,7 @@ from calib_pin.measurement_models.readings import (
     with_positions,
     with_values,
 )
-from calib_pin.measurement_models.references import Center
+from calib_pin.measurement_models.references import Plane
 from calib_pin.observations import (
     FRAMES,
     BlockKey,
@@ -66,8 +66,10 @@ from calib_pin.validation.findings.alternatives import (
 from calib_pin.validation.findings.case import (
     ABSURD,
     COMPARED,
+    LENS,
     Case,
     QuickFit,
+    held_references,
     located,
     unlikely,
 )
@@ -585,19 +587,7 @@ def _apart(data: Observations, group: Mapping[str, str], frame: Frame) -> Observ
 
 def instruments(case: Case) -> Iterator[Alternative]:
     """Explanations by what is known of an instrument, and by how its images stand."""
-    round_ones = (
-        r for r in case.fit.problem.references.values() if isinstance(r, Center)
-    )
-    held = [reference for reference in round_ones if not reference.estimate_size]
-    for kind in dict.fromkeys(reference.section for reference in held):
-        known = [reference for reference in held if reference.section == kind]
-        number = known[0].number
-        words = f"the {number} of the {kind} is not the one that is held"
-        free = {r.name: replace(r, estimate_size=True).stated() for r in known}
-        stated = {kind: {name: {f"estimate_{number}": True} for name in free}}
-        setup = {kind: {**getattr(case.setup, kind), **free}}
-        found = Alternative("held-number", words, number, setup=setup)
-        yield replace(found, stated=stated)
+    yield from (one for key, one in held(case).items() if key != Plane.kind)
     if (camera := case.setup.camera) is not None:
         (mount,) = MOUNTS.keys() - {camera.mount}
         yield Alternative(
@@ -607,17 +597,37 @@ def instruments(case: Case) -> Iterator[Alternative]:
             setup={"camera": replace(camera, mount=mount)},
             stated={"camera": {"mount": mount}},
         )
-        if not camera.estimate:
-            yield Alternative(
-                "camera-intrinsics",
-                "the camera has other focal lengths or another center than stated",
-                "the camera",
-                setup={"camera": replace(camera, estimate=True)},
-                stated={"camera": {"estimate": True}},
-            )
         words, advice = "u and v are exchanged", "exchange the names of these columns"
         found = Alternative("image-axes", words, "the camera", change=_turned)
         yield replace(found, advice=advice)
+
+
+def held(case: Case) -> dict[str, Alternative]:
+    """What is held of instruments and is not so, by the keys of `held_references`.
+
+    And `LENS`, where a camera is held.
+    """
+    found = dict[str, Alternative]()
+    for key, references in held_references(case.fit.problem).items():
+        section = references[0].section
+        words, free = "planes do not stand where they are held", "estimate"
+        if key != Plane.kind:
+            words = f"the {key} of the {section} is not the one that is held"
+            free = f"estimate_{key}"
+        changed: dict[str, Any] = {free: True}
+        stated = {r.name: replace(r.stated(), **changed) for r in references}
+        setup = {section: {**getattr(case.setup, section), **stated}}
+        lines = {section: {name: changed for name in stated}}
+        found[key] = Alternative("held-number", words, key, setup=setup, stated=lines)
+    if (camera := case.setup.camera) is not None and not camera.estimate:
+        found[LENS] = Alternative(
+            "camera-intrinsics",
+            "the camera has other focal lengths or another center than stated",
+            "the camera",
+            setup={"camera": replace(camera, estimate=True)},
+            stated={"camera": {"estimate": True}},
+        )
+    return found
 
 
 def robots(case: Case) -> Iterator[Alternative]:

@@ -56,6 +56,7 @@ from calib_pin.validation.findings.alternatives import (
 )
 from calib_pin.validation.findings.case import (
     CHANCE,
+    DOUBTFUL,
     IMPLAUSIBLE,
     Case,
     mean_squares,
@@ -616,6 +617,8 @@ def families(case: Case) -> tuple[Finding, ...]:
             numbers={"families": ", ".join(new)},
         )
         faults.insert(0, missing)
+    elif judged == "warning" and case.errors_left > DOUBTFUL:
+        judged = "error"  # Numbers that somebody has stated are wrong.
     if not faults:
         return ()
     found = Explanation(tuple(faults), before, part * before, judged=judged)

@@ -262,45 +262,55 @@ def _shifted(number: int, key: str = "shift", place: str = "") -> Alternative:
 def lost_line(case: Case) -> Explanation | None:
     """Joint positions that stand elsewhere from some line on, where one was lost.
 
-    The robot is the one that was fitted, which may have set aside what is behind that
-    line, or the nominal one where the first or the last third of the measurements has
-    it.
+    Or those of all lines, where a fit has set aside the one line of every image that is
+    wrong then; of all of them there are other explanations, too.
     """
-    data, found = case.data, list[Explanation]()
-    third = np.argsort(data.in_order) * 3 // len(data)
-    robots: list[QuickFit] = [case.fit]
-    if case.doubtful:
-        robots += _standing(case, data, third == 0)
-    elif case.fitted is None or np.sum(data.weight == 0.0) < SIDE:
+    aside = case.fitted is not None and np.sum(case.data.weight == 0.0) >= SIDE
+    if not (case.doubtful or aside):
         return None
-    of_each = len(data) // data.configurations
+    of_each = len(case.data) // case.data.configurations
     shifts = [("shift", k) for k in dict.fromkeys((1, 2, of_each))]
     shifts += [("shift_configurations", 1)] * (of_each >= SEVERAL)
-    for (key, far), sign in product(shifts, (1, -1)):
-        there = from_below(data, sign * far, SHIFTS[key])
-        shifted = with_positions(data, data.q[there])
-        last = (third == 2) & (there >= 0)
-        more = _standing(case, shifted, last) if case.doubtful else ()
-        for robot in (*robots, *more):
-            here, other = (_errors_of(robot, read) for read in (data, shifted))
-            other[there < 0] = np.nan
-            for own in in_files(data):
-                number = SHIFTS[key](data.q[own])
-                behind = np.searchsorted(number, number + max(-sign * far, 0))
-                first = _lost(case, here[own], other[own], behind)
-                if first == 0:
-                    continue
-                left = here.copy()
-                left[own[first:]] = np.nan
-                left[own[behind[first] :]] = other[own[behind[first] :]]
-                before, after = (
-                    float(np.sqrt(np.nanmean(sizes**2))) for sizes in (here, left)
-                )
-                place = place_of(data, int(own[first]))
-                fault = (_shifted(sign * far, key, place),)
-                one = Explanation(fault, before, after, robot.robot, judged="error")
-                found.append(one)
+    signed = ((key, sign * far) for (key, far), sign in product(shifts, (1, -1)))
+    found = (one for key, shift in signed for one in _shifted_from(case, key, shift))
     return min(found, key=lambda one: one.after, default=None)
+
+
+def _shifted_from(case: Case, key: str, shift: int) -> Iterator[Explanation]:
+    """The likeliest line of each file from which on positions are shifted, if any is.
+
+    By the robot that was fitted, which may have set aside what is behind that line, and
+    by the nominal one where the first or the last third of the measurements has it.
+    """
+    data, quantity = case.data, case.fit.quantity
+    # Some of the measurements may tell of some blocks alone.
+    robots = [case.fit] if case.fit.problem.terms.keys() >= {*data.keys} else []
+    has = [quantity in declared(block.model).quantities for block in data.blocks]
+    measured, unit = np.array(has)[data.block_of], expected_size(quantity.unit)
+    there = from_below(data, shift, SHIFTS[key])
+    shifted = with_positions(data, data.q[there])
+    if case.doubtful:
+        third = np.argsort(data.in_order) * 3 // len(data)
+        robots += _standing(case, data, third == 0)
+        robots += _standing(case, shifted, (third == 2) & (there >= 0))
+    for robot in robots:
+        here, other = (_errors_of(robot, read) for read in (data, shifted))
+        other[there < 0] = np.nan
+        for own in in_files(data):
+            number = SHIFTS[key](data.q[own])
+            behind = np.searchsorted(number, number + max(-shift, 0))
+            first = _lost(here[own], other[own], behind)
+            if first < 0 or (first == 0 and case.doubtful):
+                continue
+            left, later = here.copy(), own[behind[first] :]
+            left[own[first:]] = np.nan
+            left[later] = other[later]
+            sizes = (np.sqrt(np.nanmean(e[measured] ** 2)) for e in (here, left))
+            before, after = (float(unit * size) for size in sizes)
+            every = first == 0 and len(own) == len(data)
+            place = "" if every else place_of(data, int(own[first]))
+            fault = (_shifted(shift, key, place),)
+            yield Explanation(fault, before, after, robot.robot, judged="error")
 
 
 def _standing(case: Case, data: Observations, part: Booleans) -> Iterator[QuickFit]:
@@ -316,26 +326,29 @@ def _standing(case: Case, data: Observations, part: Booleans) -> Iterator[QuickF
 
 
 def _errors_of(fit: QuickFit, data: Observations) -> Floats:
-    """Errors of the first quantity of all measurements, shape (N,) [its unit]."""
+    """Errors of the first quantity of each measurement, in expected sizes, (N,)."""
     problem = replace(fit.problem, data=data, expected=None)
-    errors = fit.quantity.errors(error_table(problem, fit.theta))
-    return np.minimum(errors, ABSURD * expected_size(fit.quantity.unit))
+    table, found = error_table(problem, fit.theta), np.full(len(data), np.nan)
+    for quantity in reversed(problem.layout.quantities):
+        sizes = np.linalg.norm(table[:, quantity.columns], axis=1)
+        sizes /= expected_size(quantity.unit)
+        found = np.where(np.isnan(sizes), found, sizes)
+    return np.asarray(np.minimum(found, ABSURD))
 
 
-def _lost(case: Case, here: Floats, other: Floats, behind: Indices) -> int:
-    """The line from which on positions are shifted, the first one for none.
+def _lost(here: Floats, other: Floats, behind: Indices) -> int:
+    """The line from which on positions are shifted, -1 for none.
 
-    What is before it and what is behind it must fit far better so.
+    What is before it, if anything, and what is behind it must fit far better so.
 
     Args:
-        case: The case.
-        here: Errors as the lines are, shape (n,).
+        here: Errors as the lines are, in expected sizes, shape (n,).
         other: Errors if they are shifted, NaN of those that then have none, shape (n,).
         behind: The first line that has positions if those from a line on are shifted,
             shape (n,).
     """
-    least = expected_size(case.fit.quantity.unit)
-    old, new = (np.log(np.fmax(errors, least)) for errors in (here, other))
+    # A calibrated robot leaves less, and no less counts.
+    old, new = (np.log(np.maximum(errors, 1.0)) for errors in (here, other))
     usual = float(np.nanmedian(np.fmin(old, new)))
     old, new = (np.nan_to_num(log, nan=usual) for log in (old, new))
     lines = np.arange(len(here))
@@ -344,9 +357,9 @@ def _lost(case: Case, here: Floats, other: Floats, behind: Indices) -> int:
     cost = of_old[lines] - of_new[behind] + usual * (behind - lines)
     first = int(np.argmin(cost))
     sides = (new - old)[:first], (old - new)[behind[first] :]
-    moved = [side[side != 0.0] for side in sides]
+    moved = [side[side != 0.0] for side in sides[first == 0 :]]
     clear = all(len(m) >= SIDE and m.mean() > np.log(APART) for m in moved)
-    return first if clear else 0
+    return first if clear else -1
 
 
 def units(case: Case) -> Iterator[Alternative]:

@@ -707,7 +707,8 @@ class Case:
             }
         names, J = problem.parameters.names, self.fit.linear[1]
         for key, references in held_references(problem).items():
-            own = [p.name for one in references for p in one.parameters if not p.free]
+            first = 0 if key == Plane.kind else -1  # The number is the last one.
+            own = [p.name for one in references for p in one.parameters[first:]]
             columns[key] = J[:, [names.index(name) for name in own]]
         lens = [name.startswith(LENS) for name in names] & ~problem.parameters.free
         return columns | ({LENS: J[:, lens]} if lens.any() else {})

@@ -258,7 +258,7 @@ def test_a_radius_that_is_held_wrong(erring, off: float, codes: list[str]) -> No
     """Of spheres on a plate, or of the ball of a probe: gears would explain a part."""
     places = {"a": (0.9, 0.3, 0.4), "b": (0.9, -0.1, 0.4), "c": (0.6, 0.1, 0.5)}
     spheres = {n: SphereSetup(place, 0.0127) for n, place in places.items()}
-    stylus = {"stylus": PointSetup((0.0, 0.0, 0.12), estimate=True)}
+    stylus = {"stylus": PointSetup((0.05, 0.0, 0.12), estimate=True)}
     setup = Setup(targets=stylus, spheres=spheres)
     how = {"count": 120, "target": tuple("abc") * 40}
     rows = erring(ARM, setup, 2, "sphere-contact", noise=2e-5, **how)

@@ -29,6 +29,9 @@ from calib_pin.observations import (
 )
 from calib_pin.setup import AXES, ConvertedSetup, ReadingSetup
 
+Numbers = Callable[[Floats], Indices]
+"""Number of each line of a file, by its joint positions, ascending."""
+
 
 def read_otherwise(data: Observations, reading: ReadingSetup) -> Observations:
     """Measurements as a setup says that they are to be read.
@@ -43,10 +46,13 @@ def read_otherwise(data: Observations, reading: ReadingSetup) -> Observations:
         InputError: If a line does not exist.
         OptionError: If a joint does not exist.
     """
+    shifted = partial(_from_below, places=reading.shift_from)
+    shifts = {key: partial(shifted, of=of) for key, of in SHIFTS.items()}
+    steps = STEPS | shifts
     for key in fields(ReadingSetup):
         value = getattr(reading, key.name)
-        if key.name in STEPS and value != getattr(ReadingSetup(), key.name):
-            data = STEPS[key.name](data, value)
+        if key.name in steps and value != getattr(ReadingSetup(), key.name):
+            data = steps[key.name](data, value)
     return data
 
 
@@ -246,26 +252,50 @@ def _reversed(data: Observations, _: bool) -> Observations:
     return with_positions(data, q)
 
 
-def postures(data: Observations) -> list[Indices]:
-    """Number of the posture of each line, file by file; repeated ones count once."""
-    moved = (np.any(np.diff(data.q[own], axis=0) != 0.0, 1) for own in in_files(data))
-    return [np.append(0, np.cumsum(changed)) for changed in moved]
+def postures(q: Floats) -> Indices:
+    """Number of the posture of each line, (N,), by the joint positions, (N, n).
+
+    Repeated ones count once.
+    """
+    return np.append(0, np.cumsum(np.any(np.diff(q, axis=0) != 0.0, axis=1)))
+
+
+def from_below(
+    data: Observations, shift: int, of: Numbers, places: Sequence[str] = ()
+) -> Indices:
+    """For each measurement the one whose joint positions it has, -1 for none, (N,).
+
+    Args:
+        data: The measurements.
+        shift: How many numbers these stand below it.
+        of: Numbers of lines.
+        places: Lines from which on they do; default all.
+
+    Raises:
+        InputError: If such a line does not exist.
+    """
+    parts, found = in_files(data), np.arange(len(data))
+    if places:
+        first = [located(data, place) for place in places]
+        parts = [own[k:] for own in parts for k in np.flatnonzero(np.isin(own, first))]
+    for own in parts:
+        number = of(data.q[own])
+        there = np.searchsorted(number, number + shift)
+        exists = (number + shift >= 0) & (there < len(own))
+        found[own] = np.where(exists, own[np.minimum(there, len(own) - 1)], -1)
+    return found
 
 
 def _from_below(
-    data: Observations, shift: int, numbers: Sequence[Indices]
+    data: Observations, shift: int, of: Numbers, places: Sequence[str]
 ) -> Observations:
-    """Measurements with the joint positions of others, some numbers below them."""
-    q, kept = data.q.copy(), np.zeros(len(data), bool)
-    for own, number in zip(in_files(data), numbers, strict=True):
-        first = np.searchsorted(number, number + shift)
-        there = (number + shift >= 0) & (first < len(own))
-        q[own[there]], kept[own[there]] = data.q[own[first[there]]], True
-    if not kept.any():
+    """Measurements with the joint positions of others, see `from_below`."""
+    there = from_below(data, shift, of, places)
+    if (there < 0).all():
         raise InputError(
             f"'reading' shifts joint positions by {shift}, beyond any file"
         )
-    return with_positions(data, q).rows(kept)
+    return with_positions(data, data.q[there]).rows(there >= 0)
 
 
 def _lagging(data: Observations, lag: Mapping[str, float]) -> Observations:
@@ -334,10 +364,6 @@ STEPS: dict[str, Callable[[Observations, Any], Observations]] = {
     "exchanged": _exchanged,
     "converted": _converted,
     "reversed": _reversed,
-    "shift": lambda data, by: _from_below(
-        data, by, [np.arange(len(own)) for own in in_files(data)]
-    ),
-    "shift_configurations": lambda data, by: _from_below(data, by, postures(data)),
     "lag": _lagging,
     "axes": _turned,
     "scale": lambda data, factor: scaled(data, np.full(len(data), factor)),
@@ -348,4 +374,10 @@ STEPS: dict[str, Callable[[Observations, Any], Observations]] = {
     "without": _left,
     "sigmas": _unstated,
 }
-"""The change of each key but `orientation`."""
+"""The change of each key but `orientation` and shifts."""
+
+SHIFTS: dict[str, Numbers] = {
+    "shift": lambda q: np.arange(len(q)),
+    "shift_configurations": postures,
+}
+"""Numbers of lines by which each key shifts joint positions."""

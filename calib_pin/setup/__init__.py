@@ -471,6 +471,8 @@ class ReadingSetup(Section):
         shift: Lines by which the joint positions of a measurement stand below it.
         shift_configurations: The same by configurations: lines in turn at the same
             joint positions, those of an image say, go together.
+        shift_from: Lines of files from which on these shifts count, as where a line was
+            lost in some of the columns; those before stay as they are.
         lag: Joint name to the part of its last motion that it had still before it when
             it was measured.
         axes: What stands in the columns x, y and z of a position: `[y, x, z]` says
@@ -494,6 +496,7 @@ class ReadingSetup(Section):
     reversed: bool = False
     shift: Annotated[int, Value("", -1e6, 1e6)] = 0
     shift_configurations: Annotated[int, Value("", -1e6, 1e6)] = 0
+    shift_from: Places = ()
     lag: Mapping[str, Annotated[float, Value("", -1.0, 1.0)]] = empty()
     axes: Annotated[tuple[Annotated[str, OneOf(SIGNED)], ...], _axes] = AXES
     scale: Conversion = 1.0

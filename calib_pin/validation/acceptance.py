@@ -37,9 +37,8 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, counted, enumerated
 from calib_pin.estimation.formulation import make_problem, with_parameters
 from calib_pin.estimation.identifiability import column_space
-from calib_pin.estimation.nominal import extended, register, registered, relocated
+from calib_pin.estimation.nominal import extended, register, registered
 from calib_pin.estimation.problem import Problem, error_table
-from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     f_tail,
@@ -735,10 +734,9 @@ def _at_station(
     """A robot with its tool, whose station is fitted to measurements of one block."""
     problem, theta = extended(model.problem(rows), model.theta, rows)
     term = problem.terms[rows.only.key]
-    problem = relocated(problem, theta, term.frames.station)
-    free = np.isin(np.arange(len(theta)), term.index[:FRAME])
-    basis = np.diag(problem.parameters.scales)[:, free]
-    return _fitted(problem, least_squares(problem, theta, basis).x, free, alone)
+    base = term.index[:FRAME]
+    there = model_errors.at_another_station(problem, theta, term.frames.station, base)
+    return _fitted(*there, np.isin(np.arange(len(theta)), base), alone)
 
 
 def _derivatives(problem: Problem, theta: Floats) -> Floats:

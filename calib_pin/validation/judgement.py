@@ -29,7 +29,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import JointPrior
 from calib_pin.units import DISPLAY
-from calib_pin.validation.findings import find
+from calib_pin.validation.findings import LACKS, find
 from calib_pin.validation.findings.case import DOUBTFUL, FOREIGN, Case, Others
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.held_out import ALL, PRESS, HeldOut
@@ -373,8 +373,8 @@ def _inexplicable(grounds: Judgement, quantity: QuantityErrors, coarse: float) -
 
 
 def _advice(grounds: Judgement, otherwise: str) -> str:
-    """Families that the model lacks, and how to estimate them, if that is known."""
-    lacks = (f for f in grounds.findings if f.code == "model-lacks")
+    """What the model lacks, and how to estimate it, if that is known."""
+    lacks = (f for f in grounds.findings if f.code in LACKS)
     return next((f"{f.message}; {f.remedy}" for f in lacks), otherwise)
 
 

@@ -15,7 +15,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, Posterior
 from calib_pin.estimation.identifiability import column_space
-from calib_pin.estimation.nominal import extended, register
+from calib_pin.estimation.nominal import extended, register, relocated
 from calib_pin.estimation.problem import (
     SAMPLE,
     Problem,
@@ -28,7 +28,7 @@ from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
-from calib_pin.observations import Observations
+from calib_pin.observations import Indices, Observations
 from calib_pin.setup import DistanceSetup
 from calib_pin.solvers import LeastSquaresResult
 from calib_pin.solvers.status import Status
@@ -325,6 +325,28 @@ def _used_up(problem: Problem, result: LeastSquaresResult) -> int:
     parameters = problem.parameters
     A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
     return int(np.linalg.matrix_rank(A)) if A.size and np.isfinite(A).all() else 0
+
+
+def at_another_station(
+    problem: Problem, theta: Floats, station: str, free: Indices, loose: bool = True
+) -> tuple[Problem, Floats]:
+    """A problem about the place of a station that its measurements tell, and theta.
+
+    Known distances count again later: they are left out of this fit only.
+
+    Args:
+        problem: The problem of measurements from there, about its solution.
+        theta: Parameter values, shape (P,).
+        station: Owner and kind of the station's frame.
+        free: Positions of the parameters that are estimated anew.
+        loose: Whether the station may be anywhere, so that its closed form is a start.
+    """
+    basis = np.diag(problem.parameters.scales)[:, free]
+    plain = replace(problem, setup=replace(problem.setup, distances=()))
+    starts = [plain, relocated(plain, theta, station)] if loose else [plain]
+    found = [(least_squares(start, theta, basis), start) for start in starts]
+    best, start = min(found, key=lambda pair: np.nan_to_num(pair[0].cost, nan=np.inf))
+    return replace(start, setup=problem.setup), best.x
 
 
 def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:

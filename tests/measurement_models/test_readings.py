@@ -53,6 +53,14 @@ def test_joint_positions_stand_below() -> None:
     assert lines_of_joints(found) == [2, 3, 4, 5, 6, 12, 13, 14, 15, 16]
 
 
+def test_joint_positions_stand_above_from_a_line_on() -> None:
+    found = read(shift=-1, shift_from=("a.csv:5",))
+    assert found.lines.tolist() == [2, 3, 4, 6, 7, *range(12, 18)]
+    assert lines_of_joints(found) == [2, 3, 4, 5, 6, *range(12, 18)]
+    with pytest.raises(CalibPinError, match=r"a\.csv:9, where no measurement"):
+        read(shift=1, shift_from=("a.csv:9",))
+
+
 def test_joint_positions_of_the_configuration_below() -> None:
     block = DATA.blocks[0]
     q = np.repeat(np.arange(4.0), 3)[:, None] * 0.01 * np.ones(block.q.shape[1])

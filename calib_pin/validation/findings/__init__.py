@@ -56,16 +56,20 @@ CONSEQUENCES: tuple[Kind, ...] = plausibility.KINDS + joint_motions.KINDS
 SHOWN: tuple[Kind, ...] = (*facts.KINDS, joint_motions.approach_order, *course.MODELED)
 """Faults in every fit that the measurements show whatever else is wrong."""
 
+LACKS = {"model-lacks", "held-number", "camera-intrinsics"}
+"""What a fit may lack: families of parameters, and numbers of instruments."""
+
 FOLLOW = {
     "large-correction": {"joint-offset"},  # The origin has taken it over.
     # Commanded positions are off by the side, and those that were read too early.
     "backlash": {"joint-columns", "lag"},
     # Large errors of gears alias to ripples, and copies have no noise of their own.
-    "gear-ripple": {"model-lacks", "copied-measurements"},
+    "gear-ripple": LACKS | {"copied-measurements"},
     "coarse-steps": {"computed-values"},
     # What no parameter describes leaves more than noise.
-    "noise": {"model-lacks", "backlash", "lag", "coarse-steps", "instrument-drift"}
-    | {"robot-drift", "scale", "known-distance", "computed-values"},
+    "noise": {"backlash", "lag", "coarse-steps", "instrument-drift", "robot-drift"}
+    | {"scale", "known-distance", "computed-values"}
+    | LACKS,
 }
 """Findings, and errors and warnings from which they follow and then are not told."""
 
@@ -123,9 +127,11 @@ def explained(
         others: Other robots that may have been measured.
 
     Raises:
-        InputError: If one is raised within, or the joints did not move.
+        InputError: If one is raised within, the joints did not move, or distances are
+            negative.
     """
     facts.require_motion(data)
+    facts.require_distances(data, setup)
     try:
         yield
     except OptionError:
@@ -155,7 +161,7 @@ def _cause(case: Case) -> Explanation | None:
 
     Those that hide all others come first; the others compete by what they leave.
     """
-    for kind in (facts.gauge_readings, readings.joint_sets):
+    for kind in (facts.gauge_readings, readings.joint_sets, readings.lost_line):
         if found := _tried(kind, case):
             return found
     changes = _tried(course.changes, case)

@@ -33,6 +33,7 @@ from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
+from calib_pin.measurement_models.references import Center, Plane, ReferenceObject
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import expected_size
@@ -115,6 +116,9 @@ SOME = 0.1
 
 COMPARED = 8
 """Most steps of the fit to measurements that a robot is compared with."""
+
+LENS = "camera.intrinsics"
+"""Owner and kind of what a camera is."""
 
 LACKING = 0.5
 """Part of the sum of squares that they leave at most."""
@@ -616,7 +620,9 @@ class Case:
             usual |= all(noise.as_stated for noise in fitted.noise)
         known = fitted is not None and self.fit.largest_correction <= IMPLAUSIBLE
         # What the model lacks may be all that is left.
-        if not (usual or (known and left * np.sqrt(self.lacking[1]) <= DOUBTFUL)):
+        lacks, part = self.lacking
+        modeled = known and PARAMETERIZATIONS.keys() >= {*lacks}
+        if not (usual or (modeled and left * np.sqrt(part) <= DOUBTFUL)):
             return True
         return self.errors_nominal > (ABSURD if known else FOREIGN)
 
@@ -647,35 +653,28 @@ class Case:
 
     @cached_property
     def lacking(self) -> tuple[tuple[str, ...], float]:
-        """Families that explain most, and the part of the squares that they leave.
+        """What else explains most, and the part of the squares that it leaves.
 
-        None of them, and all of it, where none stands out. One or two families of
-        parameters that were not asked for are tried at once, with all columns that they
-        add to the Jacobian; placements where only joint offsets were estimated.
+        None, and all of it, where nothing stands out. One or two families of parameters
+        that were not asked for, and numbers of instruments that are held, are tried at
+        once, with all columns that they add to the Jacobian; placements where only
+        joint offsets were estimated.
         """
-        fit, names = self.fit, self.setup.parameters
+        fit = self.fit
         # No gear and no link is farther off.
         possible = self.fitted is not None and self.errors_left <= FOREIGN
-        if not (possible and names and fit.rms > EXACT):
+        if not (possible and self.setup.parameters and fit.rms > EXACT):
             return (), 1.0
-        others = [
-            n for n, f in PARAMETERIZATIONS.items() if f.effects and n not in names
-        ]
-        effects = candidates(fit.problem, others + unplaced(self.setup))
-        if effects is None:
-            return (), 1.0
-        X, kinds = effects.rows(fit.problem, fit.theta), np.array(effects.kinds)
-        if not np.isfinite(X).all():
-            return (), 1.0
+        every = {k: X for k, X in self.beside.items() if np.isfinite(X).all()}
         # All points of a configuration share the errors of its pose, and repetitions
         # those of their value.
         poses = FRAME * fit.problem.data.configurations
         distinct = min(poses, distinct_values(fit.problem))
         dof = fit.left - max(measured_count(fit.problem) - distinct, 0)
-        each, found = dict.fromkeys(effects.kinds), []
-        for some in (*((kind,) for kind in each), *combinations(each, 2)):
-            own = np.isin(kinds, some)
-            count, score = int(own.sum()), fit.score(X[:, own])
+        found = list[tuple[float, tuple[str, ...], float]]()
+        for some in (*((kind,) for kind in every), *combinations(every, 2)):
+            score = fit.score(np.hstack([every[kind] for kind in some]))
+            count = len(score.values)
             if count >= dof:
                 continue  # They explain whatever a configuration errs by.
             left, chance = score.left, score.chance
@@ -686,6 +685,44 @@ class Case:
                 cost = fit.left * np.log(max(left, 1e-300))
                 found.append((cost + count * np.log(fit.left), some, left))
         return min(found)[1:] if found else ((), 1.0)
+
+    @cached_property
+    def beside(self) -> dict[str, Floats]:
+        """Change of the whitened residual by what is not estimated, each (M, k).
+
+        By family of parameters, by the keys of `held_references`, and `LENS`.
+        """
+        problem, theta = self.fit.problem, self.fit.theta
+        others = [
+            name
+            for name, family in PARAMETERIZATIONS.items()
+            if family.effects and name not in self.setup.parameters
+        ]
+        columns = dict[str, Floats]()
+        effects = candidates(problem, others + unplaced(self.setup))
+        if effects is not None:
+            X, kinds = effects.rows(problem, theta), np.array(effects.kinds)
+            columns = {
+                kind: X[:, kinds == kind] for kind in dict.fromkeys(effects.kinds)
+            }
+        names, J = problem.parameters.names, self.fit.linear[1]
+        for key, references in held_references(problem).items():
+            first = 0 if key == Plane.kind else -1  # The number is the last one.
+            own = [p.name for one in references for p in one.parameters[first:]]
+            columns[key] = J[:, [names.index(name) for name in own]]
+        lens = [name.startswith(LENS) for name in names] & ~problem.parameters.free
+        return columns | ({LENS: J[:, lens]} if lens.any() else {})
+
+
+def held_references(problem: Problem) -> dict[str, list[ReferenceObject]]:
+    """Planes that are held, and spheres and anchors whose number is, by its name."""
+    found = dict[str, list[ReferenceObject]]()
+    for reference in problem.references.values():
+        if isinstance(reference, Center) and not reference.estimate_size:
+            found.setdefault(reference.number, []).append(reference)
+        if isinstance(reference, Plane) and not reference.estimate:
+            found.setdefault(reference.kind, []).append(reference)
+    return found
 
 
 def _without_outliers(problem: Problem) -> Observations:

@@ -19,6 +19,7 @@ from calib_pin.estimation.evidence import ADDING, Finding
 from calib_pin.estimation.problem import (
     EXACT,
     Problem,
+    current_units,
     distinct_values,
     error_table,
     measured_count,
@@ -31,13 +32,13 @@ from calib_pin.measurement_models.readings import places_of
 from calib_pin.observations import Indices, Observations
 from calib_pin.observations.labels import Booleans, numbered
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.setup import ReadingSetup
+from calib_pin.setup import AnchorSetup, ReadingSetup, Setup
 from calib_pin.validation.findings.alternatives import (
     Alternative,
     Explanation,
     setup_lines,
 )
-from calib_pin.validation.findings.case import CHANCE, Case
+from calib_pin.validation.findings.case import CHANCE, SOME, Case
 from calib_pin.validation.findings.readings import offset_by
 from calib_pin.validation.findings.sentences import lines_of, listed, named, shown, told
 
@@ -160,6 +161,40 @@ def _near(q: Floats, one: Floats) -> Booleans:
     # Joint by joint: the rows of a million are short.
     near = [np.abs(joint - at) < STOOD for joint, at in pairs]
     return np.asarray(np.logical_and.reduce(near))
+
+
+def require_distances(data: Observations, setup: Setup) -> None:
+    """Refuse distances that no wire and no beam has: a tenth of them below zero.
+
+    Fewer are outliers. Where a bias is estimated, any distance may be read.
+
+    Args:
+        data: The measurements.
+        setup: The setup, which may state by how much wires read too much.
+
+    Raises:
+        InputError: If there are such distances.
+    """
+    for block in data.blocks:
+        model, names = declared(block.model), block.target.names
+        if [*model.columns] != ["distance"]:
+            continue
+        anchors = [setup.anchors.get(name, AnchorSetup()) for name in names]
+        least = np.array([-np.inf if a.estimate_bias else a.bias for a in anchors])
+        below = block.values[:, 0] < least[block.target.codes]
+        if below.mean() <= SOME:
+            continue
+        said = f"{np.sum(below)} of {len(block)} distances are negative: the "
+        if below.all():
+            remedy = "instrument counts the other way; state in the setup file: "
+            remedy += "reading: {scale: -1}"
+        else:
+            remedy = "instrument was not zero where the distance is; add to all of "
+            remedy += "them what it read there too little"
+            if block.model == "point-distance":
+                remedy += ", or state in the setup file: anchors: {NAME: "
+                remedy += "{estimate_bias: true}}"
+        raise block.error(int(np.argmax(below)), said + remedy, column="distance")
 
 
 def constant_orientation(case: Case) -> Iterator[Finding]:
@@ -387,12 +422,14 @@ def unseen_joints(case: Case) -> Iterator[Finding]:
     """
     if case.fitted is None:
         return
-    data, still = case.fit.problem.data, still_joints(case.fit.problem)
-    # What an error of the expected size does, if nothing else were unknown.
-    shown_by = np.linalg.norm(case.fit.by_joints, axis=0)
+    problem, still = case.fit.problem, still_joints(case.fit.problem)
+    # What an error of the expected size does, if nothing else were unknown; of errors
+    # that are left a fit may take any size for noise.
+    units = current_units(problem)[problem.layout.component]
+    shown_by = np.linalg.norm(units[:, None] * case.fit.by_joints, axis=0)
     unseen = [
         joint
-        for joint, size in zip(data.joints, shown_by.tolist(), strict=True)
+        for joint, size in zip(problem.data.joints, shown_by.tolist(), strict=True)
         if size * expected_size(case.unit(joint)) < 1.0 and joint not in still
     ]
     if unseen:

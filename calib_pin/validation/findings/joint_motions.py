@@ -273,7 +273,9 @@ def joint_motion(case: Case) -> Explanation | None:
     possible = small and fit.largest_correction <= IMPLAUSIBLE
     if not (possible and fit.rms**2 < LEFT * first.rms**2):
         return None
-    if motion.of == "early-each" and size <= BACKLASH:
+    # Nothing has less than nothing to go.
+    least = {"early": 0.0, "early-each": BACKLASH}
+    if size <= least.get(motion.of, -np.inf):
         return None
     # What bends follows joints as well, and the position of one most of all.
     if np.sqrt(case.lacking[1]) < BENDS * fit.rms / first.rms:
@@ -305,7 +307,8 @@ def large_motions(case: Case) -> Iterator[Alternative]:
         # What goes backwards is reversed, and a lag of a whole motion is a shift.
         backwards = motion.of == "gear" and not size > -1.0
         whole = motion.of == "lag" and not abs(size) < LARGEST
-        if size and not (backwards or whole):
+        beyond = motion.of.startswith("early") and size < 0.0
+        if size and not (backwards or whole or beyond):
             yield motion.alternative(case, size)
 
 

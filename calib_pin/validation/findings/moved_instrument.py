@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel
-from calib_pin.estimation.nominal import relocated
 from calib_pin.estimation.problem import Problem, distinct_values, measured_count
-from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import chi_square_tail
 from calib_pin.estimation.terms import BASE, FRAME
 from calib_pin.validation.findings.case import CHANCE, MEASUREMENTS, by_chance
@@ -19,6 +17,7 @@ from calib_pin.validation.findings.sentences import told
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
+    at_another_station,
     errors_of_registered,
     mahalanobis,
 )
@@ -173,16 +172,10 @@ def _elsewhere(there: Registered, station: str) -> Registered | None:
     free = np.flatnonzero((base | outer) & seen)
     if len(free) == 0:
         return None
-    basis = np.diag(parameters.scales)[:, free]
-    # Known distances count again later: they are left out of this fit only.
-    plain = replace(problem, setup=replace(problem.setup, distances=()))
-    starts, relative = [plain], any(block.start.size for block in problem.data.blocks)
-    if parameters.free[base].all() and not relative:
-        starts.append(relocated(plain, theta, station))
-    found = [(least_squares(start, theta, basis), start) for start in starts]
-    result, start = min(found, key=lambda pair: np.nan_to_num(pair[0].cost, nan=np.inf))
-    start = replace(start, setup=problem.setup)
-    return Registered(start, result.x, there.new, tuple(free.tolist()))
+    relative = any(block.start.size for block in problem.data.blocks)
+    loose = bool(parameters.free[base].all()) and not relative
+    here, theta = at_another_station(problem, theta, station, free, loose)
+    return Registered(here, theta, there.new, tuple(free.tolist()))
 
 
 def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:

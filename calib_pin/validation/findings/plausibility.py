@@ -31,7 +31,6 @@ from calib_pin.estimation.problem import tool_points
 from calib_pin.estimation.robust import exchanged_with
 from calib_pin.estimation.row_blocks import Priors
 from calib_pin.estimation.statistics.distributions import chi_square_tail, normal_tail
-from calib_pin.estimation.statistics.variance_components import candidates
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import INSTRUMENT
@@ -57,12 +56,13 @@ from calib_pin.validation.findings.alternatives import (
 )
 from calib_pin.validation.findings.case import (
     CHANCE,
+    DOUBTFUL,
     IMPLAUSIBLE,
     Case,
     mean_squares,
     unlikely,
 )
-from calib_pin.validation.findings.readings import FACTORS, STRETCH
+from calib_pin.validation.findings.readings import FACTORS, STRETCH, held
 from calib_pin.validation.findings.sentences import (
     NAMED,
     lines_of,
@@ -337,7 +337,7 @@ class _Linear(NamedTuple):
     def of(case: Case, fitted: Fit, lacking: Sequence[str]) -> _Linear:
         """That of a fit, without what expected sizes add to the measurements.
 
-        Families that it lacks are errors of the robot like the others.
+        What it lacks, see `Case.lacking`, is like errors of the robot.
         """
         problem, parameters = case.fit.problem, case.fit.problem.parameters
         r, J = problem.linearize_rows(fitted.theta)
@@ -345,8 +345,7 @@ class _Linear(NamedTuple):
         grown[: len(problem.sigma)] = growth(problem, fitted.theta)
         A = J[:, _of_robot(parameters)]
         y = A @ (fitted.theta / parameters.scales)[_of_robot(parameters)] - r
-        if lacking and (effects := candidates(problem, lacking)) is not None:
-            own = effects.rows(problem, fitted.theta)
+        for own in (case.beside[name] for name in lacking):
             A = np.column_stack([A, np.pad(own, [(0, len(r) - len(own)), (0, 0)])])
         system = projected(np.column_stack([A, grown, y]), J, parameters)
         R = np.asarray(np.linalg.qr(system, mode="r"))
@@ -449,10 +448,10 @@ def _corrections(case: Case, fitted: Fit) -> Iterator[Finding]:
     if sizes.max() < LARGE:
         return
     linear, factor, z = _Linear.of(case, fitted, ()), np.inf, x.copy()
-    for held in map(linear.held, SIZES[::-1].tolist()):
-        z[robot] = held
+    for shrunk in map(linear.held, SIZES[::-1].tolist()):
+        z[robot] = shrunk
         if _sizes(fitted, z).max() < LARGE:
-            factor = linear.misfit(held) / max(linear.misfit(x[robot]), ROUNDING)
+            factor = linear.misfit(shrunk) / max(linear.misfit(x[robot]), ROUNDING)
             break
     chains = [term.error.chain for term in fitted.problem.by_chain.values()]
     names = [[*c.joints, c.tip_joint or c.tip] for c in chains]
@@ -596,29 +595,34 @@ def _scaled_without(fitted: Fit, distance: int) -> bool:
 
 
 def families(case: Case) -> tuple[Finding, ...]:
-    """The families of parameters that the fit lacks: of gears, of compliance, say."""
+    """What the fit lacks: parameters of gears, of compliance, numbers that it holds."""
     names, left = case.lacking
-    if not names:
-        return ()
-    # Placements have the offsets of joints.
-    covered = {JointOffset.name} if Placement.name in names else set()
-    every = [name for name in case.setup.parameters if name not in covered]
-    every += names
-    missing = Alternative(
-        "model-lacks",
-        f"{enumerated(names)}, not estimated here, explain{'s' * (len(names) == 1)} "
-        "most of it",
-        "the model",
-        stated={"parameters": every},
-        advice=f"estimate them: --parameters {','.join(every)}",
-        figure="by-joint",
-        numbers={"families": ", ".join(names)},
-    )
     before, part = case.fit.errors, float(np.sqrt(left))
     judged: Severity = "info" if part >= FITTED else "warning"
-    return findings_of(
-        case, Explanation((missing,), before, part * before, judged=judged)
-    )
+    numbers = held(case) if names else {}
+    faults = [numbers[name] for name in names if name in numbers]
+    if new := [name for name in names if name not in numbers]:
+        # Placements have the offsets of joints.
+        covered = {JointOffset.name} if Placement.name in new else set()
+        every = [name for name in case.setup.parameters if name not in covered]
+        every += new
+        missing = Alternative(
+            "model-lacks",
+            f"{enumerated(new)}, not estimated here, explain{'s' * (len(new) == 1)} "
+            f"{'most' if judged == 'warning' else 'a part'} of it",
+            "the model",
+            stated={"parameters": every},
+            advice=f"estimate them: --parameters {','.join(every)}",
+            figure="by-joint",
+            numbers={"families": ", ".join(new)},
+        )
+        faults.insert(0, missing)
+    elif judged == "warning" and case.errors_left > DOUBTFUL:
+        judged = "error"  # Numbers that somebody has stated are wrong.
+    if not faults:
+        return ()
+    found = Explanation(tuple(faults), before, part * before, judged=judged)
+    return findings_of(case, found)
 
 
 def population(case: Case) -> Iterator[Finding]:

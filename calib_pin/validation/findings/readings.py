@@ -11,13 +11,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, permutations, product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from calib_pin.errors import CalibPinError, RobotError, enumerated
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
+from calib_pin.estimation.problem import error_table
 from calib_pin.estimation.terms import FRAME, Term
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -25,22 +26,28 @@ from calib_pin.kinematics.spatial import Floats, from_quaternion, to_quaternion
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
 from calib_pin.measurement_models.readings import (
+    SHIFTS,
+    from_below,
     in_files,
     measured_lengths,
+    place_of,
     places_of,
     postures,
+    with_positions,
     with_values,
 )
-from calib_pin.measurement_models.references import Center
+from calib_pin.measurement_models.references import Plane
 from calib_pin.observations import (
     FRAMES,
     BlockKey,
     Booleans,
     Frame,
+    Indices,
     Measurements,
     Observations,
     apart,
 )
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import (
     AXES,
     HELD,
@@ -56,7 +63,16 @@ from calib_pin.validation.findings.alternatives import (
     Explanation,
     JointReading,
 )
-from calib_pin.validation.findings.case import COMPARED, Case, QuickFit, unlikely
+from calib_pin.validation.findings.case import (
+    ABSURD,
+    COMPARED,
+    LENS,
+    Case,
+    QuickFit,
+    held_references,
+    located,
+    unlikely,
+)
 from calib_pin.validation.findings.sentences import lines_of, shown, written
 
 TURNS, GEARS = (90.0, -90.0, 180.0), (2.0, 0.5)
@@ -98,6 +114,13 @@ FARTHEST = 10
 SEVERAL, NEAREST = 2, 3
 """Lines of a configuration from which these may stand elsewhere together, and how many
 of them."""
+
+SHIFTED = {"shift": "line", "shift_configurations": "configuration"}
+"""Words of what joint positions are shifted by, by the keys of a reading."""
+
+SIDE, APART = 6, 4.0
+"""Fewest measurements on each side of a lost line, and factor by which these err less
+than if they were on the other side, in the geometric mean."""
 
 STRETCH = 0.1
 """Part of all measurements from which some in a row were measured otherwise."""
@@ -211,27 +234,132 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
 
 def line_order(case: Case) -> Iterator[Alternative]:
     """Explanations by the order of the joint positions, the likeliest kinds first."""
-    longest = max(map(len, in_files(case.data)))
-    for lines in range(1, min(FARTHEST, longest // 2) + 1):
+    files = in_files(case.data)
+    count = sum(int(postures(case.data.q[own])[-1]) + 1 for own in files)
+    for lines in range(1, min(FARTHEST, max(map(len, files)) // 2) + 1):
         yield _shifted(lines)
         yield _shifted(-lines)
-    count = sum(int(number[-1]) + 1 for number in postures(case.data))
     if SEVERAL * count < len(case.data):
         for k in range(1, min(NEAREST, count // 2) + 1):
-            yield _shifted(k, "configuration")
-            yield _shifted(-k, "configuration")
+            yield _shifted(k, "shift_configurations")
+            yield _shifted(-k, "shift_configurations")
     said, of = "the joint positions stand in reversed order", "order of the lines"
     yield Alternative("lines-reversed", said, of, ReadingSetup(reversed=True))
 
 
-def _shifted(number: int, of: str = "line") -> Alternative:
+def _shifted(number: int, key: str = "shift", place: str = "") -> Alternative:
     """Joint positions so many lines, or configurations, below or above their own."""
     where, far = "below" if number > 0 else "above", abs(number)
-    said = f"the joint positions stand {far} {of}{'s' * (far > 1)} {where} their "
-    said += "measurement"
-    line = ReadingSetup(shift=number)
-    line = line if of == "line" else ReadingSetup(shift_configurations=number)
-    return Alternative("lines-shifted", said, "order of the lines", line)
+    said = f"from line {place} on " if place else ""
+    said += f"the joint positions stand {far} {SHIFTED[key]}{'s' * (far > 1)} {where} "
+    said += "their measurement"
+    stated: dict[str, Any] = {key: number, "shift_from": (place,) if place else ()}
+    read = ReadingSetup(**stated)
+    found = Alternative("lines-shifted", said, "order of the lines", read)
+    return replace(found, figure="over-order" if place else "")
+
+
+def lost_line(case: Case) -> Explanation | None:
+    """Joint positions that stand elsewhere from some line on, where one was lost.
+
+    Or those of all lines, where a fit has set aside the one line of every image that is
+    wrong then; of all of them there are other explanations, too.
+    """
+    aside = case.fitted is not None and np.sum(case.data.weight == 0.0) >= SIDE
+    if not (case.doubtful or aside):
+        return None
+    of_each = len(case.data) // case.data.configurations
+    shifts = [("shift", k) for k in dict.fromkeys((1, 2, of_each))]
+    shifts += [("shift_configurations", 1)] * (of_each >= SEVERAL)
+    signed = ((key, sign * far) for (key, far), sign in product(shifts, (1, -1)))
+    found = (one for key, shift in signed for one in _shifted_from(case, key, shift))
+    return min(found, key=lambda one: one.after, default=None)
+
+
+def _shifted_from(case: Case, key: str, shift: int) -> Iterator[Explanation]:
+    """The likeliest line of each file from which on positions are shifted, if any is.
+
+    By the robot that was fitted, which may have set aside what is behind that line, and
+    by the nominal one where the first or the last third of the measurements has it.
+    """
+    data, quantity = case.data, case.fit.quantity
+    # Some of the measurements may tell of some blocks alone.
+    robots = [case.fit] if case.fit.problem.terms.keys() >= {*data.keys} else []
+    has = [quantity in declared(block.model).quantities for block in data.blocks]
+    measured, unit = np.array(has)[data.block_of], expected_size(quantity.unit)
+    there = from_below(data, shift, SHIFTS[key])
+    shifted = with_positions(data, data.q[there])
+    if case.doubtful:
+        third = np.argsort(data.in_order) * 3 // len(data)
+        robots += _standing(case, data, third == 0)
+        robots += _standing(case, shifted, (third == 2) & (there >= 0))
+    for robot in robots:
+        here, other = (_errors_of(robot, read) for read in (data, shifted))
+        other[there < 0] = np.nan
+        for own in in_files(data):
+            number = SHIFTS[key](data.q[own])
+            behind = np.searchsorted(number, number + max(-shift, 0))
+            first = _lost(here[own], other[own], behind)
+            if first < 0 or (first == 0 and case.doubtful):
+                continue
+            left, later = here.copy(), own[behind[first] :]
+            left[own[first:]] = np.nan
+            left[later] = other[later]
+            sizes = (np.sqrt(np.nanmean(e[measured] ** 2)) for e in (here, left))
+            before, after = (float(unit * size) for size in sizes)
+            every = first == 0 and len(own) == len(data)
+            place = "" if every else place_of(data, int(own[first]))
+            fault = (_shifted(shift, key, place),)
+            yield Explanation(fault, before, after, robot.robot, judged="error")
+
+
+def _standing(case: Case, data: Observations, part: Booleans) -> Iterator[QuickFit]:
+    """The nominal robot where a part of the measurements has it, if it can be there."""
+    setup = replace(case.setup, parameters=(), learned=None, fixed=(), bounds={})
+    data = data.weighted(part.astype(float))
+    try:
+        problem = make_problem(case.chains, data, replace(setup, prior={}))
+        problem = located(problem, thorough=True)
+    except (CalibPinError, np.linalg.LinAlgError):
+        return  # A point is behind the camera, say.
+    yield QuickFit(problem, np.zeros(len(problem.parameters)), robot=False)
+
+
+def _errors_of(fit: QuickFit, data: Observations) -> Floats:
+    """Errors of the first quantity of each measurement, in expected sizes, (N,)."""
+    problem = replace(fit.problem, data=data, expected=None)
+    table, found = error_table(problem, fit.theta), np.full(len(data), np.nan)
+    for quantity in reversed(problem.layout.quantities):
+        sizes = np.linalg.norm(table[:, quantity.columns], axis=1)
+        sizes /= expected_size(quantity.unit)
+        found = np.where(np.isnan(sizes), found, sizes)
+    return np.asarray(np.minimum(found, ABSURD))
+
+
+def _lost(here: Floats, other: Floats, behind: Indices) -> int:
+    """The line from which on positions are shifted, -1 for none.
+
+    What is before it, if anything, and what is behind it must fit far better so.
+
+    Args:
+        here: Errors as the lines are, in expected sizes, shape (n,).
+        other: Errors if they are shifted, NaN of those that then have none, shape (n,).
+        behind: The first line that has positions if those from a line on are shifted,
+            shape (n,).
+    """
+    # A calibrated robot leaves less, and no less counts.
+    old, new = (np.log(np.maximum(errors, 1.0)) for errors in (here, other))
+    usual = float(np.nanmedian(np.fmin(old, new)))
+    old, new = (np.nan_to_num(log, nan=usual) for log in (old, new))
+    lines = np.arange(len(here))
+    of_old, of_new = (np.append(0.0, np.cumsum(log)) for log in (old, new))
+    # A line without positions costs as much as others do.
+    cost = of_old[lines] - of_new[behind] + usual * (behind - lines)
+    first = int(np.argmin(cost))
+    sides = (new - old)[:first], (old - new)[behind[first] :]
+    moved = [side[side != 0.0] for side in sides[first == 0 :]]
+    clear = all(len(m) >= SIDE and m.mean() > np.log(APART) for m in moved)
+    return first if clear else -1
 
 
 def units(case: Case) -> Iterator[Alternative]:
@@ -472,19 +600,7 @@ def _apart(data: Observations, group: Mapping[str, str], frame: Frame) -> Observ
 
 def instruments(case: Case) -> Iterator[Alternative]:
     """Explanations by what is known of an instrument, and by how its images stand."""
-    round_ones = (
-        r for r in case.fit.problem.references.values() if isinstance(r, Center)
-    )
-    held = [reference for reference in round_ones if not reference.estimate_size]
-    for kind in dict.fromkeys(reference.section for reference in held):
-        known = [reference for reference in held if reference.section == kind]
-        number = known[0].number
-        words = f"the {number} of the {kind} is not the one that is held"
-        free = {r.name: replace(r, estimate_size=True).stated() for r in known}
-        stated = {kind: {name: {f"estimate_{number}": True} for name in free}}
-        setup = {kind: {**getattr(case.setup, kind), **free}}
-        found = Alternative("held-number", words, number, setup=setup)
-        yield replace(found, stated=stated)
+    yield from (one for key, one in held(case).items() if key != Plane.kind)
     if (camera := case.setup.camera) is not None:
         (mount,) = MOUNTS.keys() - {camera.mount}
         yield Alternative(
@@ -494,17 +610,37 @@ def instruments(case: Case) -> Iterator[Alternative]:
             setup={"camera": replace(camera, mount=mount)},
             stated={"camera": {"mount": mount}},
         )
-        if not camera.estimate:
-            yield Alternative(
-                "camera-intrinsics",
-                "the camera has other focal lengths or another center than stated",
-                "the camera",
-                setup={"camera": replace(camera, estimate=True)},
-                stated={"camera": {"estimate": True}},
-            )
         words, advice = "u and v are exchanged", "exchange the names of these columns"
         found = Alternative("image-axes", words, "the camera", change=_turned)
         yield replace(found, advice=advice)
+
+
+def held(case: Case) -> dict[str, Alternative]:
+    """What is held of instruments and is not so, by the keys of `held_references`.
+
+    And `LENS`, where a camera is held.
+    """
+    found = dict[str, Alternative]()
+    for key, references in held_references(case.fit.problem).items():
+        section = references[0].section
+        words, free = "planes do not stand where they are held", "estimate"
+        if key != Plane.kind:
+            words = f"the {key} of the {section} is not the one that is held"
+            free = f"estimate_{key}"
+        changed: dict[str, Any] = {free: True}
+        stated = {r.name: replace(r.stated(), **changed) for r in references}
+        setup = {section: {**getattr(case.setup, section), **stated}}
+        lines = {section: {name: changed for name in stated}}
+        found[key] = Alternative("held-number", words, key, setup=setup, stated=lines)
+    if (camera := case.setup.camera) is not None and not camera.estimate:
+        found[LENS] = Alternative(
+            "camera-intrinsics",
+            "the camera has other focal lengths or another center than stated",
+            "the camera",
+            setup={"camera": replace(camera, estimate=True)},
+            stated={"camera": {"estimate": True}},
+        )
+    return found
 
 
 def robots(case: Case) -> Iterator[Alternative]:

@@ -14,6 +14,7 @@ from calib_pin.measurement_models.orientations import numbers_of, quaternions
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import (
+    AnchorSetup,
     DistanceSetup,
     FrameSetup,
     PlaneSetup,
@@ -23,7 +24,11 @@ from calib_pin.setup import (
     SphereSetup,
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.findings.facts import coarse_step, require_motion
+from calib_pin.validation.findings.facts import (
+    coarse_step,
+    require_distances,
+    require_motion,
+)
 from tests.shared import simulated
 
 RANDOM = np.random.default_rng(0).uniform(-2.0, 2.0, 60)
@@ -57,6 +62,22 @@ def test_joints_that_do_not_follow_the_robot(ur10, configurations, jitter) -> No
         require_motion(Observations.of(wrong))
     require_motion(ur10(q=few[np.arange(20) % configurations]))
     require_motion(moved)
+
+
+@pytest.mark.parametrize("model", ["point-distance", "plane-distance"])
+def test_distances_below_zero(model: str) -> None:
+    """Of an instrument that counts the other way, or is zero somewhere else."""
+    joints, q = ("j",), np.arange(30.0)[:, None]
+    rows = Measurements(joints, q, model, 1.0 + np.arange(30.0)[:, None])
+    with pytest.raises(InputError, match=r"scale: -1"):
+        require_distances(Observations.of(replace(rows, values=-rows.values)), Setup())
+    zeroed = Observations.of(replace(rows, values=rows.values - 15.0))
+    with pytest.raises(InputError, match=r"14 of 30 .* was not zero where"):
+        require_distances(zeroed, Setup())
+    require_distances(Observations.of(replace(rows, values=rows.values - 2.5)), Setup())
+    wire = replace(zeroed.only, target=("w",) * 30)
+    biased = Setup(anchors={"w": AnchorSetup(estimate_bias=True)})
+    require_distances(Observations.of(wire), biased)
 
 
 @pytest.fixture(scope="module")

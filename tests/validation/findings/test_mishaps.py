@@ -244,6 +244,12 @@ MISHAPS = [
         KNOWN,
     ),
     Mishap(
+        "lines-shifted",
+        positions(lambda q: np.delete(q, 24, axis=0)[[*range(len(q) - 1), -1]]),
+        {"reading": {"shift": -1, "shift_from": [26]}},
+        job={"count": 60},
+    ),
+    Mishap(
         "lines-reversed",
         positions(lambda q: q[::-1]),
         {"reading": {"reversed": True}},

@@ -24,7 +24,16 @@ from calib_pin.io.setup import read_setup
 from calib_pin.io.urdf import other_robots
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
-from calib_pin.setup import STATED, CameraSetup, FrameSetup, JointMap, PointSetup, Setup
+from calib_pin.setup import (
+    STATED,
+    CameraSetup,
+    DistanceSetup,
+    FrameSetup,
+    JointMap,
+    PointSetup,
+    Setup,
+    SphereSetup,
+)
 from calib_pin.validation.findings.alternatives import (
     Explanation,
     Family,
@@ -212,6 +221,16 @@ def test_a_camera_with_another_lens(factor: float) -> None:
     assert (one.code, one.setup) == ("camera-intrinsics", stated)
 
 
+@pytest.mark.parametrize(("factor", "codes"), [(1.02, ["camera-intrinsics"]), (1, [])])
+def test_a_lens_that_is_a_little_off(factor: float, codes: list[str]) -> None:
+    """A fit hides a part of it, and promises what it does not keep."""
+    chains, rows, setup = imaged("hand", 1.8)
+    focal = tuple(factor * number for number in setup.camera.focal)
+    stated = replace(setup, camera=replace(setup.camera, focal=focal))
+    result = calib_pin.calibrate(chains, rows, stated, validate=False)
+    assert [f.code for f in result.findings if f.severity != "info"] == codes
+
+
 def test_rows_and_columns_of_an_image() -> None:
     chains, rows, setup = imaged("hand", 1.8)
     turned = replace(rows.only, values=rows.only.values[:, ::-1])
@@ -232,6 +251,29 @@ def test_a_wire_that_reads_too_much() -> None:
     assert one.code == "held-number"
     names = set(rows.target)
     assert one.setup == {"anchors": {n: {"estimate_bias": True} for n in names}}
+
+
+@pytest.mark.parametrize(("off", "codes"), [(5e-4, ["held-number"]), (0.0, [])])
+def test_a_radius_that_is_held_wrong(erring, off: float, codes: list[str]) -> None:
+    """Of spheres on a plate, or of the ball of a probe: gears would explain a part."""
+    places = {"a": (0.9, 0.3, 0.4), "b": (0.9, -0.1, 0.4), "c": (0.6, 0.1, 0.5)}
+    spheres = {n: SphereSetup(place, 0.0127) for n, place in places.items()}
+    stylus = {"stylus": PointSetup((0.05, 0.0, 0.12), estimate=True)}
+    setup = Setup(targets=stylus, spheres=spheres)
+    how = {"count": 120, "target": tuple("abc") * 40}
+    rows = erring(ARM, setup, 2, "sphere-contact", noise=2e-5, **how)
+    apart = [np.linalg.norm(np.subtract(places["a"], places[n])) for n in "bc"]
+    plate = [
+        DistanceSetup(("a", n), float(size), 5e-6)
+        for n, size in zip("bc", apart, strict=True)
+    ]
+    held = {n: replace(one, radius=0.0127 + off) for n, one in spheres.items()}
+    stated = replace(setup, spheres=held, distances=tuple(plate))
+    result = calib_pin.calibrate(ARM, rows, stated, validate=False)
+    assert [f.code for f in result.findings if f.severity != "info"] == codes
+    for one in result.findings[: len(codes)]:
+        lines = {name: {"estimate_radius": True} for name in spheres}
+        assert one.setup == {"spheres": lines}
 
 
 ARM = calib_pin.load_chain("space6")

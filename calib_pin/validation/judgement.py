@@ -373,7 +373,7 @@ def _inexplicable(grounds: Judgement, quantity: QuantityErrors, coarse: float) -
 
 
 def _advice(grounds: Judgement, otherwise: str) -> str:
-    """What the model lacks, and how to estimate it, if that is known."""
+    """Causes that the model lacks, and how to estimate them, if that is known."""
     lacks = (f for f in grounds.findings if f.code in LACKS)
     return next((f"{f.message}; {f.remedy}" for f in lacks), otherwise)
 

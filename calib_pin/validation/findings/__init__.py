@@ -57,7 +57,7 @@ SHOWN: tuple[Kind, ...] = (*facts.KINDS, joint_motions.approach_order, *course.M
 """Faults in every fit that the measurements show whatever else is wrong."""
 
 LACKS = {"model-lacks", "held-number", "camera-intrinsics"}
-"""What a fit may lack: families of parameters, and numbers of instruments."""
+"""Codes of what a fit may lack: families of parameters, numbers of instruments."""
 
 FOLLOW = {
     "large-correction": {"joint-offset"},  # The origin has taken it over.

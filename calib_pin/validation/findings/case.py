@@ -590,12 +590,9 @@ class Case:
 
     def unit(self, joint: str) -> str:
         """Unit of a joint's position; one that is in no chain turns."""
-        return "rad" if self.turns(joint) else "m"
-
-    def turns(self, joint: str) -> bool:
-        """Whether a joint turns; one that is in no chain does."""
         joints, revolute = self.chains.joints, self.chains.revolute
-        return joint not in joints or bool(revolute[joints.index(joint)])
+        turns = joint not in joints or revolute[joints.index(joint)]
+        return "rad" if turns else "m"
 
     @property
     def setup(self) -> Setup:
@@ -653,7 +650,7 @@ class Case:
 
     @cached_property
     def lacking(self) -> tuple[tuple[str, ...], float]:
-        """What else explains most, and the part of the squares that it leaves.
+        """Names of what else explains most, and the part of the squares that it leaves.
 
         None, and all of it, where nothing stands out. One or two families of parameters
         that were not asked for, and numbers of instruments that are held, are tried at

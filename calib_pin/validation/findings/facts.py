@@ -415,7 +415,7 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
         yield _alike("unmoved-joints", said, numbers, info=several)
 
 
-def unseen_joints(case: Case) -> Iterator[Finding]:
+def hidden_joints(case: Case) -> Iterator[Finding]:
     """Joints whose turns move what is measured by less than its noise shows.
 
     Of a target on the axis of the last joint, points beside it are not known.
@@ -427,17 +427,16 @@ def unseen_joints(case: Case) -> Iterator[Finding]:
     # that are left a fit may take any size for noise.
     units = current_units(problem)[problem.layout.component]
     shown_by = np.linalg.norm(units[:, None] * case.fit.by_joints, axis=0)
-    unseen = [
-        joint
-        for joint, size in zip(problem.data.joints, shown_by.tolist(), strict=True)
-        if size * expected_size(case.unit(joint)) < 1.0 and joint not in still
-    ]
-    if unseen:
-        said = f"turns of {enumerated(unseen)} move nothing that is measured: the "
+    usual = np.array([expected_size(case.unit(j)) for j in problem.data.joints])
+    little = (shown_by * usual < 1.0) & (shown_by < ALONE * shown_by.max(initial=0.0))
+    names = np.array(problem.data.joints)[little].tolist()
+    hidden = [joint for joint in names if joint not in still]
+    if hidden:
+        said = f"turns of {enumerated(hidden)} move nothing that is measured: the "
         said += "figures are those of the measured point, not of points beside it"
         remedy = "mount the target 5 cm beside the axis, or measure orientations, too"
-        numbers = {"joints": ", ".join(unseen)}
-        yield told("unseen-joints", said, numbers, remedy)
+        numbers = {"joints": ", ".join(hidden)}
+        yield told("hidden-joints", said, numbers, remedy)
 
 
 def design(case: Case) -> Iterator[Finding]:
@@ -620,7 +619,7 @@ KINDS = (
     copies,
     repetitions,
     unmoved_joints,
-    unseen_joints,
+    hidden_joints,
     design,
     joint_turns,
     coarse_values,

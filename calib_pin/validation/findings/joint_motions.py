@@ -143,7 +143,7 @@ class Motion(NamedTuple):
         """How measurements are to be read with a motion of a size [rad, m, or none]."""
         names, j = case.data.joints, self.joints[0]
         if self.of == "zero":
-            return offset_by(names, j, size, case.turns(names[j]))
+            return offset_by(names, j, size, case.unit(names[j]) == "rad")
         if self.of == "gear":
             return geared(names, j, 1.0 + size)
         if self.of == "coupled":
@@ -189,7 +189,7 @@ class _Motions:
         """Motions that are tried, of every joint."""
         joints = self.case.data.joints
         each = range(len(joints))
-        turning = [j for j in each if self.case.turns(joints[j])]
+        turning = [j for j in each if self.case.unit(joints[j]) == "rad"]
         return (
             *(Motion(of, (j,)) for of in ("zero", "gear", "lag", "side") for j in each),
             Motion("lag", tuple(each)),
@@ -302,7 +302,7 @@ def large_motions(case: Case) -> Iterator[Alternative]:
             _, size = motions.fitted(motion)
         except (CalibPinError, np.linalg.LinAlgError):
             continue  # It has led away.
-        if motion.of == "zero" and case.turns(name):
+        if motion.of == "zero" and case.unit(name) == "rad":
             size = _rounded(size) if abs(size) >= SMALLEST else 0.0
         # What goes backwards is reversed, and a lag of a whole motion is a shift.
         backwards = motion.of == "gear" and not size > -1.0
@@ -347,7 +347,7 @@ def approach(case: Case) -> Iterator[Finding]:
     numbers: dict[str, Any] = {joint: size for joint, (size, _) in lost.items()}
     said = []
     for joint, (size, sigma) in lost.items():
-        unit = "mrad" if case.turns(joint) else "mm"
+        unit = "mrad" if case.unit(joint) == "rad" else "mm"
         said.append(f"'{joint}' {1e3 * size:.2g} +- {1e3 * sigma:.1g} {unit}")
     words = "errors depend on the approach direction (backlash): "
     words += enumerated(said) + f" ({BY_ORDER})" * (held.source == "order")
@@ -425,7 +425,7 @@ def _smooth(case: Case, by_joints: Floats, q: Floats) -> Floats:
     for j, joint in enumerate(case.data.joints):
         x = q[:, j]
         waves = [np.sin(x), np.cos(x), np.sin(2.0 * x), np.cos(2.0 * x)]
-        shapes = [x, *waves] if case.turns(joint) else [x, x**2]
+        shapes = [x, *waves] if case.unit(joint) == "rad" else [x, x**2]
         columns += [by_joints[:, j] * shape for shape in shapes]
     return np.column_stack(columns)
 
@@ -434,7 +434,7 @@ def ripples(case: Case) -> Iterator[Finding]:
     """Joints with a ripple that no parameter describes, and gears that make such."""
     if not case.informed:
         return
-    joints = [name for name in case.data.joints if case.turns(name)]
+    joints = [name for name in case.data.joints if case.unit(name) == "rad"]
     fit, words, ratios, left = case.fit, list[str](), dict[str, float](), 1.0
     numbers: dict[str, Any] = {}
     # Eccentric and elliptic wheels are no ripple.

@@ -595,7 +595,7 @@ def _scaled_without(fitted: Fit, distance: int) -> bool:
 
 
 def families(case: Case) -> tuple[Finding, ...]:
-    """What the fit lacks: parameters of gears, of compliance, numbers that it holds."""
+    """Parameters of gears and compliance, and held numbers, that the fit lacks."""
     names, left = case.lacking
     before, part = case.fit.errors, float(np.sqrt(left))
     judged: Severity = "info" if part >= FITTED else "warning"

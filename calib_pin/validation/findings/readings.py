@@ -149,7 +149,7 @@ def joint_columns(case: Case) -> Iterator[Alternative]:
     """Joints reversed, offset, exchanged, in degrees, geared, coupled: likely first."""
     joints, of_base = case.data.joints, turned_by_base(case)
     count = len(joints)
-    turning = [j for j, joint in enumerate(joints) if case.turns(joint)]
+    turning = [j for j, joint in enumerate(joints) if case.unit(joint) == "rad"]
     for j in range(count):
         yield _joint("joint-reversed", joints, j, "is reversed", {j: -1.0})
     for j, turn in product(turning, TURNS):
@@ -616,7 +616,7 @@ def instruments(case: Case) -> Iterator[Alternative]:
 
 
 def held(case: Case) -> dict[str, Alternative]:
-    """What is held of instruments and is not so, by the keys of `held_references`.
+    """Numbers that are held of instruments, by the keys of `held_references`.
 
     And `LENS`, where a camera is held.
     """

@@ -94,14 +94,14 @@ def judged(ur10):
     return of
 
 
-@pytest.mark.parametrize(("beside", "unseen"), [(0.0, ["joint_7"]), (0.05, [])])
-def test_a_target_on_the_axis_of_the_last_joint(erring, beside, unseen) -> None:
+@pytest.mark.parametrize(("beside", "hidden"), [(0.0, ["joint_7"]), (0.05, [])])
+def test_a_target_on_the_axis_of_the_last_joint(erring, beside, hidden) -> None:
     """Nothing tells how the tool turns about it; beside it the target does."""
     setup = Setup(tool_frame=FrameSetup((beside, 0.0, 0.1)))
     rows = erring("pa10", setup, 3, count=40)
     result = calib_pin.calibrate("pa10", rows, Setup(), validate=False)
-    said = [f for f in result.findings if f.code == "unseen-joints"]
-    assert [f.evidence["joints"] for f in said] == unseen
+    said = [f for f in result.findings if f.code == "hidden-joints"]
+    assert [f.evidence["joints"] for f in said] == hidden
 
 
 def test_a_third_of_the_range_is_a_warning_where_far_more_is_expected(judged) -> None:

@@ -459,7 +459,7 @@ ELSEWHERE = {
     "test_readings": "joint-columns target targets-exchanged target-frames robot "
     "tip-link base-link tool-frame base-frame camera-mount camera-intrinsics "
     "image-axes held-number",
-    "test_facts": "gauge-sign unseen-joints",
+    "test_facts": "gauge-sign hidden-joints",
     "test_course": "instrument-moved tool-remounted joint-rehomed instrument-drift "
     "robot-drift",
     "test_plausibility": "outliers measurements-exchanged unit-of-some "

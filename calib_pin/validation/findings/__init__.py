@@ -50,7 +50,11 @@ _Given = TypeVar("_Given")
 Kind = Callable[[Case], Iterable[Finding]]
 """Finds the faults of one kind."""
 
-CONSEQUENCES: tuple[Kind, ...] = plausibility.KINDS + joint_motions.KINDS
+CONSEQUENCES: tuple[Kind, ...] = (
+    *plausibility.KINDS,
+    *joint_motions.KINDS,
+    facts.hidden_joints,
+)
 """Faults in every fit that may follow from another one, and then are not told."""
 
 SHOWN: tuple[Kind, ...] = (*facts.KINDS, joint_motions.approach_order, *course.MODELED)
@@ -66,6 +70,7 @@ FOLLOW = {
     # Large errors of gears alias to ripples, and copies have no noise of their own.
     "gear-ripple": LACKS | {"copied-measurements"},
     "coarse-steps": {"computed-values"},
+    "hidden-joints": {"computed-values"},  # Of the flange, which is on the last axis.
     # What no parameter describes leaves more than noise.
     "noise": {"backlash", "lag", "coarse-steps", "instrument-drift", "robot-drift"}
     | {"scale", "known-distance", "computed-values"}

@@ -619,7 +619,6 @@ KINDS = (
     copies,
     repetitions,
     unmoved_joints,
-    hidden_joints,
     design,
     joint_turns,
     coarse_values,

@@ -47,7 +47,7 @@ from calib_pin.validation.findings.calibrations import older_calibration
 from calib_pin.validation.findings.case import Others
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.joint_errors import encoder_steps
-from calib_pin.validation.judgement import Judgement, judge, unexplained
+from calib_pin.validation.judgement import Judgement, examine, judge, unexplained
 from calib_pin.validation.model_errors import (
     ModelErrors,
     fitted_errors,
@@ -178,8 +178,11 @@ def calibrate(
             tell = portion(named(progress, "fit"), 0.0, share)
             model = fit_model(chains, training, setup, seed, tell)
         fitted = fitted_errors(model, training)
+        tell = named(progress, "joint readings")
+        known = examine(chains, model, seed, tell, others)
         # Fits to parts of what no robot explains are slow, and say nothing.
-        hopeless = held is None and not ladder and _unexplained(model, fitted)
+        hopeless = bool(known.found.causes) or _unexplained(model, fitted)
+        hopeless &= held is None and not ladder
         held_out = check(
             model,
             training,
@@ -191,8 +194,7 @@ def calibrate(
             progress=checking,
             workers=workers,
         )
-    tell = named(progress, "joint readings")
-    judgement = judge(chains, model, fitted, held_out, seed, tell, others)
+    judgement = judge(model, fitted, held_out, known)
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
     result = _result(
         model,
@@ -347,7 +349,7 @@ def _urdf(
         geometry, training, seed, validation=held, validate=validate, workers=workers
     )
     errors = fitted_errors(geometry, training)
-    own = judge(chains, geometry, errors, held_out, seed, seek=False)
+    own = judge(geometry, errors, held_out, examine(chains, geometry, seed, seek=False))
     return UrdfResult(
         own.errors,
         "" if own.verdict[0] == "good" else own.verdict[1],

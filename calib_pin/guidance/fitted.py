@@ -26,7 +26,7 @@ from calib_pin.validation.assessment import robot_errors
 from calib_pin.validation.findings import find
 from calib_pin.validation.findings.case import FOREIGN, Case, Others
 from calib_pin.validation.held_out import check
-from calib_pin.validation.judgement import judge
+from calib_pin.validation.judgement import examine, judge
 from calib_pin.validation.model_errors import (
     fitted_errors,
     mahalanobis,
@@ -190,7 +190,8 @@ class Fitted:
         try:
             errors = fitted_errors(model, self.rows)
             held_out = check(model, self.rows, self.seed, validate=False)
-            found = judge(self.chains, model, errors, held_out, self.seed, seek=seek)
+            examined = examine(self.chains, model, self.seed, seek=seek)
+            found = judge(model, errors, held_out, examined)
         except CalibPinError as error:
             return replace(known, reason=str(error)), ()
         told, (_, accuracy) = dict[str, Any](), found.worst

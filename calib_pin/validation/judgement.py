@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import JointPrior
 from calib_pin.units import DISPLAY
-from calib_pin.validation.findings import LACKS, find
+from calib_pin.validation.findings import LACKS, Found, find
 from calib_pin.validation.findings.case import DOUBTFUL, FOREIGN, Case, Others
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.held_out import ALL, PRESS, HeldOut
@@ -176,23 +177,31 @@ class Judgement:
         return told, found[name]
 
 
-def judge(
+class Examined(NamedTuple):
+    """A fitted model as it is known before its check.
+
+    Attributes:
+        accuracies: Errors of the tool to expect by chain.
+        found: What is wrong with its measurements or with itself.
+    """
+
+    accuracies: Mapping[str, ToolAccuracy]
+    found: Found
+
+
+def examine(
     chains: Chain | Chains,
     model: FittedModel,
-    fitted_errors: ModelErrors,
-    held_out: HeldOut,
     seed: int,
     progress: Progress | None = None,
     others: Others = tuple,
     seek: bool = True,
-) -> Judgement:
-    """Judge a fitted model.
+) -> Examined:
+    """Examine a fitted model.
 
     Args:
         chains: The nominal chains.
         model: The model.
-        fitted_errors: Errors of the measurements that were fitted.
-        held_out: Its check on held-out measurements.
         seed: Seed of configurations.
         progress: Told how far the search for explanations is.
         others: Other robots that may have been measured.
@@ -201,7 +210,6 @@ def judge(
     """
     fitted, data = model.fit, model.fit.problem.data
     counting = data.rows(data.weight > 0.0)
-    quantities = model.problem.layout.quantities
     # What was not estimated errs elsewhere as well.
     missing = unplaced(fitted.problem.setup)
     expecting = with_effects(fitted, missing) if missing else fitted
@@ -212,7 +220,23 @@ def judge(
         for name, term in model.problem.by_chain.items()
     }
     case = Case.of(fitted, Chains.of(chains), progress, others, accuracies)
-    found = find(case, seek)
+    return Examined(accuracies, find(case, seek))
+
+
+def judge(
+    model: FittedModel, fitted_errors: ModelErrors, held_out: HeldOut, known: Examined
+) -> Judgement:
+    """Judge a fitted model.
+
+    Args:
+        model: The model.
+        fitted_errors: Errors of the measurements that were fitted.
+        held_out: Its check on held-out measurements.
+        known: What is known of it before that.
+    """
+    (accuracies, found), fitted = known, model.fit
+    data, quantities = fitted.problem.data, model.problem.layout.quantities
+    counting = data.rows(data.weight > 0.0)
     seen = counting.configurations / max(data.configurations, 1)
     return Judgement(
         fitted,

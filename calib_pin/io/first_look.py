@@ -25,7 +25,7 @@ import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import rms
 from calib_pin.estimation.problem import distinct_values
-from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted
+from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted, split_header
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
 from calib_pin.io.measurement_errors import SETS
@@ -79,6 +79,9 @@ which a reading is none: a robot is off by a tenth at most, a wrong reading by a
 
 FAR, FEW = 5.0, 0.1
 """Errors of lost targets in the median of all, and which part of all may be such."""
+
+APART = ("station", "tool", "target")
+"""What a column of a few names may tell apart."""
 
 FEWEST = 3
 """Joints that are found without their names."""
@@ -245,11 +248,68 @@ def first_look(
     if len(ends) > 1 and found.share < inf:
         tip = choose("which link was measured", ends, "--tip")
         found = best([look for look in looks if look.setup.tip == tip])
+    hints = [*_separated(found, columns)]
+    hints += _names_that_fit(found, columns, robot, files, apart)
+    found = replace(found, remarks=[*found.remarks, *hints])
     if found.hand_set:
         prior = {"*.joint-offset.q": round(HAND_SET, 3)}
         setup = replace(found.setup, parameters=("joint-offset",), prior=prior)
         return replace(found, setup=setup)
     return found
+
+
+def _taken(look: Look) -> set[str]:
+    """Names of columns that a reading takes, or that have a meaning in every file."""
+    stated = {split_header(text)[0] for text in look.setup.columns.values()}
+    joints = {one.name for one in look.joints.values()}
+    return stated | joints | measured_columns.reserved()
+
+
+def _separated(look: Look, columns: Sequence[Foreign]) -> Iterator[str]:
+    """What a reading takes of whole numbers with a mark between their thousands."""
+    taken = _taken(look)
+    for one in (k for k in columns if k.name in taken and k.numeric):
+        size = abs(one.numbers)
+        whole = size % 1.0 == 0.0
+        parts, small = size[~whole], size[whole]
+        if not len(parts) or len(small) < FEW * len(size) or size.max() >= 1e3:
+            continue
+        # Numbers of so many digits in all have fewer decimals where they are larger.
+        thousands = (parts >= 1.0) & (parts.round(3) == parts)
+        long = parts.round(2) != parts
+        if thousands.all() and long.mean() > 0.5 and small.max(initial=0.0) >= 100.0:
+            first = float(one.numbers[np.argmin(whole)])
+            told = f"'{one.name}' has whole numbers and {first:.3f} among them: if it "
+            yield f"{told}is {1e3 * first:.0f}, write no mark between thousands"
+
+
+def _names_that_fit(
+    look: Look,
+    columns: Sequence[Foreign],
+    robot: Robot,
+    files: Sequence[Path],
+    apart: bool,
+) -> Iterator[str]:
+    """Columns of a few names that nobody reads, and what these may tell apart."""
+    setup, taken = look.setup, _taken(look)
+    free = [key for key in APART if key not in setup.columns]
+    for one in (k for k in columns if k.name not in taken and not k.column.numeric):
+        count = len(one.column.texts().distinct)
+        if not 1 < count <= len(one.column.numbers) / headers.SHARED:
+            continue
+        shares = dict[str, float]()
+        for key in free:
+            named = replace(setup, columns={**setup.columns, key: one.column.header})
+            other = looked(replace(look, setup=named), robot, files, apart)
+            shares[key] = other.share
+        least = min(shares.values(), default=inf)
+        told = f"'{one.name}' has {count} names that repeat: "
+        if least < CLEAR * look.share:
+            close = [key for key in free if CLEAR * shares[key] <= least]
+            told += f"named {' or '.join(close)} in 'columns' it leaves errors of "
+            yield f"{told}{100.0 * least:.2g} % of the motion"
+        elif not look.fits:
+            yield f"{told}does it tell {', '.join(free)} apart? name it in 'columns'"
 
 
 def _answers(key: str, looks: Sequence[Look], found: Look) -> list[str]:

@@ -363,6 +363,35 @@ def test_columns_beside_a_position_that_are_no_orientation(run):
     assert read_setup("setup.yaml").columns["joint_1"].startswith("q1")
 
 
+def test_names_that_tell_stations_or_tools_apart_are_told(measured, run):
+    """Where the robot fits with them, or with nothing; not where it fits anyway."""
+    names, rows = [*JOINTS, *"xyz", "Aufstellung"], measured.tolist()
+    moved = {"vorn": 0.0, "links": 0.7, "hinten": -1.1}
+    for scale, told in ((1.0, "named station in 'columns'"), (0.0, "")):
+        cells = [
+            [*row[:7], row[7] + scale * step, row[8] - scale * step, name]
+            for row, (name, step) in zip(rows, [*moved.items()] * 14, strict=False)
+        ]
+        write("foreign.csv", ",".join(names), cells)
+        result = run(f"{INIT} --force")
+        assert ("'Aufstellung' has 3 names" in result.err) == bool(told)
+        assert told in result.err
+    mixed = [[*row[:6], *rows[k - 7][6:], "ab"[k % 2]] for k, row in enumerate(rows)]
+    write("foreign.csv", ",".join(names), mixed)
+    assert "does it tell station, tool, target apart" in run(f"{INIT} --force").err
+
+
+def test_thousands_that_were_read_as_the_whole_are_told(measured, run):
+    """1.541 for 1541 mm; numbers with three decimals throughout are none."""
+    points = [[round(1e3 * number) for number in row[6:]] for row in measured.tolist()]
+    angles = np.degrees(measured[:, :6]).round(3).tolist()
+    for form, told in (("{:,}", True), ("{:.3f}", False)):
+        marked = [[form.format(n).replace(",", ".") for n in row] for row in points]
+        cells = [q + p for q, p in zip(angles, marked, strict=True)]
+        write("foreign.csv", ",".join([*JOINTS, *"xyz"]), cells)
+        assert ("no mark between thousands" in run(f"{INIT} --force").err) == told
+
+
 @pytest.mark.parametrize(
     ("position", "turn"),
     [

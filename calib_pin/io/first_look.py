@@ -25,7 +25,7 @@ import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import rms
 from calib_pin.estimation.problem import distinct_values
-from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted
+from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted, split_header
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
 from calib_pin.io.measurement_errors import SETS
@@ -40,12 +40,20 @@ from calib_pin.kinematics.tree import turns
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Booleans, Observations
 from calib_pin.parameterizations.placement import HAND_SET
-from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
+from calib_pin.setup import (
+    STATED,
+    WORLD,
+    CameraSetup,
+    ChainSetup,
+    OrientationSetup,
+    Setup,
+)
 from calib_pin.units import steps_of
 from calib_pin.validation.evaluation import error_sizes, prepared
-from calib_pin.validation.findings.case import some_of
+from calib_pin.validation.findings.case import Case, some_of
 from calib_pin.validation.findings.facts import COMPUTED, require_motion, spread
-from calib_pin.validation.findings.sentences import shown
+from calib_pin.validation.findings.readings import orientations
+from calib_pin.validation.findings.sentences import lines_of, shown, written
 from calib_pin.validation.model_errors import Registered
 
 TOUCHES = ("fixed-point", "plane-contact", "sphere-contact")
@@ -72,6 +80,9 @@ which a reading is none: a robot is off by a tenth at most, a wrong reading by a
 FAR, FEW = 5.0, 0.1
 """Errors of lost targets in the median of all, and which part of all may be such."""
 
+APART = ("station", "tool", "target")
+"""What a column of a few names may tell apart."""
+
 FEWEST = 3
 """Joints that are found without their names."""
 
@@ -93,6 +104,9 @@ TEXTS = {
     "counts the other way, name its column 'deviation' under 'columns'.",
     "zeros": "The zeros of the joints alone: {}. From 100 measurements on try "
     "placement: six errors at every joint.",
+    "inverted": "The poses are those of the measurement frame in the tool, as a camera "
+    "in the hand sees a board.",
+    "convention": "What the columns of the orientation hold, as it fits the robot.",
     "families": "Six errors at every joint, the usual choice. Others: joint-offset for "
     "zeros alone; transmission, compliance beside it for gears and loads.",
 }
@@ -106,8 +120,7 @@ COMMENTS = {
     "parameters": "",
     "prior": "Zeros that were set by hand are off by about 5 degrees [rad].",
     "columns": "Our names of columns, and those of the file with their units.",
-    "reading": "The poses are those of the measurement frame in the tool, as a camera "
-    "in the hand sees a board.",
+    "reading": "",
     "board": "The board; its points are known.",
     "camera": "The camera; a first guess that is estimated, but for the size of the "
     "images, 'size: [width, height]', which export to camera-info needs.",
@@ -189,7 +202,8 @@ def first_look(
         CalibPinError: If the files cannot be read in any way, numbers do not tell their
             units, or all positions were computed by the controller.
     """
-    columns = headers.foreign(read_table(files[0]).whole(robot.model.names).columns)
+    table = read_table(files[0]).whole(robot.model.names)
+    columns = headers.with_turns(headers.foreign(table.columns))
     looks, found = list[Look](), None
     for joints in _joints(robot, _with_camera(setup, columns), columns, choose):
         ways = [way for own in joints for way in readings(own, robot, columns)]
@@ -198,6 +212,7 @@ def first_look(
         tries = [looked(way, robot, files, apart) for way in stated]
         if inverted and not best(tries).fits:
             tries += [looked(way, robot, files, apart) for way in inverted]
+        tries = _in_conventions(tries, robot, files, apart)
         better = best(tries)
         # Joints are exchanged where that fits, not where nothing does.
         if found is None or better.fits or better.share < found.share == inf:
@@ -233,11 +248,68 @@ def first_look(
     if len(ends) > 1 and found.share < inf:
         tip = choose("which link was measured", ends, "--tip")
         found = best([look for look in looks if look.setup.tip == tip])
+    hints = [*_separated(found, columns)]
+    hints += _names_that_fit(found, columns, robot, files, apart)
+    found = replace(found, remarks=[*found.remarks, *hints])
     if found.hand_set:
         prior = {"*.joint-offset.q": round(HAND_SET, 3)}
         setup = replace(found.setup, parameters=("joint-offset",), prior=prior)
         return replace(found, setup=setup)
     return found
+
+
+def _taken(look: Look) -> set[str]:
+    """Names of columns that a reading takes, or that have a meaning in every file."""
+    stated = {split_header(text)[0] for text in look.setup.columns.values()}
+    joints = {one.name for one in look.joints.values()}
+    return stated | joints | measured_columns.reserved()
+
+
+def _separated(look: Look, columns: Sequence[Foreign]) -> Iterator[str]:
+    """What a reading takes of whole numbers with a mark between their thousands."""
+    taken = _taken(look)
+    for one in (k for k in columns if k.name in taken and k.numeric):
+        size = abs(one.numbers)
+        whole = size % 1.0 == 0.0
+        parts, small = size[~whole], size[whole]
+        if not len(parts) or len(small) < FEW * len(size) or size.max() >= 1e3:
+            continue
+        # Numbers of so many digits in all have fewer decimals where they are larger.
+        thousands = (parts >= 1.0) & (parts.round(3) == parts)
+        long = parts.round(2) != parts
+        if thousands.all() and long.mean() > 0.5 and small.max(initial=0.0) >= 100.0:
+            first = float(one.numbers[np.argmin(whole)])
+            told = f"'{one.name}' has whole numbers and {first:.3f} among them: if it "
+            yield f"{told}is {1e3 * first:.0f}, write no mark between thousands"
+
+
+def _names_that_fit(
+    look: Look,
+    columns: Sequence[Foreign],
+    robot: Robot,
+    files: Sequence[Path],
+    apart: bool,
+) -> Iterator[str]:
+    """Columns of a few names that nobody reads, and what these may tell apart."""
+    setup, taken = look.setup, _taken(look)
+    free = [key for key in APART if key not in setup.columns]
+    for one in (k for k in columns if k.name not in taken and not k.column.numeric):
+        count = len(one.column.texts().distinct)
+        if not 1 < count <= len(one.column.numbers) / headers.SHARED:
+            continue
+        shares = dict[str, float]()
+        for key in free:
+            named = replace(setup, columns={**setup.columns, key: one.column.header})
+            other = looked(replace(look, setup=named), robot, files, apart)
+            shares[key] = other.share
+        least = min(shares.values(), default=inf)
+        told = f"'{one.name}' has {count} names that repeat: "
+        if least < CLEAR * look.share:
+            close = [key for key in free if CLEAR * shares[key] <= least]
+            told += f"named {' or '.join(close)} in 'columns' it leaves errors of "
+            yield f"{told}{100.0 * least:.2g} % of the motion"
+        elif not look.fits:
+            yield f"{told}does it tell {', '.join(free)} apart? name it in 'columns'"
 
 
 def _answers(key: str, looks: Sequence[Look], found: Look) -> list[str]:
@@ -493,9 +565,8 @@ def _units(
 def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look:
     """A reading with the errors that it leaves the nominal robot."""
     setup, remarks = look.setup, list[str]()
-    names = () if setup.tip is None else ("",)
     try:
-        chains = Chains(robot, setup.base, setup.tip, setup.chains, names)
+        chains = _chains(robot, setup)
         data = read_measurements(
             list(files),
             chains,
@@ -532,6 +603,69 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
     except CalibPinError as error:
         return replace(look, fault=error)
     return replace(look, data=data, errors=errors, share=share, remarks=remarks)
+
+
+def _in_conventions(
+    looks: Sequence[Look], robot: Robot, files: Sequence[Path], apart: bool
+) -> list[Look]:
+    """The same readings, orientations in the convention that fits best.
+
+    Of each position the one with the units that fit: with others no convention does.
+    """
+    turned = [look for look in looks if "orientation" in look.errors]
+    turned.sort(key=lambda look: look.share, reverse=True)
+    likely = {look.position: look for look in turned}  # The last counts.
+    return [
+        _in_convention(look, robot, files, apart)
+        if likely.get(look.position) is look
+        else look
+        for look in looks
+    ]
+
+
+def _in_convention(
+    look: Look, robot: Robot, files: Sequence[Path], apart: bool
+) -> Look:
+    """A reading with its orientations in the convention that fits best.
+
+    The one that columns are called by comes first. What the orientation was taken for
+    is a remark, with the conventions that fit about as well.
+    """
+    ways = {b.orientation for b in (look.data.blocks if look.data else ())} - {""}
+    if look.data is None or len(ways) != 1:
+        return look
+    setup, tries = look.setup, [look]
+    chains = _chains(robot, setup).named(tuple(key.chain for key in look.data.keys))
+    for one in orientations(Case.of_none(chains, look.data, setup), 1.0 / CLEAR):
+        if (held := one.reading.orientation) is not None:
+            reading = replace(setup.reading, orientation=held)
+            other = replace(look, setup=replace(setup, reading=reading))
+            tries.append(looked(other, robot, files, apart))
+    off = [k.errors.get("orientation", inf) for k in tries]
+    if min(off) > DROPPED:
+        return look
+    close = [k for k, size in zip(tries, off, strict=True) if CLEAR * size <= min(off)]
+    (way,) = ways
+    theirs = [setup.columns.get(name, name) for name in STATED[way]]
+    called = all(n in text.lower() for n, text in zip(STATED[way], theirs, strict=True))
+    if called and len(close) == 1 and close[0] is look:
+        return look
+    told = list[str]()
+    for k in close:
+        held = k.setup.reading.orientation or OrientationSetup()
+        text = written({"columns": way, **lines_of(held)})
+        told.append(f"'{text}' ({shown(k.errors['orientation'], 'rad')})")
+    remark = f"the orientation in {', '.join(theirs)} is taken for {told[0]}"
+    if told[1:]:
+        remark += f"; others fit about as well: {enumerated(told[1:])}; if it is "
+        remark += "written so, correct 'reading'"
+    return replace(close[0], remarks=[*close[0].remarks, remark])
+
+
+def _chains(robot: Robot, setup: Setup) -> Chains:
+    """The chains that a setup means."""
+    names = () if setup.tip is None else ("",)
+    return Chains(robot, setup.base, setup.tip, setup.chains, names)
 
 
 def _far_off(ready: Registered) -> Booleans:
@@ -620,6 +754,7 @@ def draft(robot: Robot, look: Look, command: str) -> str:
     more = {
         "tip": f" The same joints move {others}." * bool(others),
         "model": "; ".join(m.help for m in models) + "." + TEXTS["gauge"] * gauged,
+        "reading": TEXTS["inverted" if look.setup.reading.inverted else "convention"],
         "parameters": TEXTS["zeros"].format(why) if why else TEXTS["families"],
     }
     parts = ["\n".join(map(_comment, _head(robot, look, command)))]

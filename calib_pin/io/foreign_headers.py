@@ -115,6 +115,25 @@ ELEMENT = re.compile(
 )
 """Elements of positions and of rotation vectors, by their number."""
 
+ANGLES = {
+    "a b c": ("yaw", "pitch", "roll"),  # KUKA
+    "u v w": ("yaw", "pitch", "roll"),  # Epson
+    "w p r": STATED["roll-pitch-yaw"],  # Fanuc
+    "ex ey ez": STATED["roll-pitch-yaw"],  # ABB
+    "a e r": STATED["roll-pitch-yaw"],  # Comau, Z-Y-Z
+    "o a t": STATED["roll-pitch-yaw"],  # Kawasaki, Z-Y-Z
+    "alpha beta gamma": STATED["roll-pitch-yaw"],  # Mecademic, X-Y-Z
+    "phi theta psi": STATED["roll-pitch-yaw"],
+}
+"""Angles behind a position, as controllers call them, and ours. The robot has to tell
+the convention, for others give the same names to other angles."""
+
+ELEMENTS = {
+    "q1 q2 q3 q4": ("qw", "qx", "qy", "qz"),  # ABB
+    "q0 q1 q2 q3": ("qw", "qx", "qy", "qz"),
+}
+"""Elements of quaternions with the real part first; others have it last."""
+
 NUMBERED = re.compile(r"^(.*?)[ _.\-#]*(\d+)(\D*)$")
 JOINTED = re.compile(r"j|a|q|theta|axis|axe|achse|gelenk|joint|phi|motor|servo")
 
@@ -249,6 +268,30 @@ def _meant(columns: Sequence[Foreign]) -> dict[str, dict[str, Foreign]]:
         whole = [s for s in found[vector[0]] if all(s in found[v] for v in needed)]
         found |= {v: {stem: found[v][stem] for stem in whole} for v in needed}
     return {ours: choices for ours, choices in found.items() if choices}
+
+
+def with_turns(columns: Sequence[Foreign]) -> tuple[Foreign, ...]:
+    """The same columns, those of an orientation behind a z called as ours.
+
+    They have its other words. Four numbered ones are a quaternion if its norm is 1.
+    """
+    named = dict[str, str]()
+    for k, z in enumerate(columns):
+        words, beside = _parts(z.words), columns[k + 1 : k + 5]
+        own = [re.findall(r"[^\W_]+", one.words) for one in beside]
+        own = [[part for part in parts if part not in words] for parts in own]
+        names = [" ".join(parts) for parts in own]
+        ours = ANGLES.get(" ".join(names[:3]), ())
+        if len(beside) == 4 and all(map(NUMBERED.match, names)):
+            norms = np.linalg.norm([one.column.numbers for one in beside], axis=0)
+            if (abs(norms - 1.0) < 1e-2).mean() > 0.5:
+                ours = ELEMENTS.get(" ".join(names), STATED["quaternion"])
+        plain = [one.unit or one.column.unit or "deg" for one in beside[: len(ours)]]
+        if "z" in words and {*plain} <= ANGLE.units.keys():
+            stem = " ".join(word for word in words if word != "z")
+            turns = zip(beside, ours, strict=False)
+            named |= {one.name: f"{stem} {name}" for one, name in turns}
+    return tuple(replace(k, words=named.get(k.name, k.words)) for k in columns)
 
 
 def vectors(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import calib_pin
 from calib_pin.cli import main
+from calib_pin.io.measurements import read_measurements
 from calib_pin.io.setup import read_setup
 from calib_pin.kinematics.spatial import Floats
 from tests.cli.files import document, numbers, table, write
@@ -289,21 +290,106 @@ def test_what_fits_no_robot_is_said(run):
         assert result.err.startswith("calib-pin: note: ")
 
 
-def test_orientations_in_degrees_and_of_other_conventions(run):
-    """Those of the URDF are read, others are said not to be used."""
-    chain = calib_pin.load_chain("space6")
-    q = chain.random_configurations(40, np.random.default_rng(0))
+def poses_of(names: str, convention: str, spread: float = 1.0) -> Rotation:
+    """Write poses with an orientation in a convention of scipy, in degrees."""
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(0)
+    q = spread * chain.random_configurations(40, rng)
     poses = chain.poses(q)
-    names = [*JOINTS, "X", "Y", "Z", "Roll", "Pitch", "Yaw"]
-    for order, used in (("xyz", True), ("zyz", False)):
-        turns = Rotation.from_matrix(poses[:, :3, :3]).as_euler(order, degrees=True)
-        points = 1e3 * poses[:, :3, 3] + np.sin(np.arange(120.0)).reshape(40, 3)
-        foreign(names, np.hstack([np.degrees(q), points, turns]))
+    points = 1e3 * poses[:, :3, 3] + np.sin(np.arange(120.0)).reshape(40, 3)
+    off = Rotation.from_rotvec(rng.normal(scale=1e-3, size=(40, 3)))
+    turns = Rotation.from_matrix(poses[:, :3, :3]) * off
+    ways = {"vector": np.degrees(turns.as_rotvec()), "xyzw": turns.as_quat()}
+    ways["wxyz"] = ways["xyzw"][:, [3, 0, 1, 2]]
+    if convention not in ways:
+        ways[convention] = turns.as_euler(convention, degrees=True)
+    header = [*JOINTS, "X", "Y", "Z", *names.split()]
+    foreign(header, np.hstack([np.degrees(q), points, ways[convention]]))
+    return turns
+
+
+@pytest.mark.parametrize(
+    ("names", "convention", "first", "hold"),
+    [
+        ("A B C", "ZYX", "yaw: A", None),  # KUKA
+        ("A B C", "xyz", "yaw: A", "intrinsic-zyx"),  # Mitsubishi
+        ("W P R", "xyz", "roll: W", None),  # Fanuc
+        ("q1 q2 q3 q4", "wxyz", "qw: q1", None),  # ABB
+        ("quat_0 quat_1 quat_2 quat_3", "xyzw", "qx: quat_0", None),
+        ("quat_0 quat_1 quat_2 quat_3", "wxyz", "qx: quat_0", "wxyz"),
+        ("Rx Ry Rz", "vector", "rx: Rx", None),
+        ("Rx Ry Rz", "xyz", "rx: Rx", "extrinsic-xyz"),  # Yaskawa
+        ("Rx Ry Rz", "XYZ", "rx: Rx", "intrinsic-xyz"),  # Staubli
+        ("A E R", "ZYZ", "roll: A", "intrinsic-zyz"),  # Comau
+        ("Roll Pitch Yaw", "zyz", "roll: Roll", "extrinsic-zyz"),
+    ],
+)
+def test_orientations_as_controllers_write_them(run, names, convention, first, hold):
+    """The robot tells the convention where names do not; it is said and written."""
+    turns = poses_of(names, convention)
+    result = run(INIT)
+    setup = read_setup("setup.yaml")
+    ours, theirs = first.split(": ")
+    assert setup.model == "pose" and setup.columns[ours].split(" [")[0] == theirs
+    held = setup.reading.orientation
+    assert hold == (held and held.hold) and "not used" not in result.err
+    said = hold is not None or ours not in theirs.lower()
+    assert ("taken for" in result.err) == said
+    file, chain = Path("foreign.csv"), calib_pin.load_chain("space6")
+    how = {"columns": setup.columns, "reading": setup.reading, "model": "pose"}
+    read = read_measurements([file], chain, **how).blocks[0].values[:, 3:]
+    assert (Rotation.from_quat(read) * turns.inv()).magnitude().max() < 1e-6
+
+
+def test_conventions_that_fit_alike_are_told(run):
+    """Of small turns the names count, and the others are told."""
+    poses_of("Rx[deg] Ry[deg] Rz[deg]", "vector", 0.01)
+    result = run(INIT)
+    assert read_setup("setup.yaml").reading.orientation is None
+    assert "others fit about as well: 'columns: rotation-vector, hold: " in result.err
+
+
+def test_columns_beside_a_position_that_are_no_orientation(run):
+    """They are not used, and said to be none; four numbers behind it may be joints."""
+    poses_of("A B C", "xyz")
+    header, rows, _ = table("foreign.csv")
+    q, points = np.array(rows, float)[:, :6], np.array(rows, float)[:, 6:9]
+    foreign([*header[:9], *"ABC"], np.hstack([q, points, 30.0 * np.sin(q[:, :3])]))
+    result = run(INIT)
+    assert read_setup("setup.yaml").model == "position"
+    assert "columns ignored: A, B, C" in result.err
+    names = ["X", "Y", "Z", *(f"q{k}" for k in range(1, 7))]
+    foreign(names, np.hstack([points, q]))
+    assert run(f"{INIT} --force").status == 0
+    assert read_setup("setup.yaml").columns["joint_1"].startswith("q1")
+
+
+def test_names_that_tell_stations_or_tools_apart_are_told(measured, run):
+    """Where the robot fits with them, or with nothing; not where it fits anyway."""
+    names, rows = [*JOINTS, *"xyz", "Aufstellung"], measured.tolist()
+    moved = {"vorn": 0.0, "links": 0.7, "hinten": -1.1}
+    for scale, told in ((1.0, "named station in 'columns'"), (0.0, "")):
+        cells = [
+            [*row[:7], row[7] + scale * step, row[8] - scale * step, name]
+            for row, (name, step) in zip(rows, [*moved.items()] * 14, strict=False)
+        ]
+        write("foreign.csv", ",".join(names), cells)
         result = run(f"{INIT} --force")
-        setup = read_setup("setup.yaml")
-        assert setup.model == ("pose" if used else "position")
-        assert setup.columns.get("roll") == ("Roll [deg]" if used else None)
-        assert ("the orientation is not used" in result.err) == (not used)
+        assert ("'Aufstellung' has 3 names" in result.err) == bool(told)
+        assert told in result.err
+    mixed = [[*row[:6], *rows[k - 7][6:], "ab"[k % 2]] for k, row in enumerate(rows)]
+    write("foreign.csv", ",".join(names), mixed)
+    assert "does it tell station, tool, target apart" in run(f"{INIT} --force").err
+
+
+def test_thousands_that_were_read_as_the_whole_are_told(measured, run):
+    """1.541 for 1541 mm; numbers with three decimals throughout are none."""
+    points = [[round(1e3 * number) for number in row[6:]] for row in measured.tolist()]
+    angles = np.degrees(measured[:, :6]).round(3).tolist()
+    for form, told in (("{:,}", True), ("{:.3f}", False)):
+        marked = [[form.format(n).replace(",", ".") for n in row] for row in points]
+        cells = [q + p for q, p in zip(angles, marked, strict=True)]
+        write("foreign.csv", ",".join([*JOINTS, *"xyz"]), cells)
+        assert ("no mark between thousands" in run(f"{INIT} --force").err) == told
 
 
 @pytest.mark.parametrize(

@@ -403,7 +403,7 @@ def axes(case: Case) -> Iterator[Alternative]:
             yield Alternative(code, words, of, reading, gross=True)
 
 
-def orientations(case: Case) -> Iterator[Alternative]:
+def orientations(case: Case, likely: float = LIKELY) -> Iterator[Alternative]:
     """The conventions with which orientations agree best, and inverted poses.
 
     Whatever the convention, with the right one `R = R_base R_tip R_tool` holds for all
@@ -411,6 +411,10 @@ def orientations(case: Case) -> Iterator[Alternative]:
     how well the rotations `R_tip^T R_base^T R` agree, which needs no fit. Angles beyond
     those that a rotation has were lost in reading; of the rotations that they may have
     been, the nearest to the others is taken.
+
+    Args:
+        case: The measurements and the robot.
+        likely: Part of the disagreement as it is read that a convention may leave.
     """
     blocks = [b for b in case.data.blocks if declared(b.model).oriented]
     if not blocks:
@@ -431,7 +435,7 @@ def orientations(case: Case) -> Iterator[Alternative]:
     left = [max(apart for apart, _ in found.values()) for _, found in trials]
     for k in 1 + np.argsort(left[1:], kind="stable")[:MOST]:
         reading, found = trials[k]
-        if left[k] < LIKELY * left[0]:
+        if left[k] < likely * left[0]:
             tools = {key: (terms[key], tool) for key, (_, tool) in found.items()}
             words = f"orientations are written otherwise ({written(lines_of(reading))})"
             held = ReadingSetup(orientation=reading)

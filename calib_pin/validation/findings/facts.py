@@ -213,7 +213,7 @@ def constant_orientation(case: Case) -> Iterator[Finding]:
 def constant_positions(case: Case) -> Iterator[Finding]:
     """Coordinates that stand still, or repeat another one, where no robot has such.
 
-    A tool that touches a sheet, or turns about its point, has such ones.
+    One stands still where a tool touches a sheet, all where it turns about its point.
     """
     blocks = [b for b in case.data.blocks if b.model in ("position", "pose")]
     if not case.doubtful or case.data.configurations < FEWEST or not blocks:
@@ -222,7 +222,7 @@ def constant_positions(case: Case) -> Iterator[Finding]:
     still = [name for name, x in zip("xyz", columns, strict=True) if not np.ptp(x)]
     pairs = combinations(range(3), 2)
     alike = ["xyz"[i] + "xyz"[j] for i, j in pairs if (columns[i] == columns[j]).all()]
-    if still:
+    if len(still) > 1:
         said = f"the measured {enumerated(still)} never changed while the joints moved"
     elif alike:
         said = f"{enumerated(list(alike[0]))} are equal in every measurement"

@@ -291,7 +291,7 @@ MISHAPS = [
         job={"model": "pose"},
     ),
     Mishap("constant-positions", values(lambda v: v[[0] * len(v)])),
-    Mishap("constant-positions", values(lambda v: v * [1.0, 1.0, 0.0])),
+    Mishap("constant-positions", values(lambda v: v * [1.0, 0.0, 0.0])),
     Mishap("constant-positions", values(lambda v: v[:, [0, 0, 2]])),
     Mishap("computed-values", computed),
     Mishap("computed-values", rounded),

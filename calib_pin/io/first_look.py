@@ -81,7 +81,7 @@ FAR, FEW = 5.0, 0.1
 """Errors of lost targets in the median of all, and which part of all may be such."""
 
 APART = ("station", "tool", "target")
-"""What a column of a few names may tell apart."""
+"""Columns that one of a few names may be."""
 
 FEWEST = 3
 """Joints that are found without their names."""
@@ -106,7 +106,7 @@ TEXTS = {
     "placement: six errors at every joint.",
     "inverted": "The poses are those of the measurement frame in the tool, as a camera "
     "in the hand sees a board.",
-    "convention": "What the columns of the orientation hold, as it fits the robot.",
+    "convention": "The way to read the orientation that fits the robot.",
     "families": "Six errors at every joint, the usual choice. Others: joint-offset for "
     "zeros alone; transmission, compliance beside it for gears and loads.",
 }
@@ -266,7 +266,7 @@ def _taken(look: Look) -> set[str]:
 
 
 def _separated(look: Look, columns: Sequence[Foreign]) -> Iterator[str]:
-    """What a reading takes of whole numbers with a mark between their thousands."""
+    """Errors of whole numbers with a mark between their thousands, as they are read."""
     taken = _taken(look)
     for one in (k for k in columns if k.name in taken and k.numeric):
         size = abs(one.numbers)

@@ -33,7 +33,13 @@ from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
-from calib_pin.measurement_models.references import Center, Plane, ReferenceObject
+from calib_pin.measurement_models.pinhole import Camera
+from calib_pin.measurement_models.references import (
+    Center,
+    Plane,
+    ReferenceObject,
+    slices,
+)
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import expected_size
@@ -116,9 +122,6 @@ SOME = 0.1
 
 COMPARED = 8
 """Most steps of the fit to measurements that a robot is compared with."""
-
-LENS = "camera.intrinsics"
-"""Owner and kind of what a camera is."""
 
 LACKING = 0.5
 """Part of the sum of squares that they leave at most."""
@@ -687,7 +690,7 @@ class Case:
     def beside(self) -> dict[str, Floats]:
         """Change of the whitened residual by what is not estimated, each (M, k).
 
-        By family of parameters, by the keys of `held_references`, and `LENS`.
+        By family of parameters, and by what is held of instruments, see `held_as`.
         """
         problem, theta = self.fit.problem, self.fit.theta
         others = [
@@ -702,24 +705,28 @@ class Case:
             columns = {
                 kind: X[:, kinds == kind] for kind in dict.fromkeys(effects.kinds)
             }
-        names, J = problem.parameters.names, self.fit.linear[1]
-        for key, references in held_references(problem).items():
-            first = 0 if key == Plane.kind else -1  # The number is the last one.
-            own = [p.name for one in references for p in one.parameters[first:]]
-            columns[key] = J[:, [names.index(name) for name in own]]
-        lens = [name.startswith(LENS) for name in names] & ~problem.parameters.free
-        return columns | ({LENS: J[:, lens]} if lens.any() else {})
+        held: dict[str, list[int]] = {}
+        for term in problem.terms.values():
+            references = term.measurement.references
+            for one, part in zip(references, slices(references), strict=True):
+                own = term.of_instrument[part].tolist()
+                # The number of a center is the last one.
+                own = own[-1:] if isinstance(one, Center) else own
+                held.setdefault(held_as(one), []).extend(own)
+        J = self.fit.linear[1]
+        return columns | {key: J[:, sorted({*own})] for key, own in held.items() if key}
 
 
-def held_references(problem: Problem) -> dict[str, list[ReferenceObject]]:
-    """Planes that are held, and spheres and anchors whose number is, by its name."""
-    found = dict[str, list[ReferenceObject]]()
-    for reference in problem.references.values():
-        if isinstance(reference, Center) and not reference.estimate_size:
-            found.setdefault(reference.number, []).append(reference)
-        if isinstance(reference, Plane) and not reference.estimate:
-            found.setdefault(reference.kind, []).append(reference)
-    return found
+def held_as(reference: ReferenceObject) -> str:
+    """Number of a sphere or an anchor, kind of a plane or a camera, if that is held.
+
+    Empty where it is estimated, and of other references.
+    """
+    if isinstance(reference, Center):
+        return "" if reference.estimate_size else reference.number
+    if isinstance(reference, Plane | Camera):
+        return "" if reference.estimate else reference.kind
+    return ""
 
 
 def _without_outliers(problem: Problem) -> Observations:

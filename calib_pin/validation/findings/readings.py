@@ -25,6 +25,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats, from_quaternion, to_quaternion
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
+from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.measurement_models.readings import (
     SHIFTS,
     from_below,
@@ -66,10 +67,9 @@ from calib_pin.validation.findings.alternatives import (
 from calib_pin.validation.findings.case import (
     ABSURD,
     COMPARED,
-    LENS,
     Case,
     QuickFit,
-    held_references,
+    held_as,
     located,
     unlikely,
 )
@@ -620,12 +620,21 @@ def instruments(case: Case) -> Iterator[Alternative]:
 
 
 def held(case: Case) -> dict[str, Alternative]:
-    """Numbers that are held of instruments, by the keys of `held_references`.
-
-    And `LENS`, where a camera is held.
-    """
-    found = dict[str, Alternative]()
-    for key, references in held_references(case.fit.problem).items():
+    """Alternatives of what is held of instruments, by its names, see `held_as`."""
+    found, groups = dict[str, Alternative](), defaultdict[str, list[Any]](list)
+    for reference in case.fit.problem.references.values():
+        groups[held_as(reference)].append(reference)
+    if (camera := case.setup.camera) is not None and Camera.kind in groups:
+        found[Camera.kind] = Alternative(
+            "camera-intrinsics",
+            "the camera has other focal lengths or another center than stated",
+            "the camera",
+            setup={"camera": replace(camera, estimate=True)},
+            stated={"camera": {"estimate": True}},
+        )
+    for key, references in groups.items():
+        if key in ("", Camera.kind):
+            continue
         section = references[0].section
         words, free = "planes do not stand where they are held", "estimate"
         if key != Plane.kind:
@@ -636,14 +645,6 @@ def held(case: Case) -> dict[str, Alternative]:
         setup = {section: {**getattr(case.setup, section), **stated}}
         lines = {section: {name: changed for name in stated}}
         found[key] = Alternative("held-number", words, key, setup=setup, stated=lines)
-    if (camera := case.setup.camera) is not None and not camera.estimate:
-        found[LENS] = Alternative(
-            "camera-intrinsics",
-            "the camera has other focal lengths or another center than stated",
-            "the camera",
-            setup={"camera": replace(camera, estimate=True)},
-            stated={"camera": {"estimate": True}},
-        )
     return found
 
 

@@ -59,6 +59,7 @@ from calib_pin.setup import (
     ReadingSetup,
 )
 from calib_pin.validation.findings.alternatives import (
+    FITTED,
     NEIGHBORS,
     Alternative,
     Explanation,
@@ -273,7 +274,9 @@ def lost_line(case: Case) -> Explanation | None:
     shifts += [("shift_configurations", 1)] * (of_each >= SEVERAL)
     signed = ((key, sign * far) for (key, far), sign in product(shifts, (1, -1)))
     found = (one for key, shift in signed for one in _shifted_from(case, key, shift))
-    return min(found, key=lambda one: one.after, default=None)
+    # What leaves most of the errors is another fault.
+    clear = (one for one in found if one.part < FITTED)
+    return min(clear, key=lambda one: one.after, default=None)
 
 
 def _shifted_from(case: Case, key: str, shift: int) -> Iterator[Explanation]:

@@ -68,7 +68,7 @@ from calib_pin.validation.result import (
 )
 from calib_pin.validation.robot_state import started
 from calib_pin.validation.splits import FOLDS, split
-from calib_pin.workers import SERIAL, Workers
+from calib_pin.workers.base import SERIAL, Workers
 
 
 @serial_blas

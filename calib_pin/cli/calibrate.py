@@ -29,7 +29,7 @@ from calib_pin.report import blocks, text
 from calib_pin.setup import Setup
 from calib_pin.validation.model_selection import USES
 from calib_pin.validation.result import CalibrationResult, Provenance
-from calib_pin.workers import SERIAL, Workers
+from calib_pin.workers.base import SERIAL, Workers
 
 
 def calibrate(asked: Calibrate, words: Sequence[str]) -> int:

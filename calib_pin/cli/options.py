@@ -25,7 +25,7 @@ from calib_pin.units import as_number
 
 if TYPE_CHECKING:
     from calib_pin.report.blocks import Block
-    from calib_pin.workers import Workers
+    from calib_pin.workers.base import Workers
 
 PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
 """Options of nearly all commands, by their places before or behind others."""

@@ -49,7 +49,7 @@ from calib_pin.validation.model_errors import (
     model_errors,
 )
 from calib_pin.validation.splits import FEWEST_HELD_OUT, FOLDS, MOST, Grouping, folds
-from calib_pin.workers import SERIAL, Workers
+from calib_pin.workers.base import SERIAL, Workers
 
 ALONE = 1e-6
 """Part of a group that the others predict, below which it holds all that is known of

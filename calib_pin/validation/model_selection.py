@@ -50,7 +50,7 @@ from calib_pin.validation.result import (
     QuantityError,
 )
 from calib_pin.validation.splits import Grouping, folds, regions
-from calib_pin.workers import SERIAL, Workers
+from calib_pin.workers.base import SERIAL, Workers
 
 PLACES = {"both": slice(None), "near": slice(0, 1), "away": slice(-1, None)}
 """Errors near the fitted configurations and away from them that a use asks for."""

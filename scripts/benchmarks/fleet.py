@@ -25,7 +25,7 @@ from calib_pin.monte_carlo import Study, outlooks, study_of, try_robot
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, LimitSetup, MonteCarloSetup, Setup
 from calib_pin.simulation import simulate
-from calib_pin.workers import Workers
+from calib_pin.workers.base import Workers
 from calib_pin.workers.local import LocalProcesses, cores
 
 JOBS = 10_000

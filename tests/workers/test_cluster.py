@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from calib_pin.errors import OptionError
-from calib_pin.workers import SERIAL
-from calib_pin.workers.base import WorkerLost
+from calib_pin.workers.base import SERIAL, WorkerLost
 from calib_pin.workers.cluster import Cluster
 
 pytestmark = [pytest.mark.filterwarnings("default"), pytest.mark.needs("cluster")]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
-from calib_pin.workers import SERIAL
+from calib_pin.workers.base import SERIAL
 from calib_pin.workers.cluster import Cluster
 from calib_pin.workers.local import LocalProcesses
 

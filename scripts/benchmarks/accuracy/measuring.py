@@ -18,7 +18,7 @@ from calib_pin.validation.result import (
     Evaluation,
     QuantityError,
 )
-from calib_pin.workers import SERIAL, Workers
+from calib_pin.workers.base import SERIAL, Workers
 
 PLAIN: Mapping[str, tuple[str, ...]] = {
     "placement": ("placement",),

@@ -269,34 +269,45 @@ def lost_line(case: Case) -> Explanation | None:
     aside = case.fitted is not None and np.sum(case.data.weight == 0.0) >= SIDE
     if not (case.doubtful or aside):
         return None
-    of_each = len(case.data) // case.data.configurations
+    data = case.data
+    # Some of the measurements may tell of some blocks alone.
+    robots = [case.fit] if case.fit.problem.terms.keys() >= {*data.keys} else []
+    third = np.argsort(data.in_order) * 3 // len(data)
+    if case.doubtful:
+        robots += _standing(case, data, third == 0)
+    of_each = len(data) // data.configurations
     shifts = [("shift", k) for k in dict.fromkeys((1, 2, of_each))]
     shifts += [("shift_configurations", 1)] * (of_each >= SEVERAL)
     signed = ((key, sign * far) for (key, far), sign in product(shifts, (1, -1)))
-    found = (one for key, shift in signed for one in _shifted_from(case, key, shift))
+    last = third == 2
+    found = (one for by in signed for one in _shifted_from(case, *by, robots, last))
     # What leaves most of the errors is another fault.
     clear = (one for one in found if one.part < FITTED)
     return min(clear, key=lambda one: one.after, default=None)
 
 
-def _shifted_from(case: Case, key: str, shift: int) -> Iterator[Explanation]:
+def _shifted_from(
+    case: Case, key: str, shift: int, robots: Sequence[QuickFit], last: Booleans
+) -> Iterator[Explanation]:
     """The likeliest line of each file from which on positions are shifted, if any is.
 
     By the robot that was fitted, which may have set aside what is behind that line, and
     by the nominal one where the first or the last third of the measurements has it.
+
+    Args:
+        case: The case.
+        key: The key of the reading that shifts them.
+        shift: By how much.
+        robots: Robots that stand where the lines before may have them.
+        last: The last third of the measurements, shape (N,).
     """
     data, quantity = case.data, case.fit.quantity
-    # Some of the measurements may tell of some blocks alone.
-    robots = [case.fit] if case.fit.problem.terms.keys() >= {*data.keys} else []
     has = [quantity in declared(block.model).quantities for block in data.blocks]
     measured, unit = np.array(has)[data.block_of], expected_size(quantity.unit)
     there = from_below(data, shift, SHIFTS[key])
     shifted = with_positions(data, data.q[there])
-    if case.doubtful:
-        third = np.argsort(data.in_order) * 3 // len(data)
-        robots += _standing(case, data, third == 0)
-        robots += _standing(case, shifted, (third == 2) & (there >= 0))
-    for robot in robots:
+    behind_it = _standing(case, shifted, last & (there >= 0)) if case.doubtful else ()
+    for robot in (*robots, *behind_it):
         here, other = (_errors_of(robot, read) for read in (data, shifted))
         other[there < 0] = np.nan
         for own in in_files(data):

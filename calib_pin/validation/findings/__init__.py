@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -78,6 +78,9 @@ FOLLOW = {
 }
 """Findings, and errors and warnings from which they follow and then are not told."""
 
+POORER = LACKS | {"known-distance"}
+"""What makes good measurements outliers: a better model may explain them."""
+
 
 @dataclass(frozen=True)
 class Found:
@@ -111,6 +114,8 @@ def find(case: Case, seek: bool = True) -> Found:
     others += [found for kind in kinds for found in _told(kind, case)]
     told = {found.code for found in others if found.severity != "info"}
     others = [found for found in others if not told & FOLLOW.get(found.code, set())]
+    if told & POORER:
+        others = [_remark(one) if one.code == "outliers" else one for one in others]
     wrong = {end for found in others for end in _names(found, "between", " - ")}
     # The measurements of its ends do not fit a wrong distance.
     targets = [_names(found, "target", ", ") for found in others]
@@ -211,6 +216,11 @@ def _told(
 ) -> tuple[Finding, ...]:
     """The findings of a kind, none of measurements too absurd to compute with."""
     return _tried(lambda given: tuple(kind(given)), given) or ()
+
+
+def _remark(found: Finding) -> Finding:
+    """A finding that accuses nobody, and asks for nothing."""
+    return replace(found, severity="info", remedy="", setup={})
 
 
 def _names(found: Finding, key: str, between: str) -> set[str]:

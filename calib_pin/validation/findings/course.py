@@ -86,8 +86,10 @@ LEFT, SETTLED = 1.0 / 3.0, 1.5
 of the instrument leaves one half with one frame more), and errors that they leave, by
 those of the fit without what it has set aside."""
 
-CONFIGURATIONS = 6
-"""Least configurations on each side of a change."""
+CONFIGURATIONS, VALUES, ROBOT = 3, 3, 6
+"""Least configurations on each side of a change, and values there by its unknowns: a
+frame can follow one outlier of four positions, but not one of three poses. And
+configurations on each side of another robot."""
 
 SEEN = 1e-4
 """Part of what a change does that the fit cannot do, below which it is none."""
@@ -271,6 +273,13 @@ class Trial(QuickFit):
         behind = self.rank[self.index] >= change.rank
         return self.columns(change) * behind[self.problem.layout.row, None]
 
+    def _least(self, change: Change, unknowns: int) -> int:
+        """Least configurations on each side of a change with so many unknowns."""
+        own = concerned(self.plain.data, change)[self.index]
+        values = int(own[self.problem.layout.row].sum())
+        there = len(np.unique(self.problem.data.groups()[own]))
+        return max(CONFIGURATIONS, -(-VALUES * unknowns * there // max(values, 1)))
+
     @property
     def candidates(self) -> list[tuple[float, float, Change]]:
         """The best row of each change, the likeliest first.
@@ -287,7 +296,8 @@ class Trial(QuickFit):
             # What comes and goes within a few measurements is an outlier.
             cuts = sorted(c.rank for c in self.changes if c.what == subject.what)
             parts = np.split(groups[rows], np.searchsorted(rank[rows], cuts))
-            allowed = np.concatenate([divisible(part) for part in parts])
+            least = self._least(subject, columns.shape[1])
+            allowed = np.concatenate([divisible(part, least) for part in parts])
             if not columns.size or not allowed.any():
                 continue
             gain = np.where(allowed, self.gains(columns, rows), 0.0)
@@ -374,7 +384,9 @@ class Trial(QuickFit):
         # Those before a row have the old one, the others the new one.
         old, new = squares[:, mine]
         total = np.cumsum(old) - old + sums_behind(new)
-        allowed = divisible(data.groups()[mine]) | (rank[mine] == change.rank)
+        least = self._least(change, self.columns(change).shape[1])
+        allowed = divisible(data.groups()[mine], least)
+        allowed |= rank[mine] == change.rank
         return int(rank[mine[np.argmin(np.where(allowed, total, np.inf))]])
 
 
@@ -424,11 +436,12 @@ def sums_behind(values: Floats) -> Floats:
     return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
 
 
-def divisible(labels: Indices) -> Booleans:
+def divisible(labels: Indices, least: int) -> Booleans:
     """Whether there are enough configurations before each measurement and from it on.
 
     Args:
         labels: Label of the configuration of each, in their order, shape (n,).
+        least: Number of those that are enough.
     """
 
     def different(order: Indices) -> Indices:
@@ -438,7 +451,7 @@ def divisible(labels: Indices) -> Booleans:
 
     before = np.append(0, different(labels)[:-1])
     behind = different(labels[::-1])[::-1]
-    return np.asarray(np.minimum(before, behind) >= CONFIGURATIONS)
+    return np.asarray(np.minimum(before, behind) >= least)
 
 
 def changes(case: Case) -> Explanation | None:
@@ -518,7 +531,7 @@ def _another(case: Case, fit: Trial | None) -> Explanation | None:
     columns = column_space(fit.linear[1][:, fit.problem.parameters.free])
     count, order = columns.shape[1], np.argsort(case.rank)
     dof = fit.left - count
-    allowed = divisible(fit.problem.data.groups()[order])
+    allowed = divisible(fit.problem.data.groups()[order], ROBOT)
     gain = np.where(allowed, fit.gains(columns, order), 0.0)
     best, left = int(np.argmax(gain)), 1.0 - float(gain.max())
     if dof < 1 or by_chance(1.0, left, count, dof) * len(order) > CHANCE:

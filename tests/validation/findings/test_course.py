@@ -100,6 +100,13 @@ def test_a_move_within_a_station_that_is_named(moved_job) -> None:
     assert finding.evidence["line"] == 41 and "'day2'" in finding.message
 
 
+def test_a_few_poses_tell_where_the_instrument_was(moved_job) -> None:
+    """Four have twice the values that another place and another tool take together."""
+    job = moved_job((4, 56), (), 60, model="pose", step=5e-3)
+    found = [(f.code, f.evidence["line"]) for f in findings(job, job.plain)]
+    assert found == [("instrument-moved", line) for line in (5, 57)]
+
+
 def test_a_small_move_in_the_order_of_the_files(moved_job) -> None:
     """Noise is 0.05 mm."""
     job, order = moved_job((), ()), np.random.default_rng(0).permutation(90)

@@ -493,3 +493,18 @@ def test_every_code_is_documented_and_tested() -> None:
     for code, name in elsewhere.items():
         found = (root / "tests").rglob(f"{name}.py")
         assert any(f'"{code}"' in p.read_text("utf-8") for p in found), code
+
+
+def test_measurements_are_accused_by_the_model_that_was_chosen() -> None:
+    """What a poorer one has set aside may fit; with the gears it is told what does."""
+    rows = measured(count=60, effects=("transmission",), changes=GEARS)
+    away = np.zeros((60, 3))
+    away[[7, 31, 48]] = 0.02
+    rows = replace(rows, values=rows.values + away)
+    severities = []
+    for parameters in (("placement",), ("placement", "transmission")):
+        setup = Setup(parameters=parameters)
+        result = calib_pin.calibrate(ARM, rows, setup, validate=False)
+        (one,) = (f for f in result.findings if f.code == "outliers")
+        severities.append((one.severity, bool(one.setup), one.evidence["outliers"]))
+    assert severities == [("info", False, 3.0), ("warning", True, 3.0)]

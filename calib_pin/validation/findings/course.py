@@ -81,10 +81,10 @@ LOOKED_AT = 0.76
 """Part of the squares that a change leaves at most, to first order, for a closer look:
 without a plateau it is as much and more."""
 
-LEFT, SETTLED = 1.0 / 3.0, 1.5
-"""Part of the errors that all changes leave at most where much was set aside (a drift
-of the instrument leaves one half with one frame more), and errors that they leave, by
-those of the fit without what it has set aside."""
+LEFT, SETTLED = 0.25, 1.5
+"""Part of the errors that all changes leave at most where much was set aside, and that
+another robot leaves (a drift of the instrument leaves one half with one frame more).
+And errors that changes leave, by those of the fit without what it has set aside."""
 
 CONFIGURATIONS, VALUES, ROBOT = 3, 3, 6
 """Least configurations on each side of a change, and values there by its unknowns: a
@@ -415,7 +415,8 @@ def changes_of(case: Case, seen: Trial | None) -> tuple[Trial, Trial] | None:
     first, last = trials[0], trials[-1]
     # Outliers look like moves; of true ones the fit without outliers leaves no more, or
     # it has set aside more than outliers are.
-    limit = SETTLED * case.fit.rms
+    kept = replace(case.fit, problem=replace(case.fit.problem, units=np.zeros(0)))
+    limit = SETTLED * kept.rms
     if np.mean(case.fit.problem.data.weight == 0.0) > SOME:
         limit = max(LEFT * first.rms, limit)
     return (first, last) if last.rms <= limit and last.stands_out(first) else None
@@ -460,9 +461,11 @@ def changes(case: Case) -> Explanation | None:
     found = changes_of(case, seen)
     every = found[1].changes if found else ()
     # Who moves an instrument homes no joint, and mounts no tool.
-    at_once = len({c.rank for c in every}) == 1 < len({c.kind for c in every})
+    places = np.searchsorted(np.sort(case.rank), [c.rank for c in every])
+    at_once = len({c.kind for c in every}) > 1 and np.ptp(places) < CONFIGURATIONS
     sought = at_once or (case.doubtful and not found)
-    if another := _another(case, seen) if sought else None:
+    limit = found[1].errors if found else 0.0
+    if another := _another(case, seen, limit) if sought else None:
         return another
     # Two or three things change on a bad day; more are what steps make of a drift.
     if found is None or len({c.what for c in every}) > 3:
@@ -520,11 +523,16 @@ def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alterna
     )
 
 
-def _another(case: Case, fit: Trial | None) -> Explanation | None:
+def _another(case: Case, fit: Trial | None, limit: float) -> Explanation | None:
     """Another robot, or whatever else was measured from some row on.
 
     All errors and frames are others there: to first order, each part has a fit of its
     own. Contacts fit to any robot, if it is small enough.
+
+    Args:
+        case: The case.
+        fit: Its fit without changes.
+        limit: Errors that it may leave in any case.
     """
     if fit is None or any(declared(model).contact for model in case.data.models):
         return None
@@ -537,7 +545,7 @@ def _another(case: Case, fit: Trial | None) -> Explanation | None:
     if dof < 1 or by_chance(1.0, left, count, dof) * len(order) > CHANCE:
         return None
     after = fit.errors * float(np.sqrt(left * fit.left / dof))
-    if after > LEFT * fit.errors:
+    if after > max(LEFT * fit.errors, limit):
         return None
     data, row = fit.problem.data, int(order[best - 1])
     said = f"something else was measured after line {place_of(data, row)}, such as "

@@ -134,6 +134,15 @@ def test_a_joint_that_was_homed_anew(moved_job, count: int, first: int) -> None:
     assert finding.evidence["rms_after"] < 2e-4 < finding.evidence["rms_before"]
 
 
+def test_a_joint_beside_more_noise_than_is_assumed(moved_job) -> None:
+    """Nobody states 0.3 mm; what a change leaves is compared with what the fit left."""
+    job, rng = moved_job((), (), 90), np.random.default_rng(1)
+    block = turned(job.plain.only, 2, 0.01 * (np.arange(90) >= 50))
+    values = block.values + 3e-4 * rng.normal(size=block.values.shape)
+    told = findings(job, replace(block, values=values, sigma=None))
+    assert [f.code for f in told if f.severity == "error"] == ["joint-rehomed"]
+
+
 def test_all_at_once_is_another_robot(moved_job) -> None:
     job, behind = moved_job((), (), 60), np.arange(60) >= 31
     block = turned(displaced(job.plain.only, 2e-3 * behind), 2, 0.01 * behind)

@@ -207,7 +207,8 @@ class _Pass(NamedTuple):
         if self.term is not term or not np.isfinite(least).all():
             return self
         factor = least[0] / least[1]
-        if not np.allclose(factor * sigma, self.sigma, 1e-12, 0.0):
+        low, high = (factor * (1.0 + part) * sigma for part in (-1e-12, 1e-12))
+        if not ((low <= self.sigma) & (self.sigma <= high)).all():
             return self
         return self._replace(sigma=sigma, r=factor * self.r, J=factor * self.J)
 

@@ -98,15 +98,19 @@ def in_files(data: Observations) -> list[Indices]:
     return np.split(order, ends)
 
 
-def last_motions(data: Observations) -> Floats:
+def last_motions(data: Observations, rows: Indices | slice = slice(None)) -> Floats:
     """Motion of the joints from the measurement before in the file, shape (N, n).
 
     [rad, m]; none before the first of a file.
+
+    Args:
+        data: The measurements.
+        rows: Those whose last motions are asked for.
     """
-    result = np.zeros_like(data.q)
+    before = np.arange(len(data))
     for own in in_files(data):
-        result[own[1:]] = np.diff(data.q[own], axis=0)
-    return result
+        before[own[1:]] = own[:-1]
+    return np.asarray(data.q[rows] - data.q[before[rows]])
 
 
 def elapsed(data: Observations) -> Floats:

@@ -177,8 +177,8 @@ class Observations(SourcedRows):
         result = Observations(
             tuple(replace(block, weight=weight[rows]) for block, rows in parts)
         )
-        known = ("q", "target", "conditions", "files", "lines", "_groups", "_things")
-        for name in known:
+        known = ("q", "target", "conditions", "files", "lines", "in_order")
+        for name in (*known, "_groups", "_things"):
             if name in self.__dict__:
                 result.__dict__[name] = self.__dict__[name]
         return result

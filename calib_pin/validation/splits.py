@@ -300,7 +300,7 @@ def stretches(rows: Observations) -> NDArray[np.int64]:
     if count < 2 * FEWEST_HELD_OUT or not moves.any():
         return unknown
     # In units of the scatter, without joints that stand still.
-    z = (q - q.mean(axis=0))[:, moves] / scatter[moves]
+    z = q[:, moves] / scatter[moves]
     if _variogram(z, file, 1) > min(CLOSE, 1.0 - 3.0 / np.sqrt(count)):
         return unknown
     longest = count // FOLDS
@@ -320,7 +320,8 @@ def _variogram(z: Floats, file: NDArray[np.int64], lag: int) -> float:
     inside = file[lag:] == file[:-lag]
     if not inside.any():
         return 1.0
-    squares = np.sum((z[lag:] - z[:-lag])[inside] ** 2, axis=1)
+    apart = z[lag:] - z[:-lag]
+    squares = np.einsum("ni,ni->n", apart, apart)[inside]
     # Of two independent configurations: twice the variance, which is 1 per joint.
     return float(squares.mean() / (2.0 * z.shape[1]))
 

@@ -471,9 +471,8 @@ def design(case: Case) -> Iterator[Finding]:
         yield _alike("small-range", said, numbers, info=not narrow)
     if moved.sum() < 2 or len(q) <= moved.sum():
         return
-    scaled = (q - q.mean(axis=0))[:, moved] / q[:, moved].std(axis=0)
-    s = np.linalg.svd(scaled, compute_uv=False)
-    directions = int((s > ALONE * s[0]).sum())
+    squares = np.linalg.eigvalsh(np.corrcoef(q[:, moved].T))
+    directions = int((squares > ALONE**2 * squares[-1]).sum())
     # So many configurations move in one direction less at most.
     if directions < min(moved.sum(), count - 1):
         said = f"the {moved.sum()} joints that move do so in few independent directions"

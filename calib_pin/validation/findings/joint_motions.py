@@ -203,7 +203,8 @@ class _Motions:
 
         Positions are those without a motion.
         """
-        moved, read = last_motions(self.case.data)[self.index], self.fit.problem.data
+        moved = last_motions(self.case.data, self.index)
+        read = self.fit.problem.data
         known = read.conditions.direction
         farthest = np.abs(moved).max(axis=1, keepdims=True)
         starts = [b.start if b.start.size else 0.0 * b.q for b in read.blocks]

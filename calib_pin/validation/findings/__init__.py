@@ -78,8 +78,8 @@ FOLLOW = {
 }
 """Findings, and errors and warnings from which they follow and then are not told."""
 
-POORER = LACKS | {"known-distance"}
-"""What makes good measurements outliers: a better model may explain them."""
+POORER = LACKS | {"known-distance", "stuck-encoder"}
+"""What makes good measurements outliers: a better fit may explain them."""
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,12 @@ from calib_pin.validation.findings.case import (
     mean_squares,
     unlikely,
 )
-from calib_pin.validation.findings.readings import FACTORS, STRETCH, held
+from calib_pin.validation.findings.readings import (
+    FACTORS,
+    STRETCH,
+    held,
+    still_stretches,
+)
 from calib_pin.validation.findings.sentences import (
     NAMED,
     lines_of,
@@ -147,14 +152,14 @@ def outliers(case: Case) -> Iterator[Finding]:
     if not alone:
         return
     rest = np.array([o.row for o in alone])
-    rows = rest[np.argsort(np.argsort(data.in_order)[rest])].tolist()
-    code, together = _together(data, rest)
-    targets = {data.target[row] for row in rows}
-    if len(targets) <= NAMED and all(targets):
-        numbers["target"] = ", ".join(sorted(targets))
-    why = f" excluded as outliers{together}{keeping}"
-    error, info = bool(together), moved <= LENGTH_SCALE
-    yield _aside(code, data, rows, why, numbers, error=error, info=info)
+    for code, words, some in _stretches(data, rest):
+        rows = some[np.argsort(np.argsort(data.in_order)[some])].tolist()
+        targets, told_of = {data.target[row] for row in rows}, {**numbers}
+        if len(targets) <= NAMED and all(targets):
+            told_of["target"] = ", ".join(sorted(targets))
+        why = f" excluded as outliers{words}{keeping}"
+        error, info = bool(words), moved <= LENGTH_SCALE
+        yield _aside(code, data, rows, why, told_of, error=error, info=info)
 
 
 def _aside(
@@ -173,23 +178,32 @@ def _aside(
     return told(code, said, numbers, remedy, lines, "over-order", **severity)
 
 
-def _together(data: Observations, rows: Indices) -> tuple[str, str]:
-    """Code and words of outliers that are one long stretch of the files.
+def _stretches(data: Observations, rows: Indices) -> Iterator[tuple[str, str, Indices]]:
+    """Code and words of outliers that are one long stretch of the files, and of others.
 
     There a joint stands still that moves elsewhere, or something else was measured.
     """
-    places = np.argsort(data.in_order)[rows]
-    many = len(rows) >= STRETCH * len(data)
-    few = len(np.unique(data.groups()[rows])) < CONFIGURATIONS
-    if few or not many or np.ptp(places) >= len(rows) / FULL:
-        return "outliers", ""
-    still = (np.ptp(data.q[rows], axis=0) == 0.0) & (np.ptp(data.q, axis=0) > 0.0)
-    if still.any():
-        names = enumerated([f"'{data.joints[j]}'" for j in np.flatnonzero(still)])
-        return "stuck-encoder", f": there the reading of joint {names} does not change"
-    words = ", all in one stretch: something else was measured there, such as "
-    words += "another robot, tool or station"
-    return "outlying-stretch", words
+
+    def long(some: Indices, stretch: int) -> bool:
+        several = len(np.unique(data.groups()[some])) >= CONFIGURATIONS
+        full = len(some) >= FULL * stretch
+        return several and full and len(some) >= STRETCH * len(data)
+
+    for _, stretch in still_stretches(data):
+        own = np.intersect1d(stretch, rows)
+        if long(own, len(stretch)):
+            still = np.ptp(data.q[own], axis=0) == 0.0
+            still &= np.ptp(data.q, axis=0) > 0.0
+            names = enumerated([f"'{data.joints[j]}'" for j in np.flatnonzero(still)])
+            words = f": there the reading of joint {names} does not change"
+            yield "stuck-encoder", words, own
+            rows = np.setdiff1d(rows, own)
+            break
+    if len(rows) and long(rows, int(np.ptp(np.argsort(data.in_order)[rows])) + 1):
+        words = ", all in one stretch: something else was measured there, such as "
+        yield "outlying-stretch", f"{words}another robot, tool or station", rows
+    elif len(rows):
+        yield "outliers", "", rows
 
 
 def displaced(fitted: Fit, squared: Fit) -> float:

@@ -542,10 +542,8 @@ def targets(case: Case) -> Iterator[Alternative]:
 
 def standing(case: Case) -> Iterator[Alternative]:
     """A stretch of the files in which the reading of a joint stands still, left out."""
-    data, order = case.data, case.data.in_order
-    for joint, q in zip(data.joints, data.q[order].T, strict=True):
-        run = np.cumsum(np.diff(q, prepend=q[:1]) != 0.0)
-        rows = order[run == np.argmax(np.bincount(run))]
+    data = case.data
+    for joint, rows in still_stretches(data):
         few = len(np.unique(data.groups()[rows])) < FEWEST
         if few or not STRETCH * len(data) <= len(rows) < len(data) / 2:
             continue
@@ -554,6 +552,14 @@ def standing(case: Case) -> Iterator[Alternative]:
         words += f"{len(rows)} measurements from line {reading.without[0]} on"
         found = Alternative("stuck-encoder", words, "stretch", reading, gross=True)
         yield replace(found, figure="over-order")
+
+
+def still_stretches(data: Observations) -> Iterator[tuple[str, Indices]]:
+    """Each joint, and the longest stretch of the files in which it is read as still."""
+    order = data.in_order
+    for joint, q in zip(data.joints, data.q[order].T, strict=True):
+        run = np.cumsum(np.diff(q, prepend=q[:1]) != 0.0)
+        yield joint, order[run == np.argmax(np.bincount(run))]
 
 
 def target_names(case: Case) -> Iterator[Alternative]:

@@ -495,6 +495,18 @@ def test_every_code_is_documented_and_tested() -> None:
         assert any(f'"{code}"' in p.read_text("utf-8") for p in found), code
 
 
+def test_an_encoder_is_stuck_and_others_are_wrong() -> None:
+    rows = measured(count=60)
+    q, values = rows.q.copy(), rows.values.copy()
+    q[40:55, 1] = q[40, 1]
+    values[[3, 17, 30]] += 0.03
+    rows = replace(rows, q=q, values=values)
+    result = calib_pin.calibrate(ARM, rows, Setup(), validate=False)
+    found = {f.code: (f.severity, f.evidence["outliers"]) for f in result.findings}
+    # The first of them is where it stopped.
+    assert found == {"stuck-encoder": ("error", 14), "outliers": ("info", 3)}
+
+
 def test_measurements_are_accused_by_the_model_that_was_chosen() -> None:
     """What a poorer one has set aside may fit; with the gears it is told what does."""
     rows = measured(count=60, effects=("transmission",), changes=GEARS)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -428,7 +429,7 @@ class _Search:
 
     def fitted(self) -> Explanation | None:
         """The fault with which a robot with errors fits far better."""
-        singles = self._singles()
+        singles = [] if self.contact else self._singles()
         every = [one for one in singles if not one[1][0].reading.without]
         if every and every[0][0] < CLOSE * singles[0][0]:
             singles = every
@@ -592,10 +593,16 @@ class _Search:
         except (CalibPinError, np.linalg.LinAlgError):
             return None
 
+    @cached_property
+    def _hopeless(self) -> bool:
+        """Whether measurements are too few to fit a robot, however they are read."""
+        fit = self._fit(())
+        return fit is not None and not fit.redundant
+
     def _fitted(self, faults: Sequence[Alternative]) -> float:
         """Error that it leaves, rms in standard deviations."""
         self.tried += 1
-        fit = self._fit(faults)
+        fit = None if self._hopeless else self._fit(faults)
         if fit is None or not fit.redundant or below_sheet(fit.problem):
             return np.inf
         return fit.rms if np.isfinite(fit.rms) else np.inf

@@ -329,8 +329,11 @@ def _urdf(
     """The geometry alone, judged like a calibration of its own.
 
     None where the calibration is nothing but geometry; without a model where that is
-    not to be trusted.
+    not to be trusted. Without a gain it is the nominal robot.
     """
+    if judgement.verdict[0] == "no-gain":
+        nominal = CalibratedModel.create(model.fit.problem, model.fit.before)
+        return UrdfResult((), "", nominal)
     if all(term.error.geometric for term in model.problem.terms.values()):
         return None
     fitted = model.fit

@@ -82,7 +82,7 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     result = read_result(file)
     doubt = doubt_of(result, file)
     key = block_of(result.model, asked.chain, asked.station, asked.tool)
-    model = with_payload(result.model.of(key), asked.payload, file)
+    model = with_payload(result.applied.of(key), asked.payload, file)
     robot = model.chain.robot.file
     own = robot, str(file.parent / robot), *map(str, written_before(file))
     inputs = [*own, file, asked.targets, asked.setup]
@@ -129,6 +129,8 @@ def _remarks(
     targets: Targets,
 ) -> Iterator[str]:
     """Remarks on targets, before commands for them are looked for."""
+    if result.verdict == "no-gain":
+        yield "without a gain the commands are those of the nominal robot"
     own = [k.model for k in result.model.terms if k.chain == key.chain]
     oriented = targets.oriented and not asked.position and asked.point != "tip"
     if oriented and all(declared(name).tracks == "point" for name in own):

@@ -111,17 +111,18 @@ def block_of(
 
 
 def model_errors(result: CalibrationResult) -> dict[str, dict[str, Any]]:
-    """Errors of a calibration on its validation measurements [m, rad], by quantity."""
-    return {
-        error.name: {
-            "unit": error.unit,
-            "mean": error.validation_after.mean,
-            "max": error.validation_after.max,
-            "method": result.validation.method,
-        }
-        for error in result.errors
-        if error.validation_after is not None and error.unit in ("m", "rad")
-    }
+    """Errors of a calibration on its validation measurements [m, rad], by quantity.
+
+    Of the robot that commands are for, see `CalibrationResult.applied`.
+    """
+    found = {}
+    for error in result.errors:
+        as_it_is = result.verdict == "no-gain"
+        size = error.validation_before if as_it_is else error.validation_after
+        if size is not None and error.unit in ("m", "rad"):
+            about = {"unit": error.unit, "method": result.validation.method}
+            found[error.name] = {**about, "mean": size.mean, "max": size.max}
+    return found
 
 
 def with_payload(

@@ -899,14 +899,16 @@ class Suggestion:
 
 @dataclass(frozen=True)
 class UrdfResult:
-    """The geometry alone, of a calibration that is more than a URDF can hold.
+    """What a URDF can hold of a calibration that is more, or shows no gain.
+
+    The geometry alone; without a gain the nominal robot about its registered frames.
 
     Attributes:
         errors: Accuracy by quantity, judged like that of the calibration; empty without
             a model.
         reason: Why there must be no URDF; empty where it is good.
-        model: The robot calibrated by its geometry; None without parameters of it, and
-            where the whole calibration is untrusted.
+        model: The robot as it is in a URDF; None without parameters of its geometry,
+            and where the whole calibration is untrusted.
     """
 
     errors: tuple[QuantityErrors, ...] = field(metadata={"by": "name"})
@@ -1047,7 +1049,7 @@ class CalibrationResult(Tables):
         held_out: Errors of the validation measurements; None without a validation.
         files: Measurement files.
         model_selection: The model selection, if there was one.
-        urdf: The geometry alone, where the model is more than that.
+        urdf: What a URDF holds, where the model is more than that.
         rejected: Name of the residual model that found nothing to correct, if one did.
         distances: Known distances beside those that were found.
         findings: Defects of the data or the result.
@@ -1085,6 +1087,23 @@ class CalibrationResult(Tables):
         if self.urdf is None:
             return self.model
         return None if self.urdf.reason else self.urdf.model
+
+    @property
+    def described(self) -> CalibratedModel:
+        """The robot as its URDF has it, about the frames that belong to that.
+
+        Those of the whole calibration are others: base and tool take up what a URDF
+        does not hold.
+        """
+        alone = self.urdf
+        if alone is None or alone.reason or alone.model is None:
+            return self.model
+        return alone.model
+
+    @property
+    def applied(self) -> CalibratedModel:
+        """The robot that commands are for: without a gain the nominal one."""
+        return self.described if self.verdict == "no-gain" else self.model
 
 
 @dataclass(frozen=True, repr=False)

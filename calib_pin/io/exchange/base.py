@@ -112,7 +112,7 @@ class Exported:
     @cached_property
     def fitted(self) -> tuple[CalibratedChain, ...]:
         """The chains with their whole calibration, carrying the heaviest payload."""
-        model = self.result.model
+        model = self.result.applied
         heaviest, chains = model.setup.heaviest, map(model.of, self.names)
         return tuple(replace(k, error=k.error.carrying(heaviest)) for k in chains)
 
@@ -245,6 +245,8 @@ class Format:
                 raise one.error(f"{self.name} is for joints that turn, {slides}")
         encoded = self.write(one, template)
         remarks = [*encoded.remarks]
+        if one.result.verdict == "no-gain":
+            remarks.append("without a gain this is of the nominal robot")
         if OFFSETS in self.holds:
             remarks += self._lacking(one, encoded.read)
         if others:

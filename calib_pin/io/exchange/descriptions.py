@@ -81,12 +81,13 @@ def places(
     """
     result, met = exported.result, set[tuple[str, ...]]()
     found, remarks, known = list[Place](), list[str](), True
-    taken = set(result.model.chains.robot.links)
-    for term in result.model.terms.values():
+    model = result.described
+    taken = set(model.chains.robot.links)
+    for term in model.terms.values():
         if exported.name not in (None, term.key.chain):
             continue
         chain, (station, tool) = term.error.chain, (f for f, _ in frames_of(term))
-        start, tip = term.error.base.inverse(), result.model.of(term.key).tool
+        start, tip = term.error.base.inverse(), model.of(term.key).tool
         seen = {
             "tool" if reference.mount == "hand" else "station": reference
             for reference in term.measurement.references
@@ -276,7 +277,7 @@ def camera_info(exported: Exported, _: Path | None) -> Encoded:
     Raises:
         OptionError: If there is not one camera, or its intrinsics are not known.
     """
-    found = exported.result.model.cameras
+    found = exported.result.described.cameras
     if len(found) != 1:
         told = ", ".join(found) or "none"
         raise exported.error("one camera can be exported", told)

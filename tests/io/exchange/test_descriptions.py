@@ -23,7 +23,7 @@ from calib_pin.observations import BlockKey
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup, ToolSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult
-from tests.shared import refused
+from tests.shared import refused, simulated
 
 FRAMES = Setup(
     base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4)),
@@ -70,8 +70,9 @@ def posed(scara, calibrated_robot: Callable[..., CalibrationResult]) -> Exported
 
 def of_model(model: CalibratedModel, **unknown: Any) -> Exported:
     """A calibration of which there is no more than the model, and what is unknown."""
-    parts = {"unknown": (), "unknown_of": lambda *_: ()}
-    told = {"verdict": "good", "reason": "", "model": model, **parts, **unknown}
+    told: dict[str, Any] = dict.fromkeys(("model", "described", "applied"), model)
+    told |= {"verdict": "good", "reason": "", "unknown": ()} | unknown
+    told.setdefault("unknown_of", lambda *_: ())
     return Exported(SimpleNamespace(**told), Path("out"))
 
 
@@ -96,6 +97,30 @@ def test_several_each_have_a_name(posed, scara):
     published = [shlex.split(line)[-1] for line in lines if "# ros2" in line]
     assert published == [*found]
     assert found["t1_tool"][1][2, 3] == pytest.approx(0.4, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "parameters, size, verdict",
+    [(("placement",), 0.0, "no-gain"), (("placement", "transmission"), 0.5, "good")],
+)
+def test_frames_are_those_of_the_urdf(parameters, size, verdict, calibrated_robot):
+    """Where the fit has more than the file: no other base and tool fit it better."""
+    setup = Setup(parameters=parameters)
+    job = ("position", setup, 40, size)
+    result = calibrated_robot(*job, noise=2e-4)
+    problem, _ = simulated(*job, noise=2e-4)
+    exported = Exported(result, Path("out"))
+    assert result.verdict == verdict
+    (_, base), (_, tool) = transforms(FORMATS["tf"].encode(exported, None)).values()
+    (rows,) = problem.data.blocks
+    T = np.linalg.inv(base) @ exported.chain.poses(rows.q) @ tool
+    left = rows.values[:, :3] - T[:, :3, 3]
+    turns = -np.array([pin.skew(p) for p in T[:, :3, 3]])
+    A = np.concatenate(
+        [np.tile(np.eye(3), (len(T), 1, 1)), turns, T[:, :3, :3]], axis=2
+    )
+    least = np.linalg.lstsq(A.reshape(-1, 9), left.reshape(-1), rcond=None)[1]
+    assert np.sum(left**2) == pytest.approx(float(least[0]), rel=1e-3)
 
 
 @pytest.mark.parametrize("axis", NAMES)

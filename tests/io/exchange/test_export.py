@@ -6,6 +6,7 @@ import csv
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -224,3 +225,15 @@ def test_other_transmissions_are_refused(offsets, tmp_path, tag, kind, joint, ac
 def test_without_a_gain_it_is_the_nominal_robot(exported):
     plain = Exported(replace(exported.result, verdict="no-gain"), exported.file)
     assert plain.robot is plain.nominal.robot
+
+
+def test_without_a_gain_nothing_is_corrected(calibrated_robot):
+    """Neither offsets nor commands: what the fit has found is noise."""
+    result = calibrated_robot("position", Setup(), 40, 0.0, noise=2e-4)
+    assert result.verdict == "no-gain" and np.abs(result.model.theta).max() > 1e-5
+    plain = Exported(result, Path("out"))
+    assert np.abs(plain.joint_errors({}).offsets).max() < EXACT
+    encoded = FORMATS["joint-offsets"].encode(plain, None)
+    assert encoded.remarks[0] == "without a gain this is of the nominal robot"
+    assert not any("missing" in remark for remark in encoded.remarks)
+    assert not result.applied.theta[~result.model.given.nuisance].any()

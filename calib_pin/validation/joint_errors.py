@@ -171,7 +171,9 @@ def told_reversed(columns: JointColumns) -> dict[str, str]:
             unit, display = DISPLAY["rad" if columns.angular[column] else "m"]
             times = "" if factor == -1.0 else f"{-factor:g} "
             zero = f" {display * given.offset:+.6g} {unit}" if given.offset else ""
-            found[joint] = f"{joint} is reversed: q = -{times}(reading + offset){zero}"
+            more = "".join(f" {by:+g} {name}" for name, by in given.coupled.items())
+            inside = f"(reading + offset{more})"
+            found[joint] = f"{joint} is reversed: q = -{times}{inside}{zero}"
     return found
 
 

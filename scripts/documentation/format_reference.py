@@ -14,7 +14,7 @@ reports the parts that it does not hold, and how far the tool point is from the
 calibrated robot because of it. No format holds compliance, waves of gears, backlash,
 thermal growth or a learned correction: `calib-pin compensate` uses everything.
 
-`xacro`, `mjcf`, `dh` and the vendors' files move by the joint positions of the URDF,
+`xacro`, `mjcf`, `ros2-control`, `dh` and the vendors' files move by joints of the URDF,
 not by the columns of a controller. A format without prismatic joints refuses a
 robot that has some; one without several chains writes that of `--chain`. A mimic joint
 has no drive, and so no offset of its own; a coupled column has that which its joint

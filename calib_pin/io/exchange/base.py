@@ -50,6 +50,9 @@ PARTS = (GEOMETRY, OFFSETS, GAINS, FRAMES, CAMERA)
 ROBOTS = (MIMIC, PRISMATIC, SEVERAL)
 """All of both."""
 
+ALREADY = "goes with the nominal URDF: the corrected one has the joint offsets already"
+"""What is wrong twice: offsets in a controller below a URDF that has them."""
+
 RIGID = (GEOMETRY, OFFSETS)
 """Held by a description of joint frames."""
 
@@ -247,6 +250,8 @@ class Format:
         remarks = [*encoded.remarks]
         if one.result.verdict == "no-gain":
             remarks.append("without a gain this is of the nominal robot")
+        elif {OFFSETS, GEOMETRY} & {*self.holds} == {OFFSETS}:
+            remarks.append(ALREADY)
         if OFFSETS in self.holds:
             remarks += self._lacking(one, encoded.read)
         if others:

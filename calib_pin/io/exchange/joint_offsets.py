@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
@@ -25,8 +25,12 @@ from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.urdf_tree import Document, parse_document
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.units import DISPLAY, as_number
 from calib_pin.validation.joint_errors import FoundOffset, encoder_steps, joint_offsets
+
+OFFSET = "joint offset"
+"""Kind of an error of the robot that is the offset of a joint."""
 
 HEADERS = "joint column offset sigma unit steps status offset_si unit_si sign"
 
@@ -35,16 +39,43 @@ USE = (
     "controller shows.",
     "A controller that asks what it shows where the joint is at zero gets the negative "
     "of it.",
+    f"This {base.ALREADY}.",
 )
 """Sentences that say how the table is used."""
 
 
-def _estimates(exported: Exported) -> tuple[dict[str, FoundOffset], tuple[str, ...]]:
-    """The offsets that are parameters, by column, and a sentence about unknown ones."""
-    found = {of.column: of for of in joint_offsets(exported.result)}
-    unknown = [f"{n} ({of.status})" for n, of in found.items() if of.sigma is None]
-    about = "not known by themselves, only with the other values of the calibration: "
-    return found, (about + enumerated(unknown),) if unknown else ()
+class Estimates(NamedTuple):
+    """What is known of the offset of each column.
+
+    Attributes:
+        known: Those that are parameters.
+        unknown: Why others are not known by themselves, by column.
+    """
+
+    known: Mapping[str, FoundOffset]
+    unknown: Mapping[str, str]
+
+    @staticmethod
+    def of(exported: Exported) -> Estimates:
+        """Those of a calibration, be the offsets parameters or parts of a geometry."""
+        result = exported.result
+        found = {of.column: of for of in joint_offsets(result)}
+        unknown = {name: of.status for name, of in found.items() if of.sigma is None}
+        columns = JointColumns.of(result.model.chains, result.model.setup.joints)
+        drives = dict(zip(columns.joints, columns.names, strict=True))
+        errors = [e for e in result.robot_errors if e.kind == OFFSET]
+        for joint, error in ((of.removeprefix("-"), e) for e in errors for of in e.of):
+            column, sum_ = drives.get(joint, ""), len(error.of) > 1
+            if column and column not in found and (sum_ or error.sigma is None):
+                unknown[column] = "coupled" if sum_ else error.status
+        return Estimates(found, unknown)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """A sentence about the unknown ones, if there are any."""
+        about = "not known by themselves, only with the other values of the calibration"
+        names = [f"{name} ({status})" for name, status in self.unknown.items()]
+        return (f"{about}: {enumerated(names)}",) if names else ()
 
 
 @partial(Format, "joint-offsets", (base.OFFSETS, base.SIGNS, *base.ROBOTS), "")
@@ -53,25 +84,25 @@ def offsets_table(exported: Exported, _: Path | None) -> Encoded:
     model = exported.result.model
     found = exported.joint_errors(model.setup.joints)
     stepped = encoder_steps(model.setup, model.chains.joints)
-    (known, doubts), rows, offsets = _estimates(exported), [], found.offsets.copy()
+    about, rows, offsets = Estimates.of(exported), [], found.offsets.copy()
     for k, column, joint in found.drives:
-        turns, estimate = found.columns.revolute[k], known.get(column)
+        turns, estimate = found.columns.revolute[k], about.known.get(column)
         si = "rad" if turns else "m"
         (unit, factor), offset = DISPLAY[si], float(offsets[k])
         shown, steps, sigma, exact = f"{factor * offset:+z.6f}", "", "", repr(offset)
         if turns and joint in stepped:
             steps = f"{offset * stepped[joint] / (2.0 * np.pi):+z.1f}"
-        if estimate is not None and estimate.sigma is not None:
-            sigma = f"{factor * estimate.sigma:.6f}"
-        elif estimate is not None:  # A zero would pass for a result.
+        status = about.unknown.get(column, "")
+        if status:  # A zero would pass for a result.
             shown, steps, exact, offsets[k] = "", "", "", 0.0
-        status = "" if estimate is None else estimate.status
+        elif estimate is not None and estimate.sigma is not None:
+            sigma, status = f"{factor * estimate.sigma:.6f}", estimate.status
         sign = "-1" if joint in exported.reverses else "+1"
         rows.append((joint, column, shown, sigma, unit, steps, status, exact, si, sign))
     table = dict(zip(HEADERS.split(), zip(*rows, strict=True), strict=True))
-    comments = [*USE, *exported.reverses.values(), *doubts]
+    comments = [*USE, *exported.reverses.values(), *about.doubts]
     read = replace(found, offsets=offsets).poses
-    return Encoded(encode_table(table, comments), doubts, read)
+    return Encoded(encode_table(table, comments), about.doubts, read)
 
 
 FARTHEST = 2047
@@ -121,7 +152,7 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
         f"homing offsets changed by motor steps: {moved}",
         f"whole steps leave up to {rounded:.3f} deg of a joint",
         *seams,
-        *_estimates(exported)[1],
+        *Estimates.of(exported).doubts,
     )
     data = json.dumps(motors, indent=4).encode() + b"\n"
     return Encoded(data, remarks, replace(found, offsets=offsets).poses)
@@ -196,7 +227,7 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
         SubElement(added, "joint", name=joint)
         _correct(document, added, errors)
     indent(root)
-    return Encoded(tostring(root) + b"\n", _estimates(exported)[1], found.poses)
+    return Encoded(tostring(root) + b"\n", Estimates.of(exported).doubts, found.poses)
 
 
 def _correct(

@@ -17,9 +17,10 @@ import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.io.exchange import FORMATS, Exported
 from calib_pin.io.urdf_tree import ORIGIN, placed
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.report.text import format_report
 from calib_pin.setup import FrameSetup, JointMap, Setup
-from calib_pin.validation.joint_errors import configurations
+from calib_pin.validation.joint_errors import configurations, told_reversed
 from calib_pin.validation.result import CalibrationResult
 from tests.io.exchange.test_descriptions import of
 from tests.shared import refused
@@ -75,9 +76,30 @@ def test_offsets_that_hardly_correct_a_robot_say_so(calibrated_robot, exported):
     more = {"robot": exported.nominal, "noise": 1e-6, "changes": longer}
     of_length = of(calibrated_robot("pose", Setup(), 40, 0.01, **more))
     for one, useless in ((of_length, True), (exported, False)):
-        about, _ = FORMATS["joint-offsets"].encode(one, None).remarks
+        about, _ = FORMATS["joint-offsets"].encode(one, None).remarks[-2:]
         assert "mm of what was found are missing" in about
         assert ("hardly more accurate" in about) == useless
+
+
+def test_offsets_that_frames_absorb_are_no_numbers(exported):
+    """Of a whole geometry, too; and nobody corrects the corrected robot again."""
+    encoded = FORMATS["joint-offsets"].encode(exported, None)
+    text = encoded.data.decode()
+    rows = [*csv.DictReader(line for line in text.splitlines() if line[:1] != "#")]
+    blank = [row["joint"] for row in rows if not row["offset"] and not row["offset_si"]]
+    assert blank == ["shoulder_pan_joint", "wrist_3_joint"]
+    assert "shoulder_pan_joint (absorbed), wrist_3_joint (absorbed)" in text
+    assert "nominal URDF" in text
+    for name in ("joint-offsets", "ros2-control", "mjcf"):
+        remarks = " ".join(FORMATS[name].encode(exported, None).remarks)
+        assert ("has the joint offsets already" in remarks) == (name != "mjcf"), name
+
+
+def test_a_reversed_joint_is_told_with_its_couplings(exported):
+    joints = {"a": JointMap("elbow_joint", -1, gear=2.0, coupled={"b": 0.5})}
+    told = told_reversed(JointColumns.of(exported.chain, joints))
+    said = "elbow_joint is reversed: q = -2 (reading + offset +0.5 b)"
+    assert told == {"elbow_joint": said}
 
 
 def test_templates_of_others_are_refused(exported, tmp_path):
@@ -234,6 +256,6 @@ def test_without_a_gain_nothing_is_corrected(calibrated_robot):
     plain = Exported(result, Path("out"))
     assert np.abs(plain.joint_errors({}).offsets).max() < EXACT
     encoded = FORMATS["joint-offsets"].encode(plain, None)
-    assert encoded.remarks[0] == "without a gain this is of the nominal robot"
+    assert "without a gain this is of the nominal robot" in encoded.remarks
     assert not any("missing" in remark for remark in encoded.remarks)
     assert not result.applied.theta[~result.model.given.nuisance].any()

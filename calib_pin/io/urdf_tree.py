@@ -165,9 +165,18 @@ def link_of(joint: Element, role: str) -> str:
 
 
 def parse_document(
-    source: bytes, file: str | None = None, kind: str = "a URDF"
+    source: bytes,
+    file: str | None = None,
+    kind: str = "a URDF",
+    comments: bool = False,
 ) -> Document:
     """Parse XML as far as a URDF, or what else is named, needs it.
+
+    Args:
+        source: The bytes.
+        file: Name of the source, for messages.
+        kind: What it should be, for messages.
+        comments: Whether the tree has comments, for who writes it.
 
     Raises:
         RobotError: If the bytes are not well-formed XML in UTF-8, declare a DOCTYPE or
@@ -190,14 +199,15 @@ def parse_document(
     if stated := _DECLARATION.match(data):
         blank = re.sub(rb"[^\r\n]", b" ", stated[1])
         plain = data[: stated.start(1)] + blank + data[stated.end() :]
-    return Document(file, data, plain, mark, *_scan(plain, file))
+    return Document(file, data, plain, mark, *_scan(plain, file, comments))
 
 
 def _scan(
-    data: bytes, file: str | None
+    data: bytes, file: str | None, comments: bool
 ) -> tuple[Element, dict[Element, tuple[int, int, str]]]:
     """Root and places of a document in UTF-8, as expat finds them."""
-    parser, builder = expat.ParserCreate("utf-8"), TreeBuilder()
+    parser = expat.ParserCreate("utf-8")
+    builder = TreeBuilder(insert_comments=comments)
     places, owners = dict[Element, tuple[int, int, str]](), list[str]()
 
     def doctype(*_: object) -> None:
@@ -220,7 +230,7 @@ def _scan(
 
     parser.buffer_text, parser.StartDoctypeDeclHandler = True, doctype
     parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.CharacterDataHandler = builder.data
+    parser.CharacterDataHandler, parser.CommentHandler = builder.data, builder.comment
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:

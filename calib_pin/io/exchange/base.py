@@ -251,7 +251,7 @@ class Format:
         if one.result.verdict == "no-gain":
             remarks.append("without a gain this is of the nominal robot")
         elif {OFFSETS, GEOMETRY} & {*self.holds} == {OFFSETS}:
-            remarks.append(ALREADY)
+            remarks.append(f"{self.name} {ALREADY}")
         if OFFSETS in self.holds:
             remarks += self._lacking(one, encoded.read)
         if others:

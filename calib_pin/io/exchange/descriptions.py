@@ -35,7 +35,7 @@ MASS = 1e-3
 """Of a moving body whose URDF states none: MuJoCo refuses it without [kg]."""
 
 LEAST = {"mass": repr(MASS), "pos": "0 0 0", "fullinertia": "1e-06 1e-06 1e-06 0 0 0"}
-"""Its inertia [kg, m, kg m^2]."""
+"""Its inertia, also that of a mass without one, such as a point [kg, m, kg m^2]."""
 
 NAMES = {"base": ("measurement", "measured_frame"), "tool": ("tool", "measured_point")}
 """Names of the frames that have none of their own, by how they are called here."""
@@ -146,7 +146,7 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
     pending = [(SubElement(root, "worldbody"), robot.root, None)]
     while pending:
         body, link, joint = pending.pop()
-        stated = _inertia(document, links[link])
+        stated = inertia_of(document, links[link])
         if joint is not None or link != WORLD:  # Which MuJoCo has already.
             body = SubElement(body, "body", name=link)
         if joint is not None and (moves := _put(exported, document, joint, body)):
@@ -187,21 +187,23 @@ def _put(
     return moves
 
 
-def _inertia(document: Document, link: Element) -> dict[str, str]:
-    """The inertia of a link, if its URDF states one that is more than zero."""
+def inertia_of(document: Document, link: Element) -> dict[str, str]:
+    """The inertia of a link, if its URDF states a mass."""
     mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
-    if mass is None or inertia is None:
+    size, full = 0.0 if mass is None else float(mass.attrib["value"]), np.zeros((3, 3))
+    if not size > 0.0:
         return {}
-    size, full = float(mass.attrib["value"]), np.zeros((3, 3))
+    pose = document.origin(link.findall("inertial")[0])
+    place = LEAST | {"mass": repr(size), "pos": words(pose.translation)}
+    if inertia is None:
+        return place
     # The upper triangle, row by row.
     numbers = [float(inertia.get(key, 0.0)) for key in urdf_tree.NUMBERS["inertia"]]
     full[np.triu_indices(3)] = full.T[np.triu_indices(3)] = numbers
-    if not (size > 0.0 and np.linalg.eigvalsh(full).min() > 0.0):
-        return {}
-    pose = document.origin(link.findall("inertial")[0])
+    if not np.linalg.eigvalsh(full).min() > 0.0:
+        return place
     full = pose.rotation @ full @ pose.rotation.T
     numbers = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    place = {"mass": repr(size), "pos": words(pose.translation)}
     return place | {"fullinertia": words(numbers)}
 
 

@@ -1,8 +1,8 @@
 """Errors of the joints alone: typed into a controller, in motors, in transmissions.
 
-A motor of LeRobot reads `position = encoder - homing_offset`, and its angle in degrees
-is `(position - (range_min + range_max) / 2) 360 / 4095`. A SimpleTransmission of
-ros2_control is `joint = actuator / mechanical_reduction + offset`.
+A motor of LeRobot, one of Feetech, reads `position = encoder - homing_offset`, and its
+angle in degrees is `(position - (range_min + range_max) / 2) 360 / 4095`. A simple
+transmission of ros2_control is `joint = actuator / mechanical_reduction + offset`.
 """
 
 from __future__ import annotations
@@ -108,6 +108,17 @@ def offsets_table(exported: Exported, _: Path | None) -> Encoded:
 FARTHEST = 2047
 """Largest homing offset that a motor stores."""
 
+FEETECH = (
+    "motors are taken for Feetech's, which subtract their homing offset; those of "
+    "Dynamixel add it: change theirs the other way"
+)
+"""What the file does not say, and would correct twice the wrong way."""
+
+PARTS_OF_RANGE = (
+    "degrees are corrected; positions of -100 to 100 count from the new ranges, so "
+    "that those recorded before are other angles"
+)
+
 FULL_TURN = "wrist_roll"
 """Motor that LeRobot gives the whole range of its encoder (`full_turn_motor`)."""
 
@@ -150,6 +161,8 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
     rounded = np.degrees(np.abs(offsets - found.offsets).max(initial=0.0))
     remarks = (
         f"homing offsets changed by motor steps: {moved}",
+        FEETECH,
+        PARTS_OF_RANGE,
         f"whole steps leave up to {rounded:.3f} deg of a joint",
         *seams,
         *Estimates.of(exported).doubts,
@@ -192,6 +205,8 @@ PLUGIN = "transmission_interface/SimpleTransmission"
 TAGS = {"mechanical_reduction": 1.0, "offset": 0.0}
 """Elements of a joint, and what they are where they are missing."""
 
+OUTSIDE = "ros2_control reads transmissions in <ros2_control> only; move there those of"
+
 NUMBERS = "one <mechanical_reduction>, not 0, and one <offset>"
 
 
@@ -212,7 +227,7 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
     source, about = tostring(Element("robot", name=exported.nominal.robot.name)), None
     if template is not None:
         source, about = read_bytes(template, TEXT), str(template)
-    document = parse_document(source, about, "a robot with transmissions")
+    document = parse_document(source, about, "a robot with transmissions", True)
     root, joints = document.root, {*errors}
     theirs = {joint.get("name", "") for joint in root.findall("joint")}
     reason, allowed = "is of another robot", f"one with the joints {enumerated(errors)}"
@@ -221,13 +236,24 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
         moved = {joint.get("name", "") for joint in element.iter("joint")}
         if not moved or moved & joints:
             _correct(document, element, errors)
+    blocks = {
+        joint.get("name", ""): block
+        for block in root.findall("ros2_control")
+        for joint in block.findall("joint")
+    }
+    outside = [joint for joint in errors if joint not in blocks]
     for joint in [*errors]:
-        added = SubElement(root, "transmission", name=f"{joint}_transmission")
+        block = blocks.get(joint, root)
+        added = SubElement(block, "transmission", name=f"{joint}_transmission")
         SubElement(added, "actuator", name=f"{joint}_actuator")
         SubElement(added, "joint", name=joint)
         _correct(document, added, errors)
     indent(root)
-    return Encoded(tostring(root) + b"\n", Estimates.of(exported).doubts, found.poses)
+    head = document.data[: document.places[root][1]]
+    remarks = [*Estimates.of(exported).doubts]
+    if outside:
+        remarks.append(f"{OUTSIDE} {enumerated(outside)}")
+    return Encoded(head + tostring(root, "utf-8") + b"\n", (*remarks,), found.poses)
 
 
 def _correct(
@@ -256,7 +282,7 @@ def _correct(
     document.require(one, element, reason, value=value, allowed=PLUGIN)
     before = dict[str, float]()
     for parent in element:
-        for part in list(parent):
+        for part in [p for p in parent if isinstance(p.tag, str)]:  # No comments.
             tag = re.sub(r"(?=[A-Z])", "_", part.tag).lower()
             if tag in TAGS or re.search("reduction|ratio", tag):
                 number = float(np.array(as_number((part.text or "").strip()), float))

@@ -18,6 +18,8 @@ import calib_pin
 from calib_pin.errors import OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Encoded, Exported
+from calib_pin.io.exchange.descriptions import inertia_of
+from calib_pin.io.urdf_tree import parse_document
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup, ToolSetup
@@ -121,6 +123,18 @@ def test_frames_are_those_of_the_urdf(parameters, size, verdict, calibrated_robo
     )
     least = np.linalg.lstsq(A.reshape(-1, 9), left.reshape(-1), rcond=None)[1]
     assert np.sum(left**2) == pytest.approx(float(least[0]), rel=1e-3)
+
+
+@pytest.mark.parametrize("inertia", ["", '<inertia ixx="0" iyy="0" izz="0"/>'])
+def test_a_mass_without_an_inertia_is_kept(inertia):
+    """Such as a payload that is a point."""
+    mass = '<origin xyz="0.1 0 0"/><mass value="0.5"/>'
+    text = f'<robot><link name="l"><inertial>{mass}{inertia}</inertial></link></robot>'
+    document = parse_document(text.encode())
+    stated = inertia_of(document, document.named("link")["l"])
+    assert (stated["mass"], stated["pos"]) == ("0.5", "0.1 0.0 0.0")
+    # MuJoCo refuses moving bodies with less.
+    assert min(map(float, stated["fullinertia"].split()[:3])) > 0.0
 
 
 @pytest.mark.parametrize("axis", NAMES)

@@ -244,6 +244,33 @@ def test_other_transmissions_are_refused(offsets, tmp_path, tag, kind, joint, ac
         FORMATS["ros2-control"].encode(offsets, template)
 
 
+def test_transmissions_stand_where_ros2_control_reads_them(offsets, tmp_path):
+    """Within the block of their joint; comments of the user's own file stay."""
+    template, drives = tmp_path / "own.xml", JOINTS[1:3]
+    own = f'<joint name="{drives[0]}"/><!-- mine --><joint name="{drives[1]}"/>'
+    template.write_text(
+        f"<!-- top -->\n<robot><ros2_control>{own}</ros2_control></robot>"
+    )
+    encoded = FORMATS["ros2-control"].encode(offsets, template)
+    assert encoded.data.startswith(b"<!-- top -->\n<robot>")
+    assert b"<!-- mine -->" in encoded.data
+    root = ElementTree.fromstring(encoded.data)
+    for path, joints in (("ros2_control/", drives), ("", (JOINTS[0], *JOINTS[3:]))):
+        inside = root.findall(f"{path}transmission/joint")
+        assert [joint.get("name") for joint in inside] == [*joints]
+    told = [remark for remark in encoded.remarks if "<ros2_control> only" in remark]
+    assert len(told) == 1 and told[0].endswith(
+        "those of shoulder_pan, wrist_flex, wrist_roll"
+    )
+
+
+def test_of_motors_it_is_told_what_their_file_does_not_say(offsets, tmp_path):
+    template = tmp_path / "own.json"
+    template.write_text(motors())
+    told = " ".join(FORMATS["lerobot"].encode(offsets, template).remarks)
+    assert "Dynamixel add it" in told and "-100 to 100" in told
+
+
 def test_without_a_gain_it_is_the_nominal_robot(exported):
     plain = Exported(replace(exported.result, verdict="no-gain"), exported.file)
     assert plain.robot is plain.nominal.robot

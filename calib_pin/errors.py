@@ -132,7 +132,7 @@ class InputError(CalibPinError):
             details.append(f"value {_cut(repr(value), VALUE)}")
         if details:
             message += f" ({', '.join(details)})"
-        if allowed is not None:
+        if allowed:  # Of what has no name nothing could be listed.
             head = one_line(message)
             room = MESSAGE - len("; allowed:  and 1000 more")
             if len(head) + len(allowed) > room:

@@ -94,6 +94,9 @@ def test_a_name_that_is_required() -> None:
         require_known("part", "c", "ab")
     with refused(OptionError, "part 'None'", allowed=""):
         require_known("part", None, [])
+    # A chain that has no name is nothing to choose.
+    with pytest.raises(OptionError, match=r"unknown part 'c'$"):
+        require_known("part", "c", [""])
 
 
 def space6(**setup: Any) -> Any:

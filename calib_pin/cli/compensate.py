@@ -156,6 +156,7 @@ def read(
         columns=stated.columns or model.setup.columns,
         joints=stated.joints or model.setup.joints,
         base=None if asked.frame == "base" else model.error.base.translation,
+        timed=asked.format != "csv" and asked.speed is None,
         notice=asked.tell,
     )
     motion, csv, times = targets.T is None, asked.format == "csv", None

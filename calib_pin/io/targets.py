@@ -54,6 +54,7 @@ def read_target_file(
     columns: Mapping[str, str] = {},
     joints: Mapping[str, JointMap] = {},
     base: Floats | None = None,
+    timed: bool = False,
     notice: Callable[[str], None] | None = None,
 ) -> Targets:
     r"""Read targets or a joint motion.
@@ -67,6 +68,7 @@ def read_target_file(
             column of its own name.
         base: Origin of the base of the chain in the frame of the targets, shape (3,)
             [m]; default zero.
+        timed: Whether the times of targets are asked for, see `read_times`.
         notice: Called with one sentence that lists the ignored columns.
 
     Raises:
@@ -106,7 +108,8 @@ def read_target_file(
     used, values = measured_columns.read_values(table, model, spare)
     center = np.zeros(3) if base is None else base
     measured_columns.check_spread(table, chain, values[:, :3], center)
-    ignored = table.ignored([name for name in spare if name not in used])
+    read = {*used, *["time"][:timed]}
+    ignored = table.ignored([name for name in spare if name not in read])
     if ignored and notice is not None:
         notice(ignored)
     T = np.tile(np.eye(4), (len(values), 1, 1))

@@ -320,6 +320,16 @@ def test_a_trajectory_of_ros_keeps_the_speeds(positions, run):
     assert time[0] == 0.0 and np.allclose(speeds.max(axis=1), 0.5, atol=1e-6)
 
 
+def test_times_that_are_used_are_not_called_ignored(positions, run):
+    rows = np.column_stack([1e3 * positions, [0.0, 90.0, 180.0, 270.0]])
+    write("targets.csv", "x [mm],y [mm],z [mm],time", rows)
+    words = f"{DONE} targets.csv -o t.yaml --format joint-trajectory"
+    assert run(words).err == ""
+    points = yaml.safe_load(Path("t.yaml").read_text())["points"]
+    assert [p["time_from_start"]["sec"] for p in points] == [0, 90, 180, 270]
+    assert "ignored: time" in run(f"{words} --speed 0.5 --force").err
+
+
 def timed_motion(part: float) -> tuple[np.ndarray, np.ndarray]:
     """A motion whose times need a part of the URDF's speed, which is 1 rad/s."""
     q = motion()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import yaml
@@ -110,12 +111,23 @@ def urscript(
     v = float(speed_limits(chain, part).min())
     lines = [f"# {line}" for line in comments] + ["def commands():"]
     for k, row in enumerate(columns.values(q)):
-        numbers = ", ".join(repr(float(angle)) for angle in row)
-        pace = f"a={ACCELERATION}, v={v:.6g}"
+        numbers = ", ".join(map(_fixed, row))
+        pace = f"a={ACCELERATION}, v={_fixed(v, 6)}"
         if times is not None and k:
-            pace = f"t={float(times[k] - times[k - 1]):.6g}"
+            pace = f"t={_fixed(times[k] - times[k - 1], 6)}"
         lines.append(f"  movej([{numbers}], {pace})")
     return "\n".join([*lines, "end", "commands()", ""]).encode()
+
+
+def _fixed(number: float, digits: int | None = None) -> str:
+    """A number without an exponent, which URScript does not promise to read.
+
+    Args:
+        number: The number.
+        digits: How many it has; default all.
+    """
+    about: dict[str, Any] = {"precision": digits, "fractional": digits is None}
+    return np.format_float_positional(number, trim="-", **about)
 
 
 def joint_trajectory(
@@ -127,6 +139,9 @@ def joint_trajectory(
     times: Floats | None = None,
 ) -> bytes:
     """A message `trajectory_msgs/JointTrajectory`; the robot begins at the first point.
+
+    A point that takes no time, as a target that stands twice, is left out: controllers
+    refuse a message whose times do not increase.
 
     Args:
         chain: The chain.
@@ -140,9 +155,11 @@ def joint_trajectory(
     """
     if times is None:
         times = moving_times(q, speed_limits(chain, part))
-    times, drives = times - times[:1], JointColumns.of(chain)
-    stamps = [{"sec": int(t), "nanosec": int(1e9 * (t % 1.0))} for t in times]
-    rows = zip(drives.values(q).tolist(), stamps, strict=True)
+    drives, stamps = JointColumns.of(chain), np.rint(1e9 * (times - times[:1]))
+    later = np.diff(stamps, prepend=-1.0) > 0.0
+    whole = (divmod(int(stamp), 10**9) for stamp in stamps[later])
+    stamped = [dict(zip(("sec", "nanosec"), parts, strict=True)) for parts in whole]
+    rows = zip(drives.values(q[later]).tolist(), stamped, strict=True)
     points = [{"positions": row, "time_from_start": stamp} for row, stamp in rows]
     document = {"joint_names": [*drives.joints], "points": points}
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)

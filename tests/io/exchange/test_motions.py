@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+import yaml
 
 import calib_pin
 from calib_pin.errors import OptionError
@@ -28,6 +29,25 @@ def test_a_program_of_moves():
     assert {float(m[1]) for m in moves} == {round(0.25 * 2.16, 6)}
     assert text.startswith("# commands\ndef commands():\n")
     assert text.endswith("end\ncommands()\n")
+
+
+def test_numbers_have_no_exponent():
+    chain = calib_pin.load_chain("example:ur10_robot", tip="tool0")
+    q, times = np.full((2, 6), 1.5e-7), np.array([0.0, 2e-5])
+    text = urscript(chain, JointColumns.of(chain), q, 1e-5, [], times).decode()
+    assert "0.00000015, " in text and "t=0.00002)" in text and "e-" not in text
+
+
+def test_times_of_a_trajectory_go_on():
+    """Where a target stands twice, too: controllers refuse the whole message."""
+    chain = calib_pin.load_chain("example:ur10_robot", tip="tool0")
+    q = np.array([[0.0] * 6, [0.1] * 6, [0.1] * 6, [0.3] * 6])
+    text = joint_trajectory(chain, JointColumns.of(chain), q, 0.5, [])
+    points = yaml.safe_load(text)["points"]
+    assert [point["positions"][0] for point in points] == [0.0, 0.1, 0.3]
+    stamps = [point["time_from_start"] for point in points]
+    times = [stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps]
+    assert times[0] == 0.0 and np.diff(times).min() > 0.0
 
 
 def slow_arm(*speeds):

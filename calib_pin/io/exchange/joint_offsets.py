@@ -43,6 +43,9 @@ USE = (
 )
 """Sentences that say how the table is used."""
 
+CLOSEST = "offsets make up for what else was found, and are not those of the report"
+"""What the offsets are where a table of them does not hold all."""
+
 
 class Estimates(NamedTuple):
     """What is known of the offset of each column.
@@ -96,13 +99,18 @@ def offsets_table(exported: Exported, _: Path | None) -> Encoded:
         if status:  # A zero would pass for a result.
             shown, steps, exact, offsets[k] = "", "", "", 0.0
         elif estimate is not None and estimate.sigma is not None:
-            sigma, status = f"{factor * estimate.sigma:.6f}", estimate.status
+            # An offset that makes up for what was found beside it is another one.
+            if abs(offset - estimate.value) <= estimate.sigma:
+                sigma = f"{factor * estimate.sigma:.6f}"
+            status = estimate.status
         sign = "-1" if joint in exported.reverses else "+1"
         rows.append((joint, column, shown, sigma, unit, steps, status, exact, si, sign))
     table = dict(zip(HEADERS.split(), zip(*rows, strict=True), strict=True))
-    comments = [*USE, *exported.reverses.values(), *about.doubts]
+    beside = [part for part in exported.parts if part != base.OFFSETS]
+    remarks = [*about.doubts, *[f"{CLOSEST}: {enumerated(beside)}"][: len(beside)]]
+    comments = [*USE, *exported.reverses.values(), *remarks]
     read = replace(found, offsets=offsets).poses
-    return Encoded(encode_table(table, comments), about.doubts, read)
+    return Encoded(encode_table(table, comments), (*remarks,), read)
 
 
 FARTHEST = 2047

@@ -95,6 +95,28 @@ def test_offsets_that_frames_absorb_are_no_numbers(exported):
         assert ("has the joint offsets already" in remarks) == (name != "mjcf"), name
 
 
+def test_a_sigma_belongs_to_the_offset_beside_it(calibrated_robot):
+    """Where offsets make up for gains they are no estimates, and have none."""
+    setup = Setup(
+        parameters=("joint-offset", "transmission"),
+        base_frame=FrameSetup(estimate=False),
+        tool_frame=FrameSetup(estimate=False),
+    )
+    gain = {"joint_2.transmission.gain": 0.001}
+    result = calibrated_robot("pose", setup, 60, 0.0, noise=1e-4, changes=gain)
+    encoded = FORMATS["joint-offsets"].encode(of(result), None)
+    lines = [x for x in encoded.data.decode().splitlines() if x[:1] != "#"]
+    found = {estimate.name: estimate for estimate in result.parameters}
+    blank = []
+    for row in csv.DictReader(lines):
+        estimate = found[f"{row['joint']}.joint-offset.q"]
+        off = abs(float(row["offset_si"]) - estimate.value)
+        assert (row["sigma"] == "") == (off > estimate.sigma), row
+        blank.append(row["sigma"] == "")
+    assert any(blank)
+    assert "not those of the report: gains, transmission" in " ".join(encoded.remarks)
+
+
 def test_a_reversed_joint_is_told_with_its_couplings(exported):
     joints = {"a": JointMap("elbow_joint", -1, gear=2.0, coupled={"b": 0.5})}
     told = told_reversed(JointColumns.of(exported.chain, joints))

@@ -638,8 +638,10 @@ def test_the_formats_are_all_read():
 def test_an_offset_is_as_well_known_as_those_that_it_is_made_of(tmp_path: Path):
     of = calibrated(CASES["columns"])
     statuses = {f"J{k}": "identifiable" for k in range(1, 7)} | {"J2": "weak"}
+    model, end = of.result.model, ".joint-offset.q"
+    values = dict(zip(model.given.names, model.theta.tolist(), strict=True))
     of.result.parameters = tuple(
-        ParameterEstimate(f"{name}.joint-offset.q", "rad", 0.0, 1e-4, status, ())
+        ParameterEstimate(name + end, "rad", values[name + end], 1e-4, status, ())
         for name, status in statuses.items()
     )
     encoded = FORMATS["joint-offsets"].encode(of, None)

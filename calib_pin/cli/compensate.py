@@ -50,6 +50,14 @@ SPEED = 0.25
 """Part of the joint speeds at which programs move."""
 
 
+CONDITIONS = {
+    "thermal": "commands are for links at {:g} degC",
+    "warm-up": "commands are for the warm robot",
+    "instrument-drift": "targets are where the instrument saw them before it drifted",
+}
+"""What commands hold for, by the parameters that depend on it: no target states it."""
+
+
 @dataclass(frozen=True)
 class Commanded:
     """Commands for the targets of a file.
@@ -131,6 +139,11 @@ def _remarks(
     """Remarks on targets, before commands for them are looked for."""
     if result.verdict == "no-gain":
         yield "without a gain the commands are those of the nominal robot"
+    else:
+        setup = result.model.setup
+        for name, said in CONDITIONS.items():
+            if name in setup.parameters:
+                yield said.format(setup.thermal.reference)
     own = [k.model for k in result.model.terms if k.chain == key.chain]
     oriented = targets.oriented and not asked.position and asked.point != "tip"
     if oriented and all(declared(name).tracks == "point" for name in own):

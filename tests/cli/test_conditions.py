@@ -61,6 +61,10 @@ def test_errors_of_conditions_come_back(measured) -> None:  # type: ignore[no-un
     errors = json.loads(said.out)["errors"]["position"]
     after = stated["errors"]["position"]["training"]["after"]
     assert errors["rms"] == pytest.approx(after["rms"], rel=1e-9)
+    # No target says how warm the robot is: it is told what the commands are for.
+    write("targets.csv", "x,y,z", [[0.5, 0.1, 0.6]])
+    told = measured("compensate out targets.csv -o commands.csv --payload load").err
+    assert "links at 20 degC" in told and "before it drifted" in told
 
 
 def test_rows_without_what_is_needed(measured, refuses) -> None:  # type: ignore[no-untyped-def]

@@ -67,8 +67,10 @@ class Estimates(NamedTuple):
         columns = JointColumns.of(result.model.chains, result.model.setup.joints)
         drives = dict(zip(columns.joints, columns.names, strict=True))
         errors = [e for e in result.robot_errors if e.kind == OFFSET]
-        for joint, error in ((of.removeprefix("-"), e) for e in errors for of in e.of):
-            column, sum_ = drives.get(joint, ""), len(error.of) > 1
+        for of, error in ((of, e) for e in errors for of in e.of):
+            # A minus is that of a difference, if it is not that of a name.
+            column = drives.get(of) or drives.get(of.removeprefix("-"))
+            sum_ = len(error.of) > 1
             if column and column not in found and (sum_ or error.sigma is None):
                 unknown[column] = "coupled" if sum_ else error.status
         return Estimates(found, unknown)

@@ -47,6 +47,7 @@ from calib_pin.setup import AXES, ReadingSetup
 from calib_pin.validation.findings.alternatives import Alternative, Explanation
 from calib_pin.validation.findings.case import (
     CHANCE,
+    FOREIGN,
     SOME,
     Case,
     QuickFit,
@@ -471,6 +472,8 @@ def changes(case: Case) -> Explanation | None:
     if found is None or len({c.what for c in every}) > 3:
         return None
     first, last = found
+    if last.errors > FOREIGN * expected_size(case.fit.quantity.unit):
+        return None  # What no robot has is left, and another fault as well.
     data = case.data.weighted(np.ones(len(case.data)))
     rank = np.argsort(data.in_order)
     # It may be a row that was not looked at.

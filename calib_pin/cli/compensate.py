@@ -55,7 +55,8 @@ CONDITIONS = {
     "warm-up": "commands are for the warm robot",
     "instrument-drift": "targets are where the instrument saw them before it drifted",
 }
-"""What commands hold for, by the parameters that depend on it: no target states it."""
+"""Conditions that commands hold for, by the parameters that depend on them: no target
+states them."""
 
 
 @dataclass(frozen=True)

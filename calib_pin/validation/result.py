@@ -899,7 +899,7 @@ class Suggestion:
 
 @dataclass(frozen=True)
 class UrdfResult:
-    """What a URDF can hold of a calibration that is more, or shows no gain.
+    """The part of a calibration that a URDF can hold, where it is more or shows no gain.
 
     The geometry alone; without a gain the nominal robot about its registered frames.
 

@@ -51,7 +51,8 @@ ROBOTS = (MIMIC, PRISMATIC, SEVERAL)
 """All of both."""
 
 ALREADY = "goes with the nominal URDF: the corrected one has the joint offsets already"
-"""What is wrong twice: offsets in a controller below a URDF that has them."""
+"""A warning of what would correct twice: offsets in a controller below a URDF that has
+them."""
 
 RIGID = (GEOMETRY, OFFSETS)
 """Held by a description of joint frames."""

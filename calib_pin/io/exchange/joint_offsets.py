@@ -44,11 +44,11 @@ USE = (
 """Sentences that say how the table is used."""
 
 CLOSEST = "offsets make up for what else was found, and are not those of the report"
-"""What the offsets are where a table of them does not hold all."""
+"""The meaning of offsets where a table of them does not hold all."""
 
 
 class Estimates(NamedTuple):
-    """What is known of the offset of each column.
+    """Offsets of columns, as far as they are known.
 
     Attributes:
         known: Those that are parameters.
@@ -122,7 +122,7 @@ FEETECH = (
     "motors are taken for Feetech's, which subtract their homing offset; those of "
     "Dynamixel add it: change theirs the other way"
 )
-"""What the file does not say, and would correct twice the wrong way."""
+"""A remark on what the file does not say: the wrong sign would double the error."""
 
 PARTS_OF_RANGE = (
     "degrees are corrected; positions of -100 to 100 count from the new ranges, so "

@@ -79,7 +79,8 @@ FOLLOW = {
 """Findings, and errors and warnings from which they follow and then are not told."""
 
 POORER = LACKS | {"known-distance", "stuck-encoder"}
-"""What makes good measurements outliers: a better fit may explain them."""
+"""Codes of faults beside which good measurements are outliers: of a better fit they are
+none."""
 
 
 @dataclass(frozen=True)

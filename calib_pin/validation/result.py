@@ -899,7 +899,7 @@ class Suggestion:
 
 @dataclass(frozen=True)
 class UrdfResult:
-    """The part of a calibration that a URDF can hold, where it is more or shows no gain.
+    """The part of a calibration that a URDF holds, where it is more or shows no gain.
 
     The geometry alone; without a gain the nominal robot about its registered frames.
 

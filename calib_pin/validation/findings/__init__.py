@@ -79,8 +79,8 @@ FOLLOW = {
 """Findings, and errors and warnings from which they follow and then are not told."""
 
 POORER = LACKS | {"known-distance", "stuck-encoder"}
-"""Codes of faults beside which good measurements are outliers: of a better fit they are
-none."""
+"""Codes of faults beside which good measurements may be outliers, for want of a better
+fit."""
 
 
 @dataclass(frozen=True)

@@ -88,9 +88,9 @@ another robot leaves (a drift of the instrument leaves one half with one frame m
 And errors that changes leave, by those of the fit without what it has set aside."""
 
 CONFIGURATIONS, VALUES, ROBOT = 3, 3, 6
-"""Least configurations on each side of a change, and values there by its unknowns: a
-frame can follow one outlier of four positions, but not one of three poses. And
-configurations on each side of another robot."""
+"""Least configurations on each side of a change of a frame, and values there by its
+unknowns: it can follow one outlier of four positions, but not one of three poses. And
+configurations on each side of a change of the robot or of one of its joints."""
 
 SEEN = 1e-4
 """Part of what a change does that the fit cannot do, below which it is none."""
@@ -279,7 +279,8 @@ class Trial(QuickFit):
         own = concerned(self.plain.data, change)[self.index]
         values = int(own[self.problem.layout.row].sum())
         there = len(np.unique(self.problem.data.groups()[own]))
-        return max(CONFIGURATIONS, -(-VALUES * unknowns * there // max(values, 1)))
+        few = ROBOT if change.kind == "joint" else CONFIGURATIONS
+        return max(few, -(-VALUES * unknowns * there // max(values, 1)))
 
     @property
     def candidates(self) -> list[tuple[float, float, Change]]:

@@ -38,7 +38,7 @@ from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import LOSSES, SOLVERS, WORLD, JointPrior, PopulationPrior, Setup
 from calib_pin.setup.arguments import Path as Place
 from calib_pin.setup.arguments import Refused, Taker, dotted, unknown
-from calib_pin.setup.values import Value
+from calib_pin.setup.values import LARGEST_ERROR, LARGEST_TURN, SMALLEST, Value
 
 if TYPE_CHECKING:
     from calib_pin.io.yaml_tree import Tree
@@ -258,6 +258,15 @@ In the target column `AT` stands between two names.
 """
 
 
+NOISE: Mapping[str, Value] = {
+    "m": Value("m", SMALLEST, LARGEST_ERROR),
+    "rad": Value("rad", SMALLEST, LARGEST_TURN),
+    "px": Value("px", SMALLEST, 1e3),
+}
+"""Noise that a file may state, by the unit of its quantity; what was found, of a servo
+arm that lost a bolt, may be any."""
+
+
 def _check(setup: Setup) -> None:
     """Refuse names that cannot be, and what does not fit together.
 
@@ -267,9 +276,13 @@ def _check(setup: Setup) -> None:
     _check_evolution(setup)
     models = MEASUREMENT_MODELS.values()
     known = {q.name: q for model in models for q in model.declaration.quantities}
-    for name in setup.noise:
+    for name, sigma in setup.noise.items():
         if name not in known:
             raise unknown(("noise", name), known)
+        try:
+            NOISE[known[name].unit].taken(sigma, float)
+        except ValueError as error:
+            raise Refused(("noise", name), str(error)) from None
     joints = setup.joints.items()
     _check_twice((given.joint, ("joints", name, "joint")) for name, given in joints)
     for key, word in NAMES.items():

@@ -23,7 +23,9 @@ from calib_pin.setup.population import JointPrior as JointPrior
 from calib_pin.setup.population import PopulationPrior as PopulationPrior
 from calib_pin.setup.values import (
     LARGEST_ANGLE,
+    LARGEST_ERROR,
     LARGEST_LENGTH,
+    LARGEST_TURN,
     MOST,
     REST,
     SMALLEST,
@@ -60,6 +62,9 @@ def _direction(vector: Triple) -> Triple:
 Length = Annotated[float, Value("m", SMALLEST, LARGEST_LENGTH)]
 Span = Annotated[float, Value("m", SMALLEST, 20.0)]
 Edge = Annotated[float, Value("m", SMALLEST, 2.0)]
+Travel = Annotated[float, Value("m", SMALLEST, 0.1)]
+Error = Annotated[float, Value("m", SMALLEST, LARGEST_ERROR)]
+Turn = Annotated[float, Value("rad", SMALLEST, LARGEST_TURN)]
 Position = Annotated[Triple, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)]
 Angles = Annotated[Triple, Value("rad", -LARGEST_ANGLE, LARGEST_ANGLE)]
 Direction = Annotated[Triple, Value("", -1e6, 1e6), _direction]
@@ -349,7 +354,7 @@ class DistanceSetup(Section):
 
     between: Annotated[tuple[Text, Text], distinct]
     value: Span
-    sigma: Edge = 1e-4
+    sigma: Error = 1e-4
 
 
 # --- the reading of files -----------------------------------------------------------
@@ -550,7 +555,7 @@ class Payload(Section):
     """
 
     mass: Annotated[float, Value("kg", SMALLEST, 1e5)]
-    com: Position
+    com: Annotated[Triple, Value("m", -10.0, 10.0)]
 
 
 @dataclass(frozen=True)
@@ -586,8 +591,8 @@ class DriftSetup(Section):
     """
 
     spans: Mapping[str, Annotated[Pair, Value("s", rising=True)]] = empty()
-    shift: Annotated[float, Value("m", 0.0)] | None = None
-    turn: Annotated[float, Value("rad", 0.0)] | None = None
+    shift: Annotated[float, Value("m", 0.0, LARGEST_ERROR)] | None = None
+    turn: Annotated[float, Value("rad", 0.0, LARGEST_TURN)] | None = None
 
 
 @dataclass(frozen=True)
@@ -867,10 +872,10 @@ class LimitSetup(Section):
         distance: Of distances between poses, AD [m].
     """
 
-    position: Annotated[float, Value("m", SMALLEST)] | None = None
-    orientation: Annotated[float, Value("rad", SMALLEST)] | None = None
-    repeatability: Annotated[float, Value("m", SMALLEST)] | None = None
-    distance: Annotated[float, Value("m", SMALLEST)] | None = None
+    position: Error | None = None
+    orientation: Turn | None = None
+    repeatability: Error | None = None
+    distance: Error | None = None
 
 
 @dataclass(frozen=True)
@@ -1019,7 +1024,7 @@ class Setup(FitSetup):
         str, Annotated[Pair, Value("rad, m", -LARGEST_ANGLE, LARGEST_ANGLE), _ordered]
     ] = empty()
     ranger: RangerSetup = RangerSetup()
-    gauge: Span | None = None
+    gauge: Travel | None = None
     monte_carlo: MonteCarloSetup = MonteCarloSetup()
     file: str = field(default="", compare=False, metadata={"key": None})
 

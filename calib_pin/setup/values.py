@@ -24,6 +24,13 @@ LARGEST_LENGTH = 100.0
 LARGEST_ANGLE = 4.0 * math.pi
 """Largest angle that can be meant [rad]: two turns, as far as joint counters go."""
 
+LARGEST_ERROR = 0.02
+"""Largest error of an instrument, and largest one that a robot may have, that can be
+meant [m]: a ruler is better, and 0.05 stands for 0.05 mm."""
+
+LARGEST_TURN = 0.05
+"""The same of orientations [rad]: three degrees, so that 0.1 stands for degrees."""
+
 SMALLEST = 1e-12
 """Smallest positive number that can be meant, such as a standard deviation [m, rad]."""
 

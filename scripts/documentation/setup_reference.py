@@ -15,7 +15,7 @@ from typing import Any, get_args, get_origin
 
 from calib_pin import setup as declared
 from calib_pin.cli.options import meanings
-from calib_pin.io.setup import FAMILIES
+from calib_pin.io.setup import FAMILIES, NOISE
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.setup import values
 from calib_pin.setup.arguments import keys_of
@@ -204,7 +204,7 @@ def _quantities() -> Json:
     found: Json = {"type": "object", "additionalProperties": False, "properties": {}}
     for model in MEASUREMENT_MODELS.values():
         for quantity in model.declaration.quantities:
-            limits = values.Value(quantity.unit, SMALLEST, 1e3)
+            limits = NOISE[quantity.unit]
             found["properties"][quantity.name] = _numbers({"type": "number"}, limits)
     return found
 

@@ -74,7 +74,7 @@ def test_a_robot_is_tested(visits, run, without_typst):
     assert float(rows[2].split(",")[3]) == poses[0]["accuracy"]["value"]
     page = Path("out/acceptance.html").read_text()
     assert "KR 7" in page and page.count("FAIL: AP") == 1
-    Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "0.1") + FRAMES)
+    Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "0.02") + FRAMES)
     assert run(ACCEPT).status == 0
 
 
@@ -240,7 +240,7 @@ def drop(rows) -> None:
     ],
 )
 def test_faulty_and_missing_visits_pass_nothing(visits, run, change, told):
-    Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "0.1") + FRAMES)
+    Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "0.02") + FRAMES)
     changed(change)
     result = run(ACCEPT)
     assert result.status == 2 and "PASS:" not in result.out.replace("No PASS:", "")
@@ -306,7 +306,7 @@ def test_an_untrusted_calibration_is_said_to_be(visits, run, without_typst):
     """The limits alone would pass."""
     words = "calibrate arm.urdf foreign.csv --setup setup.yaml --validation rows.csv"
     assert run(f"{words} -o c").status == 2
-    Path("own.yaml").write_text("limit: {position: 1.0}\n")
+    Path("own.yaml").write_text("limit: {position: 0.02}\n")
     accept = "accept c/calibration.json visits.csv --register --setup own.yaml -o out"
     result = run(accept)
     assert result.status == 2

@@ -161,7 +161,7 @@ def test_nothing_that_is_known_is_ignored(known: DistanceSetup, said: str) -> No
         assert found.identifiability.scale_observable
 
 
-@pytest.mark.parametrize(("sigma", "left"), [(1e-6, 1e-6), (1.0, 1e-3)])
+@pytest.mark.parametrize(("sigma", "left"), [(1e-6, 1e-6), (0.01, 1e-3)])
 def test_a_distance_weighs_by_its_sigma(sigma: float, left: float) -> None:
     """Rows with known lengths find another distance; the smaller sigma wins."""
     setup = Setup(sockets=SOCKETS, tool_frame=TOOL, parameters=("joint-offset",))
@@ -176,7 +176,7 @@ def test_a_distance_weighs_by_its_sigma(sigma: float, left: float) -> None:
     places = moved.only.measurement.sites
     found = float(np.linalg.norm(places[0].xyz - places[1].xyz))
     assert abs(found - apart - 1e-3) <= 1.1 * left
-    assert (abs(found - apart) < 2e-4) == (sigma == 1.0)
+    assert (abs(found - apart) < 2e-4) == (sigma == 0.01)
 
 
 def prior_of(names: Sequence[str]) -> PopulationPrior:

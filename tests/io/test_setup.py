@@ -55,9 +55,25 @@ TEXT = "text (in quotes if it looks like something else)"
 WRONG = [
     # A file, its key, what is allowed there, and what is not.
     (
-        *("gauge: %s", "gauge", "a positive number [m], at most 20"),
+        *("gauge: %s", "gauge", "a positive number [m], at most 0.1"),
         "one|true|[1]|.nan|-.inf|1:30|0x10|1_000|''|0|-1|100.1|{a: b}",
     ),
+    *(
+        (f"{key}: {{{name}: %s}}", f"{key}.{name}", f"a positive number {most}", value)
+        for key in ("noise", "limit")
+        for name, most, value in (
+            ("position", "[m], at most 0.02", "0.05|0.5"),
+            ("distance", "[m], at most 0.02", "0.03"),
+            ("orientation", "[rad], at most 0.05", "0.1"),
+        )
+    ),
+    ("limit: {repeatability: %s}", "limit.repeatability", None, "0.05|1"),
+    ("noise: {contact: %s}", "noise.contact", None, "0.03"),
+    (
+        *("distances: [{between: [a, b], value: 1, sigma: %s}]", "distances[0].sigma"),
+        *("a positive number [m], at most 0.02", "0.05"),
+    ),
+    ("payloads: {a: {mass: 1, com: %s}}", "payloads.a.com", None, "[0, 0, 80]"),
     (
         *(
             "reading: {shift: %s}",
@@ -67,8 +83,8 @@ WRONG = [
         "one|true|2.5|.nan|1000001|[1]",
     ),
     (
-        *("drift: {shift: %s}", "drift.shift", "a finite number [m], at least 0"),
-        "-1e-9|'1 mm'",
+        *("drift: {shift: %s}", "drift.shift"),
+        *("a finite number [m], at least 0, at most 0.02", "-1e-9|'1 mm'|0.05"),
     ),
     (
         *("limits: {j: %s}", "limits.j"),
@@ -119,7 +135,8 @@ def test_values_that_a_key_refuses(bad, text, key, allowed, values):
 
 
 def test_limits_themselves_are_allowed(write):
-    text = "gauge: 20\nreading: {shift: -1e6}\ndrift: {shift: 0}\nlimits: {j: [1, 1]}"
+    text = "gauge: 0.1\nreading: {shift: -1e6}\ndrift: {shift: 0}\nlimits: {j: [1, 1]}"
+    text += "\nnoise: {position: 0.02, pixel: 1000}\nlimit: {orientation: 0.05}"
     assert read_setup(write(text)).limits == {"j": (1.0, 1.0)}
 
 

@@ -23,7 +23,7 @@ import numpy as np
 import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
-from calib_pin.estimation.evidence import rms
+from calib_pin.estimation.evidence import Finding, rms
 from calib_pin.estimation.problem import distinct_values
 from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted, split_header
 from calib_pin.io.foreign_headers import Foreign
@@ -50,8 +50,8 @@ from calib_pin.setup import (
 )
 from calib_pin.units import steps_of
 from calib_pin.validation.evaluation import error_sizes, prepared
-from calib_pin.validation.findings.case import Case, some_of
-from calib_pin.validation.findings.facts import COMPUTED, require_motion, spread
+from calib_pin.validation.findings.case import Case, QuickFit, some_of
+from calib_pin.validation.findings.facts import computed_values, require_motion, spread
 from calib_pin.validation.findings.readings import orientations
 from calib_pin.validation.findings.sentences import lines_of, shown, written
 from calib_pin.validation.model_errors import Registered
@@ -152,6 +152,8 @@ class Look:
         units: Column to unit, where nobody stated it.
         position: Name of the column that is taken for x.
         remarks: Sentences about how the files were read.
+        exact: The finding that the nominal robot fits as no instrument sees it; None
+            where it does not.
         computed: Names of columns of x that the controller computed.
     """
 
@@ -166,6 +168,7 @@ class Look:
     units: Mapping[str, str] = field(default_factory=dict)
     position: str = ""
     remarks: Sequence[str] = ()
+    exact: Finding | None = None
     computed: Sequence[str] = ()
 
     @property
@@ -578,7 +581,7 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
         )
         chains = chains.named(tuple(key.chain for key in data.keys))
         require_motion(data)
-        rows, _ = some_of(data)
+        rows, rank = some_of(data)
         ready = prepared(chains, rows, setup)
         known = distinct_values(ready.problem)
         parameters = ready.problem.parameters
@@ -591,6 +594,9 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
             reason += f"{unknown} already{more * (named > 1)}"
             raise InputError(reason, file=files[0])
         errors, share = _errors(ready)
+        quick = QuickFit(ready.problem, ready.theta)
+        case = Case(chains, data, quick, rank, ready.theta)
+        exact = next(computed_values(case), None)
         far = _far_off(ready)
         if share >= FITS and len(far) == len(rows) and far.any():
             # Of lost targets that nothing else marks a few are enough to hide a fit.
@@ -602,7 +608,8 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
                 remarks.append(f"far off all others: {said}, the first is {first}")
     except CalibPinError as error:
         return replace(look, fault=error)
-    return replace(look, data=data, errors=errors, share=share, remarks=remarks)
+    found = replace(look, data=data, errors=errors, share=share, exact=exact)
+    return replace(found, remarks=remarks)
 
 
 def _in_conventions(
@@ -703,13 +710,13 @@ def best(looks: Sequence[Look]) -> Look:
         InputError: If the nominal robot fits to a file as no instrument sees one.
     """
     whole = [look for look in looks if look.errors]
-    computed = {look.position for look in whole if look.share <= COMPUTED} - {""}
+    exact = {k.position: k.exact for k in whole if k.exact is not None and k.position}
+    others = any(k.fits for k in whole if k.position not in exact)
+    # Where the steps of joints make it likely only, there must be others to take.
+    computed = {n for n, of in exact.items() if others or of.severity == "error"}
     seen = [look for look in whole if look.position not in computed]
     if computed and not seen:
-        size = shown(next(iter(whole[0].errors.values())), "m")
-        reason = f"the positions fit to the nominal robot to {size}, as those of no "
-        reason += "instrument: they are computed from the joints by the controller"
-        raise InputError(reason)
+        raise InputError(exact[whole[0].position].message)
     turned = [k for k in seen if k.errors.get("orientation", 0.0) <= DROPPED] or seen
     least = min((look.share for look in turned), default=inf)
     # Where none is read, the one with the most small units fails for no unit.
@@ -717,6 +724,8 @@ def best(looks: Sequence[Look]) -> Look:
     chosen = next(read, max(looks, key=lambda look: len(look.units)))
     off = [k.errors["orientation"] for k in seen if "orientation" in k.errors]
     remarks = [*chosen.remarks]
+    if chosen.exact is not None:
+        remarks.append(chosen.exact.message)
     close = [k for k in seen if k.position not in ("", chosen.position)]
     close = [k for k in close if chosen.fits and CLEAR * k.share <= chosen.share]
     if close:

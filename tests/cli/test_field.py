@@ -123,6 +123,13 @@ READ: Mapping[str, Callable[[Job], str | bytes]] = {
     "computed by the controller, xyz": lambda job: text(
         {OWN: job.q, XYZ: job.T[:, :3, 3], "X[mm] Y[mm] Z[mm]": 1e3 * job.points}
     ),
+    "computed by the controller, steps": lambda job: text(
+        {
+            "j1 j2 j3 j4 j5 j6": np.degrees(job.q).round(3),
+            "X Y Z": 1e3 * job.T[:, :3, 3].round(5),
+            "LT_X LT_Y LT_Z": 1e3 * job.points,
+        }
+    ),
     "an orientation that never moves": lambda job: text(
         {OWN: job.q, XYZ: job.points, "qx qy qz qw": np.tile([0.0, 0, 0, 1], (40, 1))}
     ),

@@ -102,14 +102,15 @@ ANGLES = ("rotation-vector", "roll-pitch-yaw")
 STEPS = {"m": (1.0, 0.0254), "rad": (1.0, np.pi / 180.0), "px": (1.0,), "": (1.0,)}
 """Units in which a file may count decimal steps, by the one of the values."""
 
-COMPUTED = 3e-6
+COMPUTED, COARSE_JOINTS = 3e-6, 1e-3
 """Errors of the nominal robot, in parts of how far the tool moved, below which it has
 computed them: a micrometer in a meter is what six digits leave, and the best tracker
-sees ten times that on a robot without errors."""
+sees ten times that on a robot without errors. And those that steps of joints make."""
 
 FINE, TIMES = 1e-4, 1.2
-"""Steps of written values up to which errors of so many times what rounding makes are
-those of a controller that rounds: no robot is as near to its URDF [m]."""
+"""Steps of written values, or of the tool by those of joints, up to which errors of so
+many times what rounding makes are those of a controller that rounds: no robot is as
+near to its URDF [m]. Steps of joints that move it farther make it likely."""
 
 STOOD, MOVED = 5e-4, 20.0
 """Difference of joint positions that are those of one configuration [rad, m], and
@@ -294,16 +295,27 @@ def computed_values(case: Case) -> Iterator[Finding]:
     errors = error_table(problem, case.nominal)
     # Beside those of another model they have its name too, and rows of nan.
     at = (q for q in problem.layout.quantities if q.name.startswith("position"))
-    rms = min(float(np.sqrt(np.nanmean(q.errors(errors) ** 2))) for q in at)
+    sizes = {float(np.sqrt(np.nanmean(q.errors(errors) ** 2))): q for q in at}
+    rms = min(sizes)
     moved = spread([block.values[:, :3] for block in blocks])
     step = max(coarse_step(b.values[:, :3].ravel(), "m") for b in blocks)
-    rounding = TIMES * step * ROUNDED * np.sqrt(3.0) if step <= FINE else 0.0
-    if rms < max(COMPUTED * moved, rounding):
-        said = f"the positions fit to the nominal robot to {shown(rms, 'm')}, which no "
-        said += "instrument does: they were computed from the joints"
+    step = step if step <= FINE else 0.0
+    few = rms < COARSE_JOINTS * moved
+    by_joints = _joint_step(case, sizes[rms])[2] if few else 0.0
+    whole = TIMES * ROUNDED * np.sqrt(3.0)
+    fine = np.hypot(step, by_joints if by_joints <= FINE else 0.0)
+    sure = rms < max(COMPUTED * moved, whole * fine)
+    if sure or rms < whole * np.hypot(step, by_joints):
+        said = f"the positions fit to the nominal robot to {shown(rms, 'm')}, which "
+        if sure:
+            said += "no instrument does: they were computed from the joints by the "
+            said += "controller"
+        else:
+            said += "the steps of the joint positions make alone: it may be that they "
+            said += "were computed from the joints by the controller"
         remedy = "take the columns that an instrument measured; 'calib-pin init' finds "
         numbers = {"rms": rms, "moved": moved}
-        yield told("computed-values", said, numbers, f"{remedy}them", error=True)
+        yield told("computed-values", said, numbers, f"{remedy}them", error=sure)
 
 
 def spread(blocks: Sequence[Floats]) -> float:

@@ -161,6 +161,12 @@ def rounded(rows: Measurements) -> Measurements:
     return replace(rows, values=ARM.poses(rows.q)[:, :3, 3].round(4))
 
 
+def by_steps(degrees: float) -> Spoil:
+    """What the controller computes of joints that it shows in steps."""
+    step = np.radians(degrees)
+    return lambda rows: replace(computed(rows), q=(rows.q / step).round() * step)
+
+
 def repeated(rows: Measurements, index: Any) -> Measurements:
     """Some measurements again, each with noise of its own."""
     rows = rows.rows(index)
@@ -295,6 +301,8 @@ MISHAPS = [
     Mishap("constant-positions", values(lambda v: v[:, [0, 0, 2]])),
     Mishap("computed-values", computed),
     Mishap("computed-values", rounded),
+    Mishap("computed-values", by_steps(0.001)),
+    Mishap("computed-values", by_steps(0.02), severity="warning"),
     Mishap("coarse-steps", values(lambda v: np.round(v, 3)), severity="warning"),
     Mishap("known-distance", setup=ruler(0.11), job={"names": "ab"}),
     Mishap(

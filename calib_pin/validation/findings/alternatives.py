@@ -492,7 +492,11 @@ class _Search:
         """
         if self.contact or not faults:
             return None
-        return self._decided(faults, self._fitted(faults), most, fitted=True)
+        after = self._fitted(faults)
+        # The right reading of joints leaves a robot, which a fit knows better.
+        if any(h.joints for h in faults) and after > FOREIGN * self.one:
+            return None
+        return self._decided(faults, after, most, fitted=True)
 
     def _decided(
         self,

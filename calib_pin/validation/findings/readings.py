@@ -109,6 +109,10 @@ as large on six joints, and less than a third on three."""
 PIXEL = ("u", "v")
 """Column and row of a point in an image."""
 
+SQUARE, FLAT = 1e-3, 2e-3
+"""Cosine of axes that are at right angles, and distance from a plane of points in it
+[m], of robots that look the same in a mirror but for their errors."""
+
 FARTHEST = 10
 """Most lines by which joint positions may stand elsewhere."""
 
@@ -404,6 +408,13 @@ def axes(case: Case) -> Iterator[Alternative]:
     )
     # Every left-handed frame is the one with all axes negated, turned.
     mirrored = ("-x", "-y", "-z") if turned else ("x", "y", "-z")
+    if flipped := [] if turned or not blocks else mirrored_joints(case):
+        # A point of the tool that is known beside the plane of the arm tells the sides.
+        ends = [t.index[len(t.error.screws) - FRAME :] for t in terms.values()]
+        alike = all(free[index].any() for index in ends)
+        yield _mirrored(case.data.joints, flipped, alike)
+        if alike:
+            return
     negated = [*product(*((axis, f"-{axis}") for axis in AXES))]
     ways = [held for axes in negated for held in permutations(axes)]
     for held in ways if turned else [mirrored] * bool(blocks):
@@ -415,6 +426,51 @@ def axes(case: Case) -> Iterator[Alternative]:
             words += "(two are exchanged, or one is negated)"
         if held != AXES:
             yield Alternative(code, words, of, reading, gross=True)
+
+
+def mirrored_joints(case: Case) -> list[int]:
+    """Joints that turn the other way in the mirror image of the robot.
+
+    Arms of which every axis lies in one plane, or is normal to it, look the same on
+    both sides: where the tool is not known either, positions do not tell a left-handed
+    frame from a controller that counts these joints the other way. Of other robots, and
+    of several chains, none.
+    """
+    chain, *others = {t.error.chain for t in case.fit.problem.terms.values()}
+    if others:
+        return []
+    frames, turning = chain.joint_frames(), chain.revolute
+    # The axes, be it of turns or of slides.
+    axes = np.einsum("nij,nj->ni", frames[:, :3, :3], chain.axes)
+    turns = axes[turning]
+    for normal in [*turns, *np.cross(turns[:-1], turns[1:])]:
+        if (size := np.linalg.norm(normal)) < SQUARE:
+            continue
+        along = np.abs(axes @ normal / size)
+        inside, across = along < SQUARE, along > 1.0 - SQUARE
+        heights = frames[turning & inside, :3, 3] @ normal / size
+        if (inside | across).all() and len(heights) and np.ptp(heights) < FLAT:
+            flipped = np.flatnonzero(np.where(turning, inside, across)).tolist()
+            return [case.data.joints.index(chain.joints[j]) for j in flipped]
+    return []
+
+
+def _mirrored(
+    joints: Sequence[str], flipped: Sequence[int], alike: bool
+) -> Alternative:
+    """Joints that are reversed, which a left-handed frame may look like."""
+    signs = np.ones(len(joints))
+    signs[flipped] = -1.0
+    read = JointReading(np.diag(signs), np.zeros(len(joints)))
+    names = enumerated([f"'{joints[j]}'" for j in flipped])
+    words = f"joint{'s' * (len(flipped) > 1)} {names} "
+    words += f"{'are' if len(flipped) > 1 else 'is'} reversed"
+    found = Alternative("joint-reversed", words, "axes of positions", joints=read)
+    if not alike:
+        return found
+    words += ", or the frame of x, y and z is left-handed, which looks the same"
+    advice = "if it is the frame, state in the setup file: reading: {axes: [x, y, -z]}"
+    return replace(found, words=words, gross=True, advice=advice)
 
 
 def orientations(case: Case, likely: float = LIKELY) -> Iterator[Alternative]:

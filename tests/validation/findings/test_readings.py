@@ -99,6 +99,39 @@ def test_wrong_link_of_which_the_file_has_the_joints(file, code, ends) -> None:
     assert found.setup == lines[code]
 
 
+def told_by(robot, rows, setup=None):
+    """The findings that lead to no trust."""
+    chain = calib_pin.load_chain(robot, tip="tool")
+    found = calib_pin.calibrate(chain, rows, setup, validate=False).findings
+    return [one for one in found if one.severity == "error"]
+
+
+@pytest.mark.parametrize("frame", [False, True], ids=["controller", "frame"])
+def test_signs_of_a_controller_look_like_a_left_handed_frame(erring, frame) -> None:
+    """KUKA counts A1, A4 and A6 the other way; both are named."""
+    rows = erring("heavy6", Setup(tool_frame=TOOL), 3, count=50).only
+    change = {"values": rows.values * [1.0, 1.0, -1.0]}
+    if not frame:
+        change = {"q": rows.q * [-1.0, 1.0, 1.0, -1.0, 1.0, -1.0]}
+    (found,) = told_by("heavy6", replace(rows, **change))
+    assert found.code == "joint-reversed" and "left-handed" in found.message
+    lines = found.setup["joints"].items()
+    turned = {name: {"joint": name, "sign": -1} for name in ("joint_1", "joint_4")}
+    assert dict(lines) == turned | {"joint_6": {"joint": "joint_6", "sign": -1}}
+    assert "axes: [x, y, -z]" in found.remedy
+    # A point that is known beside the plane of the arm tells them apart.
+    known = Setup(tool_frame=replace(TOOL, estimate=False))
+    codes = {f.code for f in told_by("heavy6", replace(rows, **change), known)}
+    assert codes == {"left-handed-frame" if frame else "joint-reversed"}
+
+
+def test_a_reading_that_leaves_half_a_meter_is_no_cause(erring) -> None:
+    """Zeros of A2 and A3 are a quarter of a turn elsewhere as well: three faults."""
+    rows = erring("heavy6", Setup(tool_frame=TOOL), 3, count=50).only
+    q = rows.q * [-1, 1, 1, -1, 1, -1] + np.radians([0, -90, 90, 0, 0, 0])
+    assert told_by("heavy6", replace(rows, q=q)) == []
+
+
 def test_a_tool_that_touches_sockets_beyond_the_stated_tip(tmp_path) -> None:
     """A longer chain touches one point the worse, unless it is the one that does."""
     chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")

@@ -24,6 +24,7 @@ import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import Finding, rms
+from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import distinct_values
 from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted, split_header
 from calib_pin.io.foreign_headers import Foreign
@@ -300,19 +301,40 @@ def _names_that_fit(
         count = len(one.column.texts().distinct)
         if not 1 < count <= len(one.column.numbers) / headers.SHARED:
             continue
-        shares = dict[str, float]()
+        others = dict[str, Look]()
         for key in free:
             named = replace(setup, columns={**setup.columns, key: one.column.header})
-            other = looked(replace(look, setup=named), robot, files, apart)
-            shares[key] = other.share
+            others[key] = looked(replace(look, setup=named), robot, files, apart)
+        shares, now = {key: other.share for key, other in others.items()}, look.share
+        words, whole = "errors of {:.2g} % of the motion", 1.0
+        if look.fits and not min(shares.values(), default=inf) < CLEAR * now:
+            # Errors of the robot hide some millimeters of a tool.
+            shares = {key: _fitted(other, robot) for key, other in others.items()}
+            now = whole = _fitted(look, robot)
+            words = "{:.2g} % of the errors of a fit"
         least = min(shares.values(), default=inf)
         told = f"'{one.name}' has {count} names that repeat: "
-        if least < CLEAR * look.share:
+        if least < CLEAR * now:
             close = [key for key in free if CLEAR * shares[key] <= least]
-            told += f"named {' or '.join(close)} in 'columns' it leaves errors of "
-            yield f"{told}{100.0 * least:.2g} % of the motion"
+            told += f"named {' or '.join(close)} in 'columns' it leaves "
+            yield told + words.format(100.0 * least / whole)
         elif not look.fits:
             yield f"{told}does it tell {', '.join(free)} apart? name it in 'columns'"
+
+
+def _fitted(look: Look, robot: Robot) -> float:
+    """Errors that a fit of the robot leaves [standard deviations]; infinite of none."""
+    if look.data is None:
+        return inf
+    chains = _chains(robot, look.setup).named(
+        tuple(key.chain for key in look.data.keys)
+    )
+    try:
+        rows, _ = some_of(look.data)
+        fit = QuickFit.of(make_problem(chains, rows, look.setup))
+    except (CalibPinError, np.linalg.LinAlgError):
+        return inf
+    return fit.rms if fit.redundant else inf
 
 
 def _answers(key: str, looks: Sequence[Look], found: Look) -> list[str]:

@@ -381,6 +381,21 @@ def test_names_that_tell_stations_or_tools_apart_are_told(measured, run):
     assert "does it tell station, tool, target apart" in run(f"{INIT} --force").err
 
 
+@pytest.mark.parametrize("apart", [3e-3, 0.0])
+def test_tools_that_are_less_apart_than_the_robot_errs_are_told(measured, run, apart):
+    """Reflectors in turn, 3 mm apart: a fit leaves 1.7 mm, and looks good."""
+    shift = calib_pin.load_chain("space6").poses(measured[:, :6])[:, :3, 0]
+    shift *= apart * (np.arange(len(measured)) % 2)[:, None]
+    rows = np.hstack([measured[:, :6], measured[:, 6:] + shift]).tolist()
+    cells = [[*row, "AB"[k % 2]] for k, row in enumerate(rows)]
+    write("foreign.csv", ",".join([*JOINTS, *"xyz", "Reflector"]), cells)
+    told = run(INIT).err
+    assert ("'Reflector' has 2 names that repeat: named tool or target" in told) == (
+        apart > 0.0
+    )
+    assert ("% of the errors of a fit" in told) == (apart > 0.0)
+
+
 def test_thousands_that_were_read_as_the_whole_are_told(measured, run):
     """1.541 for 1541 mm; numbers with three decimals throughout are none."""
     points = [[round(1e3 * number) for number in row[6:]] for row in measured.tolist()]

@@ -619,8 +619,13 @@ def still_stretches(data: Observations) -> Iterator[tuple[str, Indices]]:
 
 
 def target_names(case: Case) -> Iterator[Alternative]:
-    """Two of few targets that have the name of each other."""
-    names = case.data.target.distinct
+    """Corners that are counted from 1, and two of few targets that are exchanged."""
+    names, board = case.data.target.distinct, case.setup.board
+    if board is not None and "0" not in names and all(map(str.isdigit, names)):
+        words = "the numbers of the targets begin with 1, and those of the board with 0"
+        change = partial(_renamed, names={name: str(int(name) - 1) for name in names})
+        found = Alternative("targets-exchanged", words, "target", change=change)
+        yield replace(found, gross=True, advice="subtract 1 from each of them")
     for first, second in combinations(names, 2) if len(names) <= TARGETS else ():
         words = f"the targets '{first}' and '{second}' have the name of each other"
         change = partial(_renamed, names={first: second, second: first})

@@ -17,6 +17,7 @@ import calib_pin
 from benchmarks.verdict.jobs import draw, stream
 from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.cli.options import OfRobot
+from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.measurements import encode_table
@@ -26,6 +27,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.setup import (
     STATED,
+    BoardSetup,
     CameraSetup,
     DistanceSetup,
     FrameSetup,
@@ -216,6 +218,17 @@ def imaged(mount: str, away: float) -> tuple[Chains, Observations, Setup]:
     names = tuple("abcd" * (len(q) // 4))
     rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2)
     return Chains.of(chain), rows, setup
+
+
+def test_corners_that_are_counted_from_one() -> None:
+    """Of ids of 1 to 24 a shift of lines looked like the cause, and 24 is no corner."""
+    chains, rows, setup = imaged("world", 4.0)
+    board = BoardSetup("chessboard", 3, 3, 0.05)
+    named = tuple(str("abcd".index(name) + 1) for name in rows.only.target)
+    rows = Observations.of(replace(rows.only, target=named))
+    setup = replace(setup, targets={}, board=board)
+    with pytest.raises(InputError, match=r"begin with 1, .* subtract 1 from each"):
+        calib_pin.calibrate(chains, rows, setup)
 
 
 def of_camera(

@@ -13,7 +13,7 @@ from calib_pin.cli.options import as_option
 from calib_pin.errors import OptionError, counted
 from calib_pin.io import logs, table
 from calib_pin.io.table import Table
-from calib_pin.observations.joining import Joined
+from calib_pin.observations.joining import HALF_HOUR, Joined
 
 
 def join(asked: Join) -> int:
@@ -65,7 +65,8 @@ def _lines(found: Joined, measurements: Path) -> Iterator[str]:
         ahead += f" {clock.ahead:+.4f} s ahead, known to {sigma}"
         yield f"{ahead} from {counted(clock.motions, 'motion')}"
     else:
+        zone = ", in another time zone" * (abs(clock.ahead) > 0.5 * HALF_HOUR)
         yield (
-            f"{ahead} taken to be {clock.ahead:+.2f} s ahead: nothing was measured in "
-            f"motion, and the standstills tell it to {sigma}"
+            f"{ahead} taken to be {clock.ahead:+.2f} s ahead{zone}: nothing was "
+            f"measured in motion, and the standstills tell it to {sigma}"
         )

@@ -45,6 +45,14 @@ LIKE = 0.1
 COARSE = 0.02
 """Step of the first search for the clock [s]."""
 
+HALF_HOUR = 1800.0
+ZONES = [HALF_HOUR * count for count in range(-28, 29)]
+"""Differences of time zones, of which one clock may show another than the other [s]."""
+
+HARDLY, MOSTLY = 0.5, 0.9
+"""Part of the readings in standstills below which a time zone is sought, and from which
+it is one."""
+
 LEAST = 0.1
 """Part of the joints' sampling time to which the clock is known at best."""
 
@@ -328,31 +336,46 @@ class _Motion:
         return float(np.sum(d * rest / noise)), weight, square, free
 
     def _by_standstills(self, readings: Log) -> Clock:
-        """The offset nearest zero with which most readings are in standstills."""
+        """The offset nearest zero with which most readings are in standstills.
+
+        Where hardly any are, it may be one of a time zone, with which nearly all are.
+        """
         # The instrument need not have waited.
         sooner, later = self.settle + 2.0 * COARSE, EDGE + 2.0 * COARSE
         starts, ends = np.array(self.standstills).T + np.array([[-sooner], [later]])
         longest = float((ends - starts).max())
-        offsets = np.arange(-longest, longest + COARSE, COARSE)
+        near = np.arange(-longest, longest + COARSE, COARSE)
 
         def inside(ahead: float) -> int:
             t = readings.time - ahead
             k = np.searchsorted(starts, t, side="right") - 1
             return int(np.count_nonzero((k >= 0) & (t <= ends[np.maximum(k, 0)])))
 
-        counts = np.array([inside(ahead) for ahead in offsets])
+        def counted(zone: float) -> NDArray[np.int64]:
+            time = readings.time - zone
+            common = np.mean((time > starts[0] - longest) & (time < ends[-1] + longest))
+            sought = near if common >= MOSTLY or not zone else near[:0]
+            return np.array([inside(zone + ahead) for ahead in sought], np.int64)
+
+        zone, counts, count = 0.0, counted(0.0), len(readings.time)
+        if counts.max() < HARDLY * count:
+            best = max(ZONES, key=lambda zone: counted(zone).max(initial=0))
+            if (there := counted(best)).max(initial=0) >= MOSTLY * count:
+                zone, counts = best, there
         if not counts.max():
+            spans = [f"{t[0]:.1f} to {t[-1]:.1f} s" for t in (self.grid, readings.time)]
             raise InputError(
-                "the logs have no common time: no reading falls into a standstill of "
-                "the joints, and their motions are not alike"
+                f"the logs have no common time: joints are of {spans[0]}, readings of "
+                f"{spans[1]}; none of these falls into a standstill, in no time zone, "
+                "and their motions are not alike"
             )
         # Runs of offsets that are as good, of which the one nearest to zero counts.
         good = np.concatenate([[False], counts == counts.max(), [False]])
-        runs = offsets[np.flatnonzero(np.diff(good)).reshape(-1, 2) - [0, 1]].tolist()
+        runs = near[np.flatnonzero(np.diff(good)).reshape(-1, 2) - [0, 1]].tolist()
         low, high = min(runs, key=lambda run: max(run[0], -run[1]))
         # Nothing moves it from zero needlessly.
         ahead = 0.0 if low <= 0.0 <= high else 0.5 * (low + high)
-        return Clock(ahead, (high - low + COARSE) / np.sqrt(12.0), 0)
+        return Clock(zone + ahead, (high - low + COARSE) / np.sqrt(12.0), 0)
 
 
 def _correlated(b: Floats, a: Floats) -> Floats:

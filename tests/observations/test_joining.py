@@ -94,6 +94,10 @@ def test_readings_at_stands_alone_keep_the_clock():
     assert found.clock.motions == 0 and found.clock.ahead == 0.0
     used = np.concatenate([standstill.readings for standstill in found.standstills])
     assert made.speed[used].max() == 0.0 and len(used) > 5
+    # Dates without a zone, an hour and 30 minutes ahead.
+    later = Log(made.readings.time + 5400.0, made.readings.values)
+    zone = join(made.joints, later, SETTLE, GAP)
+    assert zone.clock.ahead == 5400.0 and zone.used == found.used
 
 
 def test_logs_that_cannot_be_joined():

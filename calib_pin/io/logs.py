@@ -183,12 +183,20 @@ def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
         spare = f"{POSE} (of the file)"  # One of them alone has names.
         ours = ours.renamed({"time": times[0], spare: POSE})
         return ours, theirs.renamed({"time": times[1], spare: POSE})
-    for own, other in product(_name_columns(ours), _name_columns(theirs)):
+    ends = _name_columns(ours), _name_columns(theirs)
+    for own, other in product(*ends):
         if _names(ours, own) & _names(theirs, other):
             ours, theirs = ours.renamed({POSE: own}), theirs.renamed({POSE: other})
             return _named_once(ours), theirs
     reason = "there is no column 'time', and none of names, 'pose', in both logs"
     allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
+    if all(ends) and not any(times):
+        pairs = zip((ours, theirs), ends, strict=True)
+        likely = [max(of, key=lambda n: len(_names(one, n))) for one, of in pairs]
+        first = ours.labels(likely[0])[0], theirs.labels(likely[1])[0]
+        reason = "the names of both logs have none in common: '{}' and '{}', say"
+        reason, allowed = reason.format(*first), "the names that the joints have"
+        raise theirs.error(reason, likely[1], allowed)
     raise (theirs if times[0] else ours).error(reason, allowed=allowed)
 
 

@@ -94,6 +94,9 @@ BINARY: Sequence[tuple[bytes, bytes, str]] = (
 DOCUMENTS, DOCUMENT = (".yaml", ".yml", ".samples"), rb"\s*(\{|\[\s*[\[{\"\d-])"
 """Endings of files of YAML, and a pattern for the start of one of JSON."""
 
+PROGRAM = rb"\s*(?:&ACCESS|DEFDAT\s|%%%\s|MODULE\s|/PROG\s)"
+"""A pattern for the start of a program of KUKA, ABB (`%%%` before it) or FANUC."""
+
 BROKEN = re.compile(r'(?<![^\n\t;,])"[^"\n]*\n[^"]{,200}"(?=[\n\t;,])')
 """A cell in quotes that has line ends in it, as those of a header in a sheet."""
 
@@ -657,6 +660,11 @@ def read_cells(
         raise InputError(f"is {kind}", file=file)
     if file.lower().endswith(DOCUMENTS) or re.match(DOCUMENT, start):
         raise InputError("is JSON or YAML: write its rows as CSV", file=file)
+    if re.match(PROGRAM, start):
+        reason = (
+            "is a program of a controller: write the joints of its points as CSV, a "
+        )
+        raise InputError(f"{reason}row for each with its name", file=file)
     wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if wide else ("utf-8-sig", "latin-1"):
         remarks = ("not UTF-8, read as Latin-1",) * (encoding == "latin-1")

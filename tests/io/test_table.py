@@ -317,13 +317,16 @@ def test_a_header_to_paste_where_there_is_none(count, names):
         (b'{"joints": [1, 2], "x": 1}', "JSON"),
         (b"[[0.1, 0.2]]", "JSON"),
         (b'[{"q": 1}, {"q": 2}]', "JSON"),
+        (b"&ACCESS RVP\nDEFDAT P\nDECL E6AXIS XP1={A1 1.0,A2 2.0}\n", "row for each"),
+        (b"MODULE P\nCONST jointtarget p:=[[1,2],[9E9,9E9]];\n", "row for each"),
+        (b"/PROG  P\n/POS\nP[1]{\n  J1= 1.0 deg, J2= 2.0 deg\n};\n", "row for each"),
         (b"SQLite format 3\x00" + bytes(80), "join"),
         (b"a,b\n1,\x00\n", "NUL"),
         (b"\xff\xfex\x00,", "UTF-16"),
         (b"# only\n\n", "empty"),
         (b"", "empty"),
     ],
-    ids=range(15),
+    ids=range(18),
 )
 def test_files_that_are_no_text_are_told_by_what_they_are(data, word):
     with pytest.raises(InputError) as caught:

@@ -7,7 +7,7 @@ columns for the same joints it is known what the other one says, and both are fi
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, permutations, product
@@ -698,6 +698,11 @@ def instruments(case: Case) -> Iterator[Alternative]:
         words, advice = "u and v are exchanged", "exchange the names of these columns"
         found = Alternative("image-axes", words, "the camera", change=_turned)
         yield replace(found, advice=advice)
+        if camera.size is not None:
+            words = "v counts from the lower edge of the image, and not from the upper"
+            advice = f"take {camera.size[1] - 1:g} - v"
+            change = partial(_upright, last=camera.size[1] - 1.0)
+            yield replace(found, words=words, advice=advice, change=change)
 
 
 def held(case: Case) -> dict[str, Alternative]:
@@ -751,12 +756,24 @@ def robots(case: Case) -> Iterator[Alternative]:
 
 def _turned(data: Observations) -> Observations:
     """Measurements with the rows and columns of their images exchanged."""
+    return _with_pixels(data, lambda values: values[:, ::-1])
 
-    def change(block: Measurements, _: Booleans) -> Floats:
+
+def _upright(data: Observations, last: float) -> Observations:
+    """Measurements with the rows of their images counted from the last one."""
+    return _with_pixels(data, lambda values: [0.0, last] + values * [1.0, -1.0])
+
+
+def _with_pixels(
+    data: Observations, change: Callable[[Floats], Floats]
+) -> Observations:
+    """Measurements with other pixels."""
+
+    def changed(block: Measurements, _: Booleans) -> Floats:
         image = declared(block.model).components == PIXEL
-        return block.values[:, ::-1] if image else block.values
+        return change(block.values) if image else block.values
 
-    return with_values(data, change)
+    return with_values(data, changed)
 
 
 def turned_by_base(case: Case) -> str:

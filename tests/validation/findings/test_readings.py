@@ -284,6 +284,16 @@ def test_rows_and_columns_of_an_image() -> None:
     assert one.code == "image-axes" and "names of these columns" in one.remedy
 
 
+def test_rows_of_an_image_that_are_counted_from_below() -> None:
+    """Which leaves a mirror image, as exchanged axes do."""
+    chains, rows, setup = imaged("hand", 1.8)
+    camera = replace(setup.camera, size=(9000.0, 9000.0), center=(4300.0, 4600.0))
+    u, v = (rows.only.values + np.array([-200.0, 100.0])).T
+    below = replace(rows.only, values=np.column_stack([u, 8999.0 - v]))
+    one = of_camera(chains, Observations((below,)), camera, setup)
+    assert one.code == "image-axes" and "take 8999 - v" in one.remedy
+
+
 def test_a_wire_that_reads_too_much() -> None:
     """One hundred and twenty distances, 50 mm too long, each a value of its own."""
     job = draw(3, robot="space6", model="point-distance", least=120, noise=1e-4)

@@ -52,6 +52,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import (
     AXES,
     HELD,
+    TAGS,
     ConvertedSetup,
     FrameSetup,
     JointMap,
@@ -619,8 +620,10 @@ def still_stretches(data: Observations) -> Iterator[tuple[str, Indices]]:
 
 
 def target_names(case: Case) -> Iterator[Alternative]:
-    """Corners that are counted from 1, and two of few targets that are exchanged."""
+    """Corners that are counted otherwise, and two of few targets that are exchanged."""
     names, board = case.data.target.distinct, case.setup.board
+    if board is not None and board.type in TAGS:
+        yield from _corners_of_tags(names)
     if board is not None and "0" not in names and all(map(str.isdigit, names)):
         words = "the numbers of the targets begin with 1, and those of the board with 0"
         change = partial(_renamed, names={name: str(int(name) - 1) for name in names})
@@ -631,6 +634,19 @@ def target_names(case: Case) -> Iterator[Alternative]:
         change = partial(_renamed, names={first: second, second: first})
         found = Alternative("targets-exchanged", words, "target", change=change)
         yield replace(found, advice="exchange the two names", figure="over-order")
+
+
+def _corners_of_tags(names: Iterable[str]) -> Iterator[Alternative]:
+    """Corners of tags from another one on, or counterclockwise, as detectors count."""
+    tags = {name.rpartition("/")[0] for name in names}
+    words = "the corners of the tags are not counted clockwise from the upper left one"
+    for start, step in [*product(range(4), (1, -1))][1:]:
+        order = [(start + step * corner) % 4 for corner in range(4)]
+        pairs = product(tags, enumerate(order))
+        renamed = {f"{tag}/{k}": f"{tag}/{corner}" for tag, (k, corner) in pairs}
+        change = partial(_renamed, names=renamed)
+        found = Alternative("targets-exchanged", words, "target", change=change)
+        yield replace(found, advice="name them so")
 
 
 def _renamed(data: Observations, names: Mapping[str, str]) -> Observations:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -196,10 +196,12 @@ def test_a_frame_that_is_stated_wrongly(code, frame, known, ur10) -> None:
     assert found.setup == {"frames": {end: {"estimate": True}}}
 
 
-def imaged(mount: str, away: float) -> tuple[Chains, Observations, Setup]:
-    """Thirty images of four points that a camera sees, and its setup."""
+def imaged(
+    mount: str, away: float, board: Mapping[str, PointSetup] | None = None
+) -> tuple[Chains, Observations, Setup]:
+    """Thirty images of points, of four by default, and the setup of the camera."""
     chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
-    board = {
+    board = board or {
         name: PointSetup((0.1 + 0.05 * (k % 2), 0.05 * (k // 2), 0.15))
         for k, name in enumerate("abcd")
     }
@@ -214,8 +216,8 @@ def imaged(mount: str, away: float) -> tuple[Chains, Observations, Setup]:
         # The board is below, in front of the lens.
         T = chain.poses(q)
         q = q[(T[:, 2, 2] < -0.9) & (T[:, 2, 3] > -0.5)]
-    q = np.repeat(q[:30], 4, axis=0)
-    names = tuple("abcd" * (len(q) // 4))
+    q = np.repeat(q[:30], len(board), axis=0)
+    names = tuple([*board] * (len(q) // len(board)))
     rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2)
     return Chains.of(chain), rows, setup
 
@@ -229,6 +231,18 @@ def test_corners_that_are_counted_from_one() -> None:
     setup = replace(setup, targets={}, board=board)
     with pytest.raises(InputError, match=r"begin with 1, .* subtract 1 from each"):
         calib_pin.calibrate(chains, rows, setup)
+
+
+def test_corners_of_tags_that_are_counted_counterclockwise() -> None:
+    """As detectors of AprilTags give them, from the lower left one."""
+    board = BoardSetup("apriltag", 2, 2, 0.05, gap=0.02)
+    chains, rows, setup = imaged("hand", 1.8, board.points)
+    named = tuple(f"{name[:2]}{3 - int(name[2])}" for name in rows.only.target)
+    rows = Observations.of(replace(rows.only, target=named))
+    setup = replace(setup, targets={}, board=board)
+    found = explain(Case.of_none(chains, rows, setup), (target_names,))
+    assert found is not None and found.after < 0.2 * found.before
+    assert "not counted clockwise" in found.faults[0].words
 
 
 def of_camera(

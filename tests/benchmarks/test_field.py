@@ -34,7 +34,7 @@ def test_the_robots_are_as_large_as_is_said() -> None:
     [
         (NONE, "wire"),
         ("instrument moved", "poses"),
-        ("joint zero", "sockets"),
+        pytest.param("joint zero", "sockets", marks=pytest.mark.slow),
         pytest.param("rehomed", "tracker", marks=pytest.mark.slow),
         pytest.param("joint gear", "tracker", marks=pytest.mark.slow),
         pytest.param("inches", "tracker", marks=pytest.mark.slow),

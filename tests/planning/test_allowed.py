@@ -131,7 +131,7 @@ def test_plans_keep_all_rules(name: str) -> None:
 @pytest.mark.parametrize(
     ("method", "most", "name"),
     [
-        ("gradient", 40, "panda"),
+        pytest.param("gradient", 40, "panda", marks=pytest.mark.slow),
         ("pso", 15, "space7"),
         pytest.param("gradient", 40, "space7", marks=pytest.mark.slow),
         pytest.param("pso", 15, "panda", marks=pytest.mark.slow),

@@ -355,6 +355,7 @@ def test_an_image_counts_with_all_corners_that_are_seen() -> None:
     assert len(J) / 2 <= len(rows) <= 8 * 12 and rows.configurations == 8
 
 
+@pytest.mark.slow
 def test_a_tracker_and_a_ranger_together() -> None:
     """Each configuration tells what both say, of all points and of one plane."""
     chain = calib_pin.load_chain("space6")

@@ -151,6 +151,7 @@ def test_all_at_once_is_another_robot(moved_job) -> None:
     assert "such as another robot: with" in finding.message
 
 
+@pytest.mark.slow
 def test_four_things_do_not_change_in_a_day(moved_job) -> None:
     """Steps of a frame, a tool and joints make any drift; no cause is better."""
     job = moved_job((30,), (45,))

@@ -208,6 +208,7 @@ def unlike(fleet, seed: int, count: int, spreads: float, prior: bool = True):
     return list(population(Case.of(own, own.problem.chains))), name
 
 
+@pytest.mark.slow
 def test_one_of_them_and_one_without_a_prior(fleet) -> None:
     assert unlike(fleet, 300, 12, 0.0)[0] == []
     assert unlike(fleet, 300, 12, 30.0, prior=False)[0] == []

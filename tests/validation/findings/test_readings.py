@@ -266,7 +266,7 @@ def test_a_camera_that_is_somewhere_else(mount, said, away) -> None:
     assert (one.code, one.setup) == ("camera-mount", {"camera": {"mount": mount}})
 
 
-@pytest.mark.parametrize("factor", [0.5, 1.2])
+@pytest.mark.parametrize("factor", [0.5, pytest.param(1.2, marks=pytest.mark.slow)])
 def test_a_camera_with_another_lens(factor: float) -> None:
     """Of images of half the size, say, where those of the whole one are stated."""
     chains, rows, setup = imaged("hand", 1.8)
@@ -281,6 +281,7 @@ def test_a_camera_with_another_lens(factor: float) -> None:
     assert (one.code, one.setup) == ("camera-intrinsics", stated)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "codes"), [(1.02, ["camera-intrinsics"]), (1, [])])
 def test_a_lens_that_is_a_little_off(factor: float, codes: list[str]) -> None:
     """A fit hides a part of it, and promises what it does not keep."""
@@ -308,6 +309,7 @@ def test_rows_of_an_image_that_are_counted_from_below() -> None:
     assert one.code == "image-axes" and "take 8999 - v" in one.remedy
 
 
+@pytest.mark.slow
 def test_a_wire_that_reads_too_much() -> None:
     """One hundred and twenty distances, 50 mm too long, each a value of its own."""
     job = draw(3, robot="space6", model="point-distance", least=120, noise=1e-4)

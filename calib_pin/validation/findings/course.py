@@ -108,7 +108,7 @@ LASTING, LARGE = 0.85, 0.3
 """Part of the errors that a drift leaves at most if more than stated noise is left:
 what bends in real robots leaves 0.88 and more, drifts that cost twice the noise less
 than 0.8. And errors that it causes, in expected sizes, from which it takes the trust,
-if it leaves half of them at most."""
+if it leaves half of them at most; from as many a change does, whatever it leaves."""
 
 WAVES = range(2, 10)
 """Half waves of the curves that it is compared with."""
@@ -480,7 +480,15 @@ def changes(case: Case) -> Explanation | None:
     # It may be a row that was not looked at.
     rows = [(last.place(k, data, rank), k) for k in range(len(every))]
     faults = tuple(_change(case, last, k, at, rank) for at, k in sorted(rows))
-    return Explanation(faults, first.errors, last.errors, judged="error")
+    large = _caused(case, first.errors, last.errors) > LARGE
+    judged: Severity | None = "error" if large else None
+    return Explanation(faults, first.errors, last.errors, judged=judged)
+
+
+def _caused(case: Case, before: float, after: float) -> float:
+    """Errors that are caused by what leaves less of them, in expected sizes."""
+    size = float(np.sqrt(max(before**2 - after**2, 0.0)))
+    return size / expected_size(case.fit.quantity.unit)
 
 
 def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alternative:
@@ -620,8 +628,7 @@ def drift(case: Case) -> Explanation | None:
     before, part = fit.errors, float(np.linalg.norm(left) / np.linalg.norm(now))
     if part > LASTING and not _as_stated(case, without):
         return None
-    caused = before * np.sqrt(max(1.0 - part**2, 0.0))
-    large = caused > LARGE * expected_size(fit.quantity.unit)
+    large = _caused(case, before, part * before) > LARGE
     judged: Severity | None = None if large else "warning"
     return Explanation((drifts,), before, part * before, judged=judged)
 

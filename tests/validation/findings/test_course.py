@@ -107,6 +107,15 @@ def test_a_few_poses_tell_where_the_instrument_was(moved_job) -> None:
     assert found == [("instrument-moved", line) for line in (5, 57)]
 
 
+@pytest.mark.parametrize(("size", "severity"), [(1e-4, "warning"), (1e-3, "error")])
+def test_what_a_move_costs_decides(moved_job, size: float, severity: str) -> None:
+    """A tenth of a millimeter is told, and is no reason to distrust all others."""
+    job = moved_job((), ())
+    block = displaced(job.plain.only, size * (np.arange(90) >= 45))
+    (finding,) = findings(job, block)
+    assert (finding.code, finding.severity) == ("instrument-moved", severity)
+
+
 def test_a_small_move_in_the_order_of_the_files(moved_job) -> None:
     """Noise is 0.05 mm."""
     job, order = moved_job((), ()), np.random.default_rng(0).permutation(90)

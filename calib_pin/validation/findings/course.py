@@ -44,7 +44,11 @@ from calib_pin.parameterizations.base import COMPONENTS, expected_size
 from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.setup import AXES, ReadingSetup
-from calib_pin.validation.findings.alternatives import Alternative, Explanation
+from calib_pin.validation.findings.alternatives import (
+    FITTED,
+    Alternative,
+    Explanation,
+)
 from calib_pin.validation.findings.case import (
     CHANCE,
     FOREIGN,
@@ -465,9 +469,9 @@ def changes(case: Case) -> Explanation | None:
     # Who moves an instrument homes no joint, and mounts no tool.
     places = np.searchsorted(np.sort(case.rank), [c.rank for c in every])
     at_once = len({c.kind for c in every}) > 1 and np.ptp(places) < CONFIGURATIONS
-    sought = at_once or (case.doubtful and not found)
-    limit = found[1].errors if found else 0.0
-    if another := _another(case, seen, limit) if sought else None:
+    part = found[1].rms / found[0].rms if found else np.inf
+    another = _another(case, seen, part) if found or case.doubtful else None
+    if another and (at_once or another.part < FITTED * part):
         return another
     # Two or three things change on a bad day; more are what steps make of a drift.
     if found is None or len({c.what for c in every}) > 3:
@@ -535,7 +539,7 @@ def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alterna
     )
 
 
-def _another(case: Case, fit: Trial | None, limit: float) -> Explanation | None:
+def _another(case: Case, fit: Trial | None, changed: float) -> Explanation | None:
     """Another robot, or whatever else was measured from some row on.
 
     All errors and frames are others there: to first order, each part has a fit of its
@@ -544,7 +548,7 @@ def _another(case: Case, fit: Trial | None, limit: float) -> Explanation | None:
     Args:
         case: The case.
         fit: Its fit without changes.
-        limit: Errors that it may leave in any case.
+        changed: Part of the errors that changes leave; infinite without such.
     """
     if fit is None or any(declared(model).contact for model in case.data.models):
         return None
@@ -556,8 +560,8 @@ def _another(case: Case, fit: Trial | None, limit: float) -> Explanation | None:
     best, left = int(np.argmax(gain)), 1.0 - float(gain.max())
     if dof < 1 or by_chance(1.0, left, count, dof) * len(order) > CHANCE:
         return None
-    after = fit.errors * float(np.sqrt(left * fit.left / dof))
-    if after > max(LEFT * fit.errors, limit):
+    part = float(np.sqrt(left * fit.left / dof))
+    if part > LEFT and not part <= changed < np.inf:
         return None
     data, row = fit.problem.data, int(order[best - 1])
     said = f"something else was measured after line {place_of(data, row)}, such as "
@@ -570,7 +574,7 @@ def _another(case: Case, fit: Trial | None, limit: float) -> Explanation | None:
         figure="over-order",
         numbers=numbers,
     )
-    return Explanation((found,), fit.errors, after, judged="error")
+    return Explanation((found,), fit.errors, part * fit.errors, judged="error")
 
 
 def _sides(mine: Booleans, rank: Indices, at: int) -> Indices:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.findings.defect import FILE, Defect, Input, given
+from benchmarks.findings.defect import FILE, Defect, Input, given, told
 from benchmarks.verdict.jobs import Job
 from calib_pin.estimation.evidence import Finding
 from calib_pin.io.measurements import encode_table, measurement_columns
@@ -43,8 +43,14 @@ def _held(
         sign = -1.0 if axis.startswith("-") else 1.0
         values[:, column] = sign * rows.values[:, "xyz".index(axis[-1])]
     # Nothing but an orientation tells a turned frame from another one.
-    said = {"axes": list(axes)} if job.model == "pose" else {}
-    return given(job, replace(rows, values=values), _says(said))
+    said = _says({"axes": list(axes)} if job.model == "pose" else {})
+
+    def right(finding: Finding) -> bool:
+        """Whether it says so; an arm that looks the same in a mirror has two names."""
+        both = finding.code in _AXES or told("left-handed")(finding)
+        return both and said(finding)
+
+    return given(job, replace(rows, values=values), right)
 
 
 def _scaled(
@@ -145,7 +151,7 @@ DEFECTS: tuple[Defect, ...] = (
             "three faults": ("-z", "-y", "x"),
         },
         ("position", "pose"),
-        _AXES,
+        (*_AXES, "joint-reversed"),
         _held,
     ),
     Defect(

@@ -132,6 +132,21 @@ def test_a_robot_that_grows_with_its_frames_is_told(kind: str, job: int) -> None
     assert "longer" in result.reason and "implausible" in result.reason
 
 
+@pytest.mark.parametrize(("part", "severity"), [(3e-3, "warning"), (6e-3, "error")])
+def test_lengths_that_are_a_little_too_long(part: float, severity: str) -> None:
+    """A robot that errs by tenths of a millimeter has not grown by as much."""
+    chain = calib_pin.load_chain("space6")
+    setup, rng = Setup(tool_frame=TOOL), np.random.default_rng(0)
+    problem = nominal_problem(chain, "position", setup)
+    theta = robot_errors(problem, rng, 0.2)
+    rows = simulate(problem, theta, rng, count=60, noise=5e-5).only
+    rows = replace(rows, values=(1.0 + part) * rows.values)
+    result = calib_pin.calibrate(chain, rows, validate=False)
+    (one,) = (finding for finding in result.findings if finding.severity != "info")
+    assert (one.code, one.severity) == ("scale", severity)
+    assert one.evidence["scale"] == pytest.approx(part, rel=0.1)
+
+
 def test_the_wrong_distance_is_named_among_others() -> None:
     rng = np.random.default_rng(4)
     places = rng.normal([0.5, 0.1, 0.5], 0.2, (6, 3))

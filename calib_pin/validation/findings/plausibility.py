@@ -195,7 +195,9 @@ def _stretches(data: Observations, rows: Indices) -> Iterator[tuple[str, str, In
 
     for _, stretch in still_stretches(data):
         own = np.intersect1d(stretch, rows)
-        if long(own, len(stretch)):
+        # Where it stopped it is read rightly.
+        behind = data.groups()[stretch] != data.groups()[stretch[0]]
+        if long(own, int(behind.sum())):
             still = np.ptp(data.q[own], axis=0) == 0.0
             still &= np.ptp(data.q, axis=0) > 0.0
             names = enumerated([f"'{data.joints[j]}'" for j in np.flatnonzero(still)])

@@ -115,9 +115,8 @@ def model_errors(result: CalibrationResult) -> dict[str, dict[str, Any]]:
 
     Of the robot that commands are for, see `CalibrationResult.applied`.
     """
-    found = {}
+    found, as_it_is = {}, result.verdict == "no-gain"
     for error in result.errors:
-        as_it_is = result.verdict == "no-gain"
         size = error.validation_before if as_it_is else error.validation_after
         if size is not None and error.unit in ("m", "rad"):
             about = {"unit": error.unit, "method": result.validation.method}

@@ -326,9 +326,7 @@ def _fitted(look: Look, robot: Robot) -> float:
     """Errors that a fit of the robot leaves [standard deviations]; infinite of none."""
     if look.data is None:
         return inf
-    chains = _chains(robot, look.setup).named(
-        tuple(key.chain for key in look.data.keys)
-    )
+    chains = _named(_chains(robot, look.setup), look.data)
     try:
         rows, _ = some_of(look.data)
         fit = QuickFit.of(make_problem(chains, rows, look.setup))
@@ -601,7 +599,7 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
             station_per_file=apart,
             notice=remarks.append,
         )
-        chains = chains.named(tuple(key.chain for key in data.keys))
+        chains = _named(chains, data)
         require_motion(data)
         rows, rank = some_of(data)
         ready = prepared(chains, rows, setup)
@@ -664,7 +662,7 @@ def _in_convention(
     if look.data is None or len(ways) != 1:
         return look
     setup, tries = look.setup, [look]
-    chains = _chains(robot, setup).named(tuple(key.chain for key in look.data.keys))
+    chains = _named(_chains(robot, setup), look.data)
     for one in orientations(Case.of_none(chains, look.data, setup), 1.0 / CLEAR):
         if (held := one.reading.orientation) is not None:
             reading = replace(setup.reading, orientation=held)
@@ -695,6 +693,11 @@ def _chains(robot: Robot, setup: Setup) -> Chains:
     """The chains that a setup means."""
     names = () if setup.tip is None else ("",)
     return Chains(robot, setup.base, setup.tip, setup.chains, names)
+
+
+def _named(chains: Chains, data: Observations) -> Chains:
+    """Those of the chains that measurements name."""
+    return chains.named(tuple(key.chain for key in data.keys))
 
 
 def _far_off(ready: Registered) -> Booleans:

@@ -661,10 +661,8 @@ def read_cells(
     if file.lower().endswith(DOCUMENTS) or re.match(DOCUMENT, start):
         raise InputError("is JSON or YAML: write its rows as CSV", file=file)
     if re.match(PROGRAM, start):
-        reason = (
-            "is a program of a controller: write the joints of its points as CSV, a "
-        )
-        raise InputError(f"{reason}row for each with its name", file=file)
+        reason = "is a program of a controller: write the joints of its points as CSV"
+        raise InputError(f"{reason}, a row for each with its name", file=file)
     wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if wide else ("utf-8-sig", "latin-1"):
         remarks = ("not UTF-8, read as Latin-1",) * (encoding == "latin-1")

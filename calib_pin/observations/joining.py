@@ -359,9 +359,10 @@ class _Motion:
 
         zone, counts, count = 0.0, counted(0.0), len(readings.time)
         if counts.max() < HARDLY * count:
-            best = max(ZONES, key=lambda zone: counted(zone).max(initial=0))
-            if (there := counted(best)).max(initial=0) >= MOSTLY * count:
-                zone, counts = best, there
+            every = {zone: counted(zone) for zone in ZONES}
+            best = max(every, key=lambda zone: every[zone].max(initial=0))
+            if every[best].max(initial=0) >= MOSTLY * count:
+                zone, counts = best, every[best]
         if not counts.max():
             spans = [f"{t[0]:.1f} to {t[-1]:.1f} s" for t in (self.grid, readings.time)]
             raise InputError(

@@ -1082,11 +1082,7 @@ class CalibrationResult(Tables):
 
         Without a gain the URDF stays as it is.
         """
-        if self.verdict != "good":
-            return None
-        if self.urdf is None:
-            return self.model
-        return None if self.urdf.reason else self.urdf.model
+        return self._in_urdf if self.verdict == "good" else None
 
     @property
     def described(self) -> CalibratedModel:
@@ -1095,10 +1091,14 @@ class CalibrationResult(Tables):
         Those of the whole calibration are others: base and tool take up what a URDF
         does not hold.
         """
-        alone = self.urdf
-        if alone is None or alone.reason or alone.model is None:
+        return self.model if self._in_urdf is None else self._in_urdf
+
+    @property
+    def _in_urdf(self) -> CalibratedModel | None:
+        """The robot that a URDF can hold; None where there must be none."""
+        if self.urdf is None:
             return self.model
-        return alone.model
+        return None if self.urdf.reason else self.urdf.model
 
     @property
     def applied(self) -> CalibratedModel:

@@ -67,12 +67,15 @@ class Estimates(NamedTuple):
         columns = JointColumns.of(result.model.chains, result.model.setup.joints)
         drives = dict(zip(columns.joints, columns.names, strict=True))
         errors = [e for e in result.robot_errors if e.kind == OFFSET]
-        for of, error in ((of, e) for e in errors for of in e.of):
-            # A minus is that of a difference, if it is not that of a name.
-            column = drives.get(of) or drives.get(of.removeprefix("-"))
-            sum_ = len(error.of) > 1
-            if column and column not in found and (sum_ or error.sigma is None):
-                unknown[column] = "coupled" if sum_ else error.status
+        for error in errors:
+            several = len(error.of) > 1
+            if not several and error.sigma is not None:
+                continue
+            for joint in error.of:
+                # A minus is that of a difference, if it is not that of a name.
+                column = drives.get(joint) or drives.get(joint.removeprefix("-"))
+                if column and column not in found:
+                    unknown[column] = "coupled" if several else error.status
         return Estimates(found, unknown)
 
     @property
@@ -109,7 +112,9 @@ def offsets_table(exported: Exported, _: Path | None) -> Encoded:
         rows.append((joint, column, shown, sigma, unit, steps, status, exact, si, sign))
     table = dict(zip(HEADERS.split(), zip(*rows, strict=True), strict=True))
     beside = [part for part in exported.parts if part != base.OFFSETS]
-    remarks = [*about.doubts, *[f"{CLOSEST}: {enumerated(beside)}"][: len(beside)]]
+    remarks = [*about.doubts]
+    if beside:
+        remarks.append(f"{CLOSEST}: {enumerated(beside)}")
     comments = [*USE, *exported.reverses.values(), *remarks]
     read = replace(found, offsets=offsets).poses
     return Encoded(encode_table(table, comments), (*remarks,), read)

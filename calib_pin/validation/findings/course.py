@@ -469,9 +469,9 @@ def changes(case: Case) -> Explanation | None:
     # Who moves an instrument homes no joint, and mounts no tool.
     places = np.searchsorted(np.sort(case.rank), [c.rank for c in every])
     at_once = len({c.kind for c in every}) > 1 and np.ptp(places) < CONFIGURATIONS
-    part = found[1].rms / found[0].rms if found else np.inf
+    part = found[1].rms / found[0].rms if found else 0.0
     another = _another(case, seen, part) if found or case.doubtful else None
-    if another and (at_once or another.part < FITTED * part):
+    if another and (not found or at_once or another.part < FITTED * part):
         return another
     # Two or three things change on a bad day; more are what steps make of a drift.
     if found is None or len({c.what for c in every}) > 3:
@@ -548,7 +548,7 @@ def _another(case: Case, fit: Trial | None, changed: float) -> Explanation | Non
     Args:
         case: The case.
         fit: Its fit without changes.
-        changed: Part of the errors that changes leave; infinite without such.
+        changed: Part of the errors that changes leave; zero without such.
     """
     if fit is None or any(declared(model).contact for model in case.data.models):
         return None
@@ -561,7 +561,7 @@ def _another(case: Case, fit: Trial | None, changed: float) -> Explanation | Non
     if dof < 1 or by_chance(1.0, left, count, dof) * len(order) > CHANCE:
         return None
     part = float(np.sqrt(left * fit.left / dof))
-    if part > LEFT and not part <= changed < np.inf:
+    if part > max(LEFT, changed):
         return None
     data, row = fit.problem.data, int(order[best - 1])
     said = f"something else was measured after line {place_of(data, row)}, such as "

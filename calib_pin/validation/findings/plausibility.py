@@ -205,10 +205,13 @@ def _stretches(data: Observations, rows: Indices) -> Iterator[tuple[str, str, In
             yield "stuck-encoder", words, own
             rows = np.setdiff1d(rows, own)
             break
-    if len(rows) and long(rows, int(np.ptp(np.argsort(data.in_order)[rows])) + 1):
+    if not len(rows):
+        return
+    places = np.argsort(data.in_order)[rows]
+    if long(rows, int(np.ptp(places)) + 1):
         words = ", all in one stretch: something else was measured there, such as "
         yield "outlying-stretch", f"{words}another robot, tool or station", rows
-    elif len(rows):
+    else:
         yield "outliers", "", rows
 
 

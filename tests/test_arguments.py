@@ -7,16 +7,19 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations.blocks import Observations
 from calib_pin.observations.measurements import Measurements
 from calib_pin.setup import FrameSetup, Payload, ReadingSetup, Setup, SolverSetup
+from calib_pin.setup.arguments import taken
 
 OFFSETS = Setup(parameters=("joint-offset",), tip="tool")
 
@@ -173,6 +176,15 @@ def test_clear_arguments_are_taken() -> None:
     assert one.complete and len(one) == 1
     heights = Measurements(["lift"], [[0.1], [0.2]], "plane-distance", [1.0, 2.0])
     assert heights.values.shape == (2, 1)
+
+
+def test_annotations_may_be_aliases() -> None:
+    # As NDArray is one from numpy 2.5 on, which needs Python 3.12.
+    of = TypeVar("of", bound=np.generic)
+    alias: Any = TypeAliasType("alias", NDArray[of], type_params=(of,))
+    for hint in (alias[np.float64], alias[np.float64] | None):
+        found = taken("q", [1, 2], hint)
+        assert found.dtype == np.float64 and found.tolist() == [1.0, 2.0]
 
 
 @pytest.mark.slow

@@ -252,6 +252,8 @@ class Taker:
 
     def _taken(self, value: Any, hint: Any, path: Path) -> Any:
         kind, inner = get_origin(hint) or hint, get_args(hint)
+        if hasattr(kind, "__value__"):  # An alias, as `NDArray` is from numpy 2.5 on.
+            return self._taken(value, kind.__value__[inner], path)
         if kind is typing.Annotated:
             return self._limited(value, inner[0], hint.__metadata__, path)
         if kind in (typing.Union, UnionType):

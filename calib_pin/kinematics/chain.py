@@ -21,10 +21,9 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import RobotError, counted
-from calib_pin.kinematics.gravity import Body, body, gravity_moments, gravity_torques
 from calib_pin.kinematics.joint_space import JointSpace
 from calib_pin.kinematics.robot import Robot
-from calib_pin.kinematics.spatial import Floats, adjoint, invert
+from calib_pin.kinematics.spatial import Floats, adjoint, invert, so3_exp, times
 from calib_pin.kinematics.threads import PerThread, workspace
 from calib_pin.kinematics.tree import LINK, Configurations, link_frame, reduced, support
 from calib_pin.setup import Payload
@@ -241,7 +240,15 @@ class Chain:
         Returns:
             Torques, shape (N, n) [Nm, N for prismatic joints].
         """
-        return self._weighed(gravity_torques, q, gravity, payload)
+        q = self._rows(q)
+        if not self.joints:
+            return np.empty(q.shape)
+        model, data = self._weighed(gravity, payload)
+        held = [
+            pin.computeGeneralizedGravity(model, data, full)
+            for full in self._configurations(q)
+        ]
+        return -np.array(held).reshape(-1, model.nv)[:, self._v_index]
 
     def gravity_moments(
         self, q: Floats, gravity: Sequence[float], payload: Payload | None = None
@@ -253,31 +260,28 @@ class Chain:
         Returns:
             Moments, shape (N, n, 3) [Nm].
         """
-        return self._weighed(gravity_moments, q, gravity, payload)
+        q, (model, data) = self._rows(q), self._weighed(gravity, payload)
+        held, still = np.empty((len(q), len(self.joints), 6)), np.zeros(model.nv)
+        for row, full in zip(held, self._configurations(q), strict=True):
+            pin.rnea(model, data, full, still, still)
+            row[:] = [data.f[joint].vector for joint in self._ids]
+        # From the frames that have moved, by a turn or by a shift.
+        motion, revolute = q[:, :, None] * self.axes, self.revolute[:, None]
+        shift = np.where(revolute, 0.0, motion)
+        moments = held[:, :, 3:] + np.cross(shift, held[:, :, :3])
+        return -times(so3_exp(np.where(revolute, motion, 0.0)), moments)
 
     def _weighed(
-        self,
-        load: Callable[[Sequence[Body], Floats, Floats], Floats],
-        q: Floats,
-        gravity: Sequence[float],
-        payload: Payload | None,
-    ) -> Floats:
-        """Loads of the joints, which stand in the order of the tree."""
-        q, bodies = self._rows(q), [*self._bodies]
-        tip = self._model.frames[self._tip_id]
+        self, gravity: Sequence[float], payload: Payload | None
+    ) -> tuple[pin.Model, pin.Data]:
+        """A model of its own under gravity, with what the tip carries."""
+        model, tip = self._model.copy(), self._model.frames[self._tip_id]
+        model.gravity.linear = self._base_at_zero.rotation @ np.asarray(gravity, float)
         if payload is not None and tip.parentJoint:
-            one = bodies[tip.parentJoint - 1]
             center = tip.placement.act(np.array(payload.com))
-            bodies[tip.parentJoint - 1] = one._replace(
-                mass=one.mass + payload.mass,
-                moment=one.moment + payload.mass * center[:, None],
-            )
-        positions = np.empty((len(self.joints), len(q)))
-        order = np.array(self._ids, np.intp) - 1
-        positions[order] = q.T
-        root = self._base_at_zero.rotation @ np.asarray(gravity, float)
-        found = load(bodies, positions, root)[order]
-        return np.ascontiguousarray(np.moveaxis(found, -1, 0))
+            point = pin.Inertia(payload.mass, center, np.zeros((3, 3)))
+            model.inertias[tip.parentJoint] = model.inertias[tip.parentJoint] + point
+        return model, model.createData()
 
     def joint_frames(self) -> Floats:
         """Joint frames in the base frame at zero joint positions, shape (n, 4, 4)."""
@@ -297,21 +301,6 @@ class Chain:
     def _rows(self, q: Floats) -> Floats:
         """Joint positions, shape (N, n); those of one configuration as a row."""
         return as_array("q", q, "N", len(self.joints))
-
-    @cached_property
-    def _bodies(self) -> Sequence[Body]:
-        """Joints with their masses at nominal geometry, in the order of the tree."""
-        model = self._model
-        return [
-            body(
-                model.parents[joint] - 1,
-                self.placements[k],
-                self.axes[k],
-                bool(self.revolute[k]),
-                model.inertias[joint],
-            )
-            for joint, k in sorted(zip(self._ids, range(len(self._ids)), strict=True))
-        ]
 
     @cached_property
     def _base_at_zero(self) -> pin.SE3:

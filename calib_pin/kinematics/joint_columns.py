@@ -173,15 +173,14 @@ def _maps(
                 f"to joint '{given.joint}'"
             )
         mapped[given.joint] = column
+    result = {}
     for joint in chains.joints:
-        given = joints.get(mapped.get(joint, joint), JointMap(joint))
+        column = mapped.get(joint, joint)
+        given = joints.get(column, JointMap(joint))
         if given.joint != joint:
             raise InputError(
                 f"column '{joint}' is mapped to joint '{given.joint}', so joint "
                 f"'{joint}' has no column; map another one to it"
             )
-    columns = {joint: mapped.get(joint, joint) for joint in chains.joints}
-    return {
-        joint: (column, joints.get(column, JointMap(joint)))
-        for joint, column in columns.items()
-    }
+        result[joint] = column, given
+    return result

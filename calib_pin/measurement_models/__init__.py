@@ -22,7 +22,6 @@ from calib_pin.measurement_models.contact import PlaneContact, SphereContact
 from calib_pin.measurement_models.declaration import (
     Declaration,
     Inference,
-    Naming,
     Quantity,
 )
 from calib_pin.measurement_models.distance import PointDistance, RelativeDistance
@@ -42,7 +41,6 @@ __all__ = [
     "Inference",
     "Linearization",
     "MeasurementModel",
-    "Naming",
     "Quantity",
     "declared",
     "measurement_model",

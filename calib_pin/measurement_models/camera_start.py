@@ -139,16 +139,12 @@ class Rays:
         return np.asarray(1.0 / np.sqrt(squares))
 
     def _views(self) -> list[Indices]:
-        """Rows of single images, those with the most points."""
+        """Rows of single images, from all over."""
         order = np.argsort(self.image, kind="stable")
         cuts = np.flatnonzero(np.diff(self.image[order])) + 1
         rows = [part for part in np.split(order, cuts) if len(part) >= 4]
-        if len(rows) > IMAGES:
-            # Of equal ones some from all over.
-            least = sorted(map(len, rows))[-IMAGES]
-            rows = [part for part in rows if len(part) >= least]
-            rows = [rows[k] for k in np.linspace(0, len(rows) - 1, IMAGES).astype(int)]
-        return rows
+        count = min(len(rows), IMAGES)
+        return [rows[k] for k in np.linspace(0, len(rows) - 1, count).astype(int)]
 
     def _images(self) -> tuple[Floats, Floats]:
         """Chain and pose of the points of single images, shape (K, 4, 4) each."""

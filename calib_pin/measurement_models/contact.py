@@ -175,7 +175,7 @@ class RoundModel(SiteModel):
 
     def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The distance with that number."""
-        e, distance = rays(p, self.sites, site, values)
+        e, distance = directions(p - _centers(self.sites)[site] - values[:, :3])
         by_site = np.concatenate([-e, np.full((len(p), 1), self.sign)], axis=1)
         value = distance + self.added[site] + self.sign * values[:, 3]
         return PointMeasurement(value[:, None], e[:, None], by_site[:, None])
@@ -210,15 +210,11 @@ class SphereContact(RoundModel):
     ) -> tuple[Floats, Sphere]:
         """The sphere through the points, with its radius where that was unknown."""
         assert isinstance(site, Sphere)
-        known = None if site.size is None else site.size + deviations(data)
+        # Touches without readings are not off.
+        known = None if site.size is None else site.size + data.values.sum(axis=1)
         reached = register_distances(F, known, point)
         radius = reached.size if site.size is None else site.size
         return reached.point, replace(site, xyz=reached.site, size=radius)
-
-
-def deviations(data: Measurements) -> Floats:
-    """How far touches are off by their readings, shape (N,) [m]; zero without."""
-    return np.asarray(data.values.sum(axis=1))
 
 
 def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
@@ -242,20 +238,6 @@ def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
             Plane(name, normal / length, stated.offset / length, stated.estimate)
         )
     return tuple(planes) or tuple(map(Plane, given_names(names, "plane")))
-
-
-def rays(
-    p: Floats, sites: Sequence[ReferenceObject], site: Indices, values: Floats
-) -> tuple[Floats, Floats]:
-    """Directions and lengths from centers of spheres or reference points to points.
-
-    Args:
-        p: Points in the measurement frame, shape (N, 3) [m].
-        sites: The spheres or fixed reference points.
-        site: Position of each row's, shape (N,).
-        values: Its parameters, the coordinates first, shape (N, k).
-    """
-    return directions(p - _centers(sites)[site] - values[:, :3])
 
 
 def _centers(sites: Sequence[ReferenceObject]) -> Floats:

@@ -8,7 +8,7 @@ least-squares fit.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -107,7 +107,8 @@ def register_distances(
     F: Floats,
     distances: Floats | None,
     point: Floats | None,
-    bias: float | None = 0.0,
+    *,
+    biased: bool = False,
 ) -> Reached:
     """Fit `|R_i t + p_i - a| + b = d_i`: a wire, or a sphere of unknown radius.
 
@@ -118,16 +119,12 @@ def register_distances(
         F: Tip poses (R_i, p_i), shape (N, 4, 4).
         distances: Distances d, shape (N,) [m]; None for a sphere, which has one.
         point: The point t in the tip frame where it is known, shape (3,) [m].
-        bias: The bias b [m]; None where it is unknown.
+        biased: Whether they have an unknown bias b; without it is zero.
     """
     R, p = F[:, :3, :3], F[:, :3, 3]
     candidates = [np.zeros(3) if point is None else point]
-    center = p.mean(axis=0)
-    if distances is not None and bias is not None:
-        distances = distances - bias
-    free = bias is None and distances is not None
-    if point is None and len(F) >= 16 + free:
-        x = p - center
+    if point is None and len(F) >= 16 + biased:
+        x = p - p.mean(axis=0)
         right = -np.sum(x**2, axis=1)
         columns = [
             np.ones(len(F)),
@@ -137,17 +134,10 @@ def register_distances(
         ]
         if distances is not None:
             right = right + distances**2
-            columns += [2.0 * distances] if free else []
+            columns += [2.0 * distances] if biased else []
         found = np.linalg.lstsq(np.column_stack(columns), right, rcond=1e-9)[0]
         candidates.append(found[1:4])
-
-    def through(points: Floats) -> tuple[Floats, float, Floats]:
-        return _center_of(points, distances, free)
-
-    found_best = _best(F, candidates, through)
-    if distances is not None and bias is not None:
-        return replace(found_best, size=bias)
-    return found_best
+    return _best(F, candidates, lambda at: _center_of(at, distances, biased))
 
 
 @serial_blas

@@ -47,9 +47,10 @@ class PointDistance(RoundModel):
     ) -> tuple[Floats, Anchor]:
         """The reference point at these distances, with its bias."""
         assert isinstance(site, Anchor)
-        bias = None if site.estimate_size else site.size
-        reached = register_distances(F, data.values[:, 0], point, bias)
-        return reached.point, replace(site, xyz=reached.site, size=reached.size)
+        known = 0.0 if site.estimate_size or site.size is None else site.size
+        distances, biased = data.values[:, 0] - known, site.estimate_size
+        reached = register_distances(F, distances, point, biased=biased)
+        return reached.point, replace(site, xyz=reached.site, size=reached.size + known)
 
 
 @dataclass(frozen=True)

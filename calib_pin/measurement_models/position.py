@@ -16,7 +16,7 @@ from calib_pin.measurement_models.declaration import (
     Quantity,
 )
 from calib_pin.measurement_models.named_points import located_tool, tip_points
-from calib_pin.measurement_models.registration import register_points, register_reached
+from calib_pin.measurement_models.registration import register_points
 from calib_pin.measurement_models.tool_point import PointMeasurement, PointModel
 from calib_pin.observations import Indices, Measurements
 
@@ -60,11 +60,7 @@ class Position(PointModel):
         """Absolute orientation, with the unknown points eliminated."""
         label, _ = self.names(data.target, data)
         tip = tip_points(self.points, tool)
-        if base is None:
-            R, b, tip = register_points(F, data.values, tool=tip, label=label)
-            base = pin.SE3(R, b)
-        else:
-            R, b = base.rotation, base.translation
-            tip = register_reached(F, data.values, R, b, tip, label)
+        known = None if base is None else (base.rotation, base.translation)
+        R, b, tip = register_points(F, data.values, base=known, tool=tip, label=label)
         points, tool = located_tool(tip, self.points, tool)
-        return replace(self, points=points), base, tool
+        return replace(self, points=points), base or pin.SE3(R, b), tool

@@ -31,6 +31,7 @@ def register_points(
     F: Floats,
     points: Floats,
     *,
+    base: tuple[Floats, Floats] | None = None,
     tool: Floats = UNKNOWN,
     label: Indices | None = None,
 ) -> tuple[Floats, Floats, Floats]:
@@ -46,6 +47,7 @@ def register_points(
     Args:
         F: Tip poses (R_i, p_i) in the base, shape (N, 4, 4).
         points: Measured points y_i, shape (N, 3) [m].
+        base: R and b where they are known.
         tool: Points t in the tip frame, shape (J, 3) [m]; NaN where unknown.
         label: Which of them each row sees, shape (N,); default the first.
 
@@ -66,26 +68,9 @@ def register_points(
         True
     """
     label = np.zeros(len(F), np.int64) if label is None else label
-    R = _minimize_over_rotations(_point_rows(F, points, tool, label))
-    b, t = _translations(R, F, points, None, tool, label)
+    R, b = base or (_minimize_over_rotations(_point_rows(F, points, tool, label)), None)
+    b, t = _translations(R, F, points, b, tool, label)
     return R, b, t
-
-
-@serial_blas
-def register_reached(
-    F: Floats,
-    points: Floats,
-    R: Floats,
-    b: Floats,
-    tool: Floats,
-    label: Indices,
-) -> Floats:
-    """Fit the points of a tool whose base is known; arguments as `register_points`.
-
-    Returns:
-        Points t (J, 3) [m]; NaN where no row sees one that is unknown.
-    """
-    return _translations(R, F, points, b, tool, label)[1]
 
 
 @serial_blas

@@ -24,7 +24,7 @@ from calib_pin.measurement_models.base import (
 )
 from calib_pin.measurement_models.named_points import named_points, split_names
 from calib_pin.measurement_models.references import Point, ReferenceObject, locate
-from calib_pin.observations import AT, Indices, Labels, Measurements, Targets
+from calib_pin.observations import AT, Indices, Measurements, Targets
 from calib_pin.setup import Setup
 
 
@@ -147,12 +147,6 @@ class PointsAndSites(MeasurementModel):
             return ""
         return split_names((name,), not self.alone)[half][0]
 
-    def sites_of(self, target: Targets) -> tuple[str, ...]:
-        """The sites that measurements name; the only one where one names none."""
-        only = self.sites[0].name if len(self.sites) == 1 else ""
-        found = split_names(Labels.of(target).distinct, True)[1]
-        return tuple(dict.fromkeys(name or only for name in found))
-
 
 @dataclass(frozen=True)
 class PointModel(PointsAndSites):
@@ -249,8 +243,11 @@ class PointModel(PointsAndSites):
         """With a site for each that is new, by the measurements that name it."""
         if not self.sites:
             return self
+        # One that names none means the only one.
         known = {site.name for site in self.sites}
-        new = [name for name in self.sites_of(data.target) if name not in known]
+        known |= {""} if len(self.sites) == 1 else set()
+        named = split_names(data.target.distinct, True)[1]
+        new = [name for name in dict.fromkeys(named) if name not in known]
         if not new:
             return self
         wider = replace(self, sites=(*self.sites, *map(self.unknown, new)))
@@ -302,7 +299,7 @@ class PointModel(PointsAndSites):
             of_site = rest.reshape(len(self.sites), -1)[site]
         p, by_offset = self._reach(T, offset)
         touch = self.compare(p, site, of_site)
-        return _View(point, site, offset, of_site, p, by_offset, touch)
+        return _View(point, site, offset, by_offset, touch)
 
     def _reach(self, T: Floats, offset: Floats) -> tuple[Floats, Floats]:
         """Where points of the tool are, (N, 3), and the derivative by the offset."""
@@ -318,21 +315,17 @@ class _View:
         point: Position of each row's point, the last for the origin, shape (N,).
         site: Position of its place, shape (N,).
         offset: The point in the tool frame, shape (N, 3) [m].
-        of_place: Parameters of the place, shape (N, k).
-        p: The point in the measurement frame, shape (N, 3) [m].
-        by_offset: Derivative of p by the offset, shape (N, 3, 3).
+        by_offset: Derivative of the point in the measurement frame by that, (N, 3, 3).
         touch: The point measurement.
     """
 
     point: Indices
     site: Indices
     offset: Floats
-    of_site: Floats
-    p: Floats
     by_offset: Floats
     touch: PointMeasurement
 
     def J_pose(self, T: Floats) -> Floats:
-        """Derivative of p by the body twist of the tool, shape (N, 3, 6)."""
+        """Derivative of the point by the body twist of the tool, shape (N, 3, 6)."""
         R = T[:, :3, :3]
         return np.concatenate([R, -R @ skew(self.offset)], axis=2)

@@ -6,13 +6,9 @@ from collections.abc import Iterable, Mapping
 
 from calib_pin.errors import require_known
 from calib_pin.parameterizations.base import (
-    BasisFunction,
     BasisFunctions,
-    Drive,
-    Effects,
     Parameterization,
     Screw,
-    drives,
     frame_pose,
     frame_screws,
     frame_setup,
@@ -36,13 +32,8 @@ from calib_pin.setup import Setup
 __all__ = [
     "NOTHING",
     "PARAMETERIZATIONS",
-    "BasisFunction",
     "BasisFunctions",
-    "Drive",
-    "Effects",
-    "Parameterization",
     "Screw",
-    "drives",
     "frame_pose",
     "frame_screws",
     "frame_setup",

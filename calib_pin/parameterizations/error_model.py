@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -41,7 +42,6 @@ from calib_pin.parameterizations import (
     parameterization,
 )
 from calib_pin.parameterizations.bending import Bends, carried, joined
-from calib_pin.parameterizations.learned import Learned
 from calib_pin.parameterizations.linearization import (
     Fading,
     PoseLinearization,
@@ -49,6 +49,31 @@ from calib_pin.parameterizations.linearization import (
 )
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
+
+
+class Learned(Protocol):
+    """A learned correction, which has no error parameters."""
+
+    @property
+    def space(self) -> Literal["joint", "tip"]:
+        """Space of the correction: joint positions, or a body twist of the tool."""
+        ...
+
+    @property
+    def shift(self) -> Floats:
+        """Change of the parameters that belongs to it, shape (P,).
+
+        A fit without the correction is biased by what the correction explains.
+        """
+        ...
+
+    def weight(self, q: Floats) -> Floats:
+        """Weight from 1 near training configurations to 0 far away, shape (N,)."""
+        ...
+
+    def __call__(self, q: Floats) -> Floats:
+        """Corrections of commanded joint positions, (N, n) -> (N, n) or (N, 6)."""
+        ...
 
 
 @dataclass(frozen=True)

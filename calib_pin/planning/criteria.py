@@ -105,13 +105,6 @@ class Information:
         f = self.nuisances
         return np.asarray(np.linalg.svd(self.factor[f:, f:])[2].T)
 
-    def pull(self, by_robot: Floats) -> Floats:
-        """Derivative by S, symmetric (r, r), to derivative by M, (m, m)."""
-        f = self.nuisances
-        absorbed = self.inverse[:f, :f] @ self.factor[:f, f:]
-        E = np.concatenate([-absorbed, np.eye(len(by_robot))])
-        return np.asarray(E @ by_robot @ E.T)
-
 
 SHARPER = (4.0, 16.0, 64.0)
 """Exponents of power means in place of the largest and the smallest eigenvalue.
@@ -166,9 +159,11 @@ class Spectral:
 
         By the chain rule through eigenvalues, S and M.
         """
-        V, eigenvalues = found.right_vectors, found.singular_values**2
-        cost, by_eigenvalue = self._means(eigenvalues, sharpness)
-        return cost, found.pull((V * by_eigenvalue) @ V.T)
+        V, f = found.right_vectors, found.nuisances
+        cost, by_eigenvalue = self._means(found.singular_values**2, sharpness)
+        absorbed = found.inverse[:f, :f] @ found.factor[:f, f:]
+        EV = np.concatenate([-absorbed @ V, V])
+        return cost, (EV * by_eigenvalue) @ EV.T
 
     def _means(self, x: Floats, exponent: float) -> tuple[float, Floats]:
         """The cost of eigenvalues, shape (r,), and its derivative by these."""

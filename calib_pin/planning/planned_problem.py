@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -179,16 +179,22 @@ class TipTests:
     orientation: Floats
 
     @staticmethod
-    def of(rows: IdentificationRows, tests: Mapping[str, Floats]) -> TipTests:
-        """Tests of the tips of chains, the mean of these.
+    def of(
+        rows: IdentificationRows, spread: Candidates, tests: Floats | None = None
+    ) -> TipTests:
+        """Tests of the tips of the chains of candidates, the mean of these.
 
         Args:
             rows: The rows, whose columns are those of the tests.
-            tests: Test configurations by chain, shape (N, n) [rad, m].
+            spread: The candidates.
+            tests: Test configurations, shape (N, n) [rad, m]; default the first
+                candidates of each chain.
         """
         found = []
         terms = {key.chain: term for key, term in rows.problem.terms.items()}
-        for chain, q in tests.items():
+        chain_of = np.array([aim.key.chain for aim in rows.aims.each])[spread.aim]
+        for chain in dict.fromkeys(chain_of.tolist()):
+            q = spread.q[chain_of == chain][:SAMPLES] if tests is None else tests
             term = terms[chain]
             error, own = term.error, q[:, term.columns]
             sides = sides_tried(rows.problem)[:, term.columns]
@@ -199,18 +205,6 @@ class TipTests:
             J = (J @ rows.basis[term.of_error]).reshape(len(q), 2, 3, -1)
             found.append(np.einsum("npdi,npdj->pij", J, J, optimize=True) / len(q))
         return TipTests(*np.mean(found, axis=0))
-
-    @staticmethod
-    def among(
-        rows: IdentificationRows, spread: Candidates, tests: Floats | None = None
-    ) -> TipTests:
-        """Tests of the chains of candidates, by default at the first of each chain."""
-        chain_of = np.array([aim.key.chain for aim in rows.aims.each])[spread.aim]
-        own = {
-            name: spread.q[chain_of == name][:SAMPLES] if tests is None else tests
-            for name in dict.fromkeys(chain_of.tolist())
-        }
-        return TipTests.of(rows, own)
 
 
 @dataclass(frozen=True)

@@ -52,11 +52,6 @@ class LookRows:
     basis: Floats
     sigma: Floats
 
-    @property
-    def differentiable(self) -> bool:
-        """Whether there are second derivatives; of joint corrections there are none."""
-        return self.look.term.error.geometric
-
     def rows(self, q: Floats, aim: Indices) -> Floats:
         """Rows of configurations, shape (N, d, m).
 
@@ -102,7 +97,8 @@ class LookRows:
             # The instrument's rows change with the pose, whichever joint moves it.
             by_L = weighted @ np.swapaxes(V @ of_robot, 1, 2)
             both = np.concatenate([by_L, weighted @ of_instrument.T], axis=2)
-            bent = np.einsum("nab,cnab->nc", self._each(both, measured), slopes)
+            one_by_one = both.reshape(len(q) * each, len(self.sigma), -1)[measured]
+            bent = np.einsum("nab,cnab->nc", one_by_one, slopes)
             e = np.zeros((len(q), 6))
             np.add.at(e, place, bent)
             # F . [V, xi] = xi . (F_v x w + 0, F_v x v + F_w x w) with V = (v, w).
@@ -185,11 +181,6 @@ class LookRows:
         codes = self.look.targets(aim).reshape(-1)[measured]
         return measured // self.look.each, Labels(self.look.names, codes)
 
-    def _each(self, by_rows: Floats, measured: Indices) -> Floats:
-        """Rows (N, L d, ...) as those of what is measured, (n, d, ...)."""
-        count = by_rows.shape[0] * self.look.each
-        return by_rows.reshape(count, len(self.sigma), by_rows.shape[2])[measured]
-
 
 @dataclass(frozen=True)
 class IdentificationRows:
@@ -209,8 +200,8 @@ class IdentificationRows:
 
     @property
     def differentiable(self) -> bool:
-        """Whether all error models have second derivatives."""
-        return all(look.differentiable for look in self._looks)
+        """Whether there are second derivatives; of joint corrections there are none."""
+        return all(look.term.error.geometric for look in self.aims.looks)
 
     def rows(self, q: Floats, aim: Indices) -> Floats:
         """Rows of configurations.

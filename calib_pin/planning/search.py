@@ -14,7 +14,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import OptionError, counted, require_known
+from calib_pin.errors import OptionError, counted
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
 from calib_pin.planning.criteria import CRITERIA, Criterion, Information, Selection
@@ -90,9 +90,6 @@ class Search:
         starts: Most random sets from which the gradient method starts.
         measured: Number of measurements that the known information comes from.
         stopped: Whether the search was asked to stop.
-
-    Raises:
-        OptionError: If there are fewer candidates than wanted.
     """
 
     rows: IdentificationRows
@@ -107,10 +104,6 @@ class Search:
     measured: int = 0
     stopped: bool = field(default=False, init=False)
 
-    def __post_init__(self) -> None:
-        """Check that there are enough candidates."""
-        self.candidates.require(self.count)
-
     @cached_property
     def table(self) -> Floats:
         """Rows of the candidates, shape (C, d, m)."""
@@ -120,10 +113,8 @@ class Search:
         """Search with a method of `METHODS`.
 
         Raises:
-            OptionError: If there is no such method, or the set cannot determine
-                everything.
+            OptionError: If the set cannot determine everything.
         """
-        require_known("method", method, METHODS)
         _ = self._determined  # The one clear line comes before the work.
         found = METHODS[method](self)
         return replace(found, status=Status.STOPPED) if self.stopped else found
@@ -173,7 +164,7 @@ class Search:
             self.rng,
             callback=lambda k, x, cost: self.told("ga", k / (k + 100.0)),
         )
-        return self._of("ga", result.x, result.status)
+        return self._of("ga", result.chosen, result.status)
 
     def _by_swarm(self) -> Found:
         """The improved particle swarm on the configurations themselves (case C)."""

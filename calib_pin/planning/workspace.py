@@ -259,19 +259,6 @@ class Candidates:
         """Number of configurations that were tried for them."""
         return int(self.drawn[-1]) + 1
 
-    def require(self, count: int) -> None:
-        """Check that there are enough of them.
-
-        Raises:
-            OptionError: If there are fewer than wanted.
-        """
-        if len(self.q) < count:
-            raise OptionError(
-                f"{len(self.q)} of the tried configurations may be measured, fewer "
-                f"than the {count} wanted",
-                allowed="fewer configurations, or wider limits",
-            )
-
 
 @dataclass(frozen=True)
 class Workspace:

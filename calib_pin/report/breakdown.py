@@ -76,8 +76,6 @@ def frame_blocks(result: CalibrationResult) -> Iterator[Block]:
     stations = [frame for frame in result.stations if frame.estimated]
     tools = [frame for frame in result.tools if frame.estimated]
     seen = {name: of for name, of in result.model.cameras.items() if of.estimate}
-    if not (stations or tools or seen):
-        return
     if stations or tools:
         yield _frames(stations, tools)
         of = [f"of {_link(stations)} in the measurement frame of a station"]

@@ -9,21 +9,18 @@ from calib_pin.residual_models.base import (
     LearnedCorrection,
     Linearized,
     ResidualModel,
+    Shifts,
     Space,
     TrainingRows,
 )
-from calib_pin.residual_models.region import TrainedRegion
-from calib_pin.residual_models.shifts import Shifts
 from calib_pin.setup.arguments import Taker
 
 __all__ = [
     "RESIDUAL_MODELS",
     "LearnedCorrection",
     "Linearized",
-    "ResidualModel",
     "Shifts",
     "Space",
-    "TrainedRegion",
     "TrainingRows",
     "restore",
 ]

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.region import TrainedRegion
-from calib_pin.residual_models.shifts import Shifts
 
 Space = Literal["joint", "tip"]
 
@@ -34,6 +33,9 @@ but 8 mm at the edge of the region)."""
 UNOBSERVED = 1e-12
 """Unit of corrections that are not observed: they stay at nothing [rad, m]."""
 
+FREE = 1e4
+"""Variance of what a free direction explains, in squares of the residual."""
+
 
 @dataclass(frozen=True)
 class Linearized:
@@ -49,6 +51,54 @@ class Linearized:
     residual: Floats
     by_correction: Floats
     by_shift: Floats
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """Directions in which the parameters of a fit may shift, and their prior.
+
+    The fit has taken along what it could of the effects that are to be learned, so they
+    are estimated together: a shift of the parameters beside the correction. Left free
+    it would fit the geometry to a correction that holds near the measurements alone. So
+    errors of the robot keep the size that they are expected to have about *nominal*,
+    one size for each kind of parameter, which the likelihood tells with the rest of the
+    covariance.
+
+    Attributes:
+        about: Value of each direction at the fit, from nominal, shape (P,).
+        kinds: For each kind of parameter what its errors of expected size contribute to
+            the directions, shape (P, p) each. A direction of no kind is free.
+    """
+
+    about: Floats
+    kinds: tuple[Floats, ...] = ()
+
+    def __len__(self) -> int:
+        """Number P of directions."""
+        return len(self.about)
+
+    def root(self, by_shift: Floats, square: float, sizes: Floats) -> Floats:
+        """A root R of the covariance `R R^T` of the shift about nominal, shape (P, k).
+
+        Args:
+            by_shift: Derivative of the residuals by the shift, shape (N, d, P).
+            square: Mean square of the residuals, of which free directions may explain
+                `FREE` times as much.
+            sizes: Variance of each kind, in squares of the expected size.
+        """
+        squares = np.einsum("ndp,ndp->p", by_shift, by_shift) * self._free
+        shown = squares > 0.0
+        free = np.eye(len(self))[:, shown]
+        if shown.any():
+            values = by_shift.shape[0] * by_shift.shape[1]
+            free *= np.sqrt(square * FREE * values / squares[shown])
+        kinds = zip(sizes, self.kinds, strict=True)
+        return np.hstack([free, *(np.sqrt(size) * kind for size, kind in kinds)])
+
+    @property
+    def _free(self) -> NDArray[np.bool_]:
+        """Whether each direction is of no kind, shape (P,)."""
+        return np.asarray(~np.hstack([np.zeros((len(self), 1)), *self.kinds]).any(1))
 
 
 @dataclass(frozen=True)
@@ -80,12 +130,7 @@ class TrainingRows:
     by_tip: Callable[[Floats, Floats], Linearized]
     values: int
     some: Callable[[NDArray[np.int64]], TrainingRows]
-    shift: Shifts = field(default_factory=lambda: Shifts.free(0))
-
-    @property
-    def shifts(self) -> int:
-        """Number P of directions of the shift."""
-        return len(self.shift)
+    shift: Shifts = field(default_factory=lambda: Shifts(np.zeros(0)))
 
     def evaluate(self, space: Space) -> Callable[[Floats, Floats], Linearized]:
         """`by_joint` or `by_tip`."""
@@ -94,7 +139,7 @@ class TrainingRows:
     def plain(self, space: Space) -> Linearized:
         """Residuals without a correction."""
         size = self.q.shape[1] if space == "joint" else 6
-        zero = np.zeros((len(self.q), size)), np.zeros(self.shifts)
+        zero = np.zeros((len(self.q), size)), np.zeros(len(self.shift))
         return self.evaluate(space)(*zero)
 
     def folds(self, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -116,7 +161,7 @@ class TrainingRows:
         """
         found = len(np.unique(self.groups))
         count = (PARTS - 1) * self.values
-        enough = -(-(self.shifts + directions) * PARTS // count)
+        enough = -(-(len(self.shift) + directions) * PARTS // count)
         needed = max(4 * PARTS, enough)
         if found < needed:
             raise InputError(

@@ -8,24 +8,19 @@ from calib_pin.solvers.differential_evolution import (
     differential_evolution,
 )
 from calib_pin.solvers.evolution import EvolutionResult
-from calib_pin.solvers.exchange import ExchangeResult, Subset, exchange, greedy
+from calib_pin.solvers.exchange import exchange, greedy
 from calib_pin.solvers.gauss_newton import LeastSquaresResult, gauss_newton
-from calib_pin.solvers.genetic import Genetic, SelectionResult, genetic_selection
-from calib_pin.solvers.gradient import DescentResult, projected_descent
+from calib_pin.solvers.genetic import genetic_selection
+from calib_pin.solvers.gradient import projected_descent
 from calib_pin.solvers.particle_swarm import ParticleSwarm, particle_swarm
 from calib_pin.solvers.status import Status
 
 __all__ = [
-    "DescentResult",
     "DifferentialEvolution",
     "EvolutionResult",
-    "ExchangeResult",
-    "Genetic",
     "LeastSquaresResult",
     "ParticleSwarm",
-    "SelectionResult",
     "Status",
-    "Subset",
     "alternation",
     "differential_evolution",
     "exchange",

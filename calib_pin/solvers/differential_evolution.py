@@ -26,10 +26,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 import numpy as np
 
-from calib_pin.errors import require_known
+from calib_pin.errors import OptionError, require_known
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.evolution import (
     Booleans,
@@ -43,16 +44,6 @@ from calib_pin.solvers.evolution import (
     crossing,
     evolve,
     three_others,
-)
-from calib_pin.solvers.options import (
-    FRACTION,
-    LIMIT,
-    TARGET,
-    TOLERANCE,
-    UP_TO_TWO,
-    NumericOptions,
-    limited,
-    whole,
 )
 
 TRADEOFF = "rand-to-best/1"
@@ -68,28 +59,23 @@ Mutation = Callable[[Floats, Floats, Indices, float], Floats]
 
 
 def _rand(members: Floats, best: Floats, others: Indices, F: float) -> Floats:
-    a, b, c = _gather(members, others)
-    return a + F * (b - c)
+    a, b, c = members[others]
+    return np.asarray(a + F * (b - c))
 
 
 def _best(members: Floats, best: Floats, others: Indices, F: float) -> Floats:
-    a, b = _gather(members, others[:2])
-    return best + F * (a - b)
+    a, b = members[others[:2]]
+    return np.asarray(best + F * (a - b))
 
 
 def _rand_to_best(members: Floats, best: Floats, others: Indices, F: float) -> Floats:
-    a, b, c = _gather(members, others)
-    return a + F * (best - a + b - c)
+    a, b, c = members[others]
+    return np.asarray(a + F * (best - a + b - c))
 
 
 def _midpoint(members: Floats, best: Floats, others: Indices, F: float) -> Floats:
-    a, b, c = _gather(members, others)
-    return 0.5 * (a + best) + F * (b - c)
-
-
-def _gather(members: Floats, others: Indices) -> list[Floats]:
-    """The first, second, ... other of every member, k arrays of shape (S, D)."""
-    return list(members.take(others, axis=0))
+    a, b, c = members[others]
+    return np.asarray(0.5 * (a + best) + F * (b - c))
 
 
 MUTATIONS: dict[str, Mutation] = {
@@ -109,9 +95,22 @@ BLOCK = 16
 INITS = ("latinhypercube", "random")
 """Names of the ways to choose the first population."""
 
+SMALLEST, LARGEST = np.nextafter(0.0, 1.0), np.finfo(float).max
+
+LIMITS: dict[str, tuple[type, float, float, str]] = {
+    "population_size": (Integral, 4, 100_000, "a whole number, 4 to 100000"),
+    "mutation": (Real, SMALLEST, 2, "more than 0, up to 2"),
+    "recombination": (Real, 0, 1, "0 to 1"),
+    "maxiter": (Integral, 1, np.inf, "a whole number, 1 or more"),
+    "target": (Real, -np.inf, LARGEST, "a number"),
+    "tol": (Real, 0, np.inf, "0 or more"),
+    "atol": (Real, 0, np.inf, "0 or more"),
+}
+"""Kind, least and largest value of the options that are numbers, and all in words."""
+
 
 @dataclass(frozen=True)
-class DifferentialEvolution(NumericOptions):
+class DifferentialEvolution:
     """Options of differential evolution; the defaults are those of Liu et al. (2012).
 
     Attributes:
@@ -133,41 +132,30 @@ class DifferentialEvolution(NumericOptions):
     """
 
     strategy: str = "tradeoff"
-    population_size: int = limited(150, whole(4, 100_000))
-    mutation: float = limited(0.6, UP_TO_TWO)
-    recombination: float = limited(0.9, FRACTION)
-    maxiter: int = limited(500, LIMIT)
-    target: float = limited(-np.inf, TARGET)
-    tol: float = limited(1e-8, TOLERANCE)
-    atol: float = limited(0.0, TOLERANCE)
+    population_size: int = 150
+    mutation: float = 0.6
+    recombination: float = 0.9
+    maxiter: int = 500
+    target: float = -np.inf
+    tol: float = 1e-8
+    atol: float = 0.0
     init: str = "latinhypercube"
 
     def __post_init__(self) -> None:
         """Check the values."""
         require_known("mutation strategy", self.strategy, STRATEGIES)
         require_known("init", self.init, INITS)
-        super().__post_init__()
+        for name, (kind, least, most, words) in LIMITS.items():
+            value = getattr(self, name)
+            # Here True is no number, and NaN is within no limits.
+            number = isinstance(value, kind) and not isinstance(value, bool)
+            if not number or not least <= value <= most:
+                raise OptionError(f"{name} cannot be used", value=value, allowed=words)
 
     @property
     def budget(self) -> int:
         """Evaluations of members at most: the first population and the generations."""
         return int(self.population_size) * (int(self.maxiter) + 1)
-
-
-class _Classic:
-    """One mutation with fixed factors and binomial crossover."""
-
-    def __init__(self, options: DifferentialEvolution, dimension: int, rng: Rng):
-        self.mutate, self.F = MUTATIONS[options.strategy], options.mutation
-        shape = BLOCK, int(options.population_size), dimension
-        self.chances = _chances(shape, options.recombination, rng)
-
-    def breed(self, population: Floats, energies: Floats) -> Floats:
-        """One trial for every member."""
-        others, crossed = next(self.chances)
-        best = population[energies.argmin()]
-        mutants = self.mutate(population, best, others, self.F)
-        return np.where(crossed, mutants, population)
 
 
 def _chances(
@@ -201,7 +189,8 @@ def differential_evolution(
             equal the component stays fixed.
         rng: Source of chance; the same seed gives the same result.
         options: Strategy, sizes and stops.
-        x0: Member of the first population, shape (D,), if there is a guess.
+        x0: Member of the first population within the bounds, shape (D,), if there is a
+            guess.
         callback: Called after each generation with its number, the best member (D,)
             and its cost; returns True to stop.
 
@@ -209,8 +198,7 @@ def differential_evolution(
         The result; its status tells whether to trust it.
 
     Raises:
-        OptionError: If the bounds or x0 cannot be used, or `costs` does not give one
-            number per member.
+        OptionError: If the bounds cannot be used.
 
     Examples:
         >>> def costs(x):  # A bent valley with its lowest point at (1, 1).
@@ -224,11 +212,20 @@ def differential_evolution(
         ('cost target reached', [1.0, 1.0])
     """
     box, size = Box.of(bounds), int(options.population_size)
+    first = box.populate(size, options.init, x0, rng)
+    chances = _chances((BLOCK, *first.shape), options.recombination, rng)
+
+    def breed(population: Floats, energies: Floats) -> Floats:
+        others, crossed = next(chances)
+        best, mutate = population[energies.argmin()], MUTATIONS[options.strategy]
+        mutants = mutate(population, best, others, options.mutation)
+        return np.where(crossed, mutants, population)
+
     return evolve(
         costs,
         box,
-        box.populate(size, options.init, x0, rng),
-        _Classic(options, len(box.lower), rng).breed,
+        first,
+        breed,
         Stops(options.target, options.tol, options.atol, options.budget),
         rng,
         callback,

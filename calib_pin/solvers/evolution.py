@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +27,6 @@ Booleans = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 Rng = np.random.Generator
 
-_Members = TypeVar("_Members", Floats, Indices)
-
 Costs = Callable[[Floats], Floats]
 """Costs of a whole population at once, shape (S, D) -> (S,)."""
 
@@ -38,8 +35,8 @@ Callback = Callable[[int, Floats, float], bool | None]
 
 
 @dataclass(frozen=True)
-class PopulationResult(Generic[_Members]):
-    """Outcome of a search by a population, in the words of scipy.optimize.
+class EvolutionResult:
+    """Outcome of an evolution within bounds, in the words of scipy.optimize.
 
     Attributes:
         x: Best member, shape (D,).
@@ -53,19 +50,15 @@ class PopulationResult(Generic[_Members]):
         mean_history: Mean cost of every generation, shape (nit + 1,).
     """
 
-    x: _Members
+    x: Floats
     fun: float
     nit: int
     nfev: int
     status: Status
-    population: _Members
+    population: Floats
     population_energies: Floats
     best_history: Floats
     mean_history: Floats
-
-
-class EvolutionResult(PopulationResult[Floats]):
-    """Outcome of an evolution; all members are within the bounds."""
 
 
 @dataclass(frozen=True)
@@ -112,14 +105,9 @@ class Box:
         """The box of checked bounds, shape (D, 2).
 
         Raises:
-            OptionError: If a bound is not finite, a pair is reversed, or the shape is
-                not (D, 2).
+            OptionError: If a bound is not finite, or a pair is reversed.
         """
         pairs = np.array(bounds, float)
-        if pairs.ndim != 2 or pairs.shape[1] != 2 or not len(pairs):
-            raise OptionError(
-                "bounds have the wrong shape", value=pairs.shape, allowed="(D, 2)"
-            )
         for k, (lower, upper) in enumerate(pairs.tolist()):
             if not np.isfinite([lower, upper]).all():
                 raise OptionError(
@@ -142,11 +130,8 @@ class Box:
             size: Number of members.
             init: `random`, or `latinhypercube` for one member in each of `size` equal
                 slices of every component.
-            x0: First member, shape (D,), if there is a guess.
+            x0: First members, shape (D,) or (S0, D), if there is a guess.
             rng: Source of chance.
-
-        Raises:
-            OptionError: If x0 is not within the bounds.
         """
         shape = size, len(self.lower)
         place = rng.random(shape)
@@ -154,39 +139,11 @@ class Box:
             slices = np.broadcast_to(np.arange(size)[:, None], shape)
             place = (rng.permuted(slices, axis=0) + place) / size
         members = self.lower + place * (self.upper - self.lower)
-        # Rounding may have led past the upper bound.
-        np.clip(members, self.lower, self.upper, out=members)
         if x0 is not None:
-            members[0] = self.checked(x0)
-        return members
-
-    def checked(self, x0: Floats, rows: str = "") -> Floats:
-        """The caller's first members, as an array of numbers.
-
-        Args:
-            x0: One member, shape (D,), or several as rows.
-            rows: Name of the number of rows, where several are wanted.
-
-        Raises:
-            OptionError: If the shape is another, or a member leaves the bounds.
-        """
-        guess, size = np.asarray(x0, float), len(self.lower)
-        dimensions = 2 if rows else 1
-        if guess.ndim != dimensions or guess.shape[-1] != size or not guess.size:
-            raise OptionError(
-                "x0 has the wrong shape",
-                value=guess.shape,
-                allowed=f"({rows}, {size})" if rows else f"({size},)",
-            )
-        within = (self.lower <= guess) & (guess <= self.upper)
-        for *row, k in np.argwhere(~within).tolist():
-            place = f"component {k}" + (f" of row {row[0]}" if row else "")
-            raise OptionError(
-                f"x0 leaves the bounds at {place}",
-                value=float(guess[*row, k]),
-                allowed=f"{self.lower[k]} to {self.upper[k]}",
-            )
-        return guess
+            given = np.atleast_2d(x0)
+            members[: len(given)] = given
+        # Rounding may have led past the upper bound.
+        return np.clip(members, self.lower, self.upper)
 
     def repair(self, trials: Floats, parents: Floats, rng: np.random.Generator) -> None:
         """Bring components that left the box back into it, in place, (S, D).
@@ -230,12 +187,9 @@ def evolve(
         stops: Stopping criteria.
         rng: Source of chance for the way back into the box.
         callback: Called after every generation.
-
-    Raises:
-        OptionError: If `costs` does not give one number per member.
     """
     # Own copies: these two arrays evolve in place.
-    population, energies = population.copy(), evaluate(costs, population)
+    population, energies = population.copy(), np.asarray(costs(population), float)
     energies = np.where(np.isnan(energies), np.inf, energies)
     nfev, best, (mean, deviation) = len(energies), energies.argmin(), _moments(energies)
     best_history, mean_history = [float(energies[best])], [mean]
@@ -248,7 +202,7 @@ def evolve(
             break
         trials = breed(population, energies)
         box.repair(trials, population, rng)
-        fresh = evaluate(costs, trials)
+        fresh = np.asarray(costs(trials), float)
         nfev += len(trials)
         # A tie goes to the trial, so that members can cross a plateau; NaN never wins.
         better = fresh <= energies
@@ -273,22 +227,6 @@ def evolve(
         best_history=np.array(best_history),
         mean_history=np.array(mean_history),
     )
-
-
-def evaluate(costs: Callable[[_Members], Floats], members: _Members) -> Floats:
-    """Costs of members, numbers or indices of shape (S, D) -> (S,).
-
-    Raises:
-        OptionError: If `costs` does not give one number per member.
-    """
-    energies = np.asarray(costs(members), float)
-    if energies.shape != (len(members),):
-        raise OptionError(
-            "costs must give one number per member",
-            value=energies.shape,
-            allowed=f"shape ({len(members)},)",
-        )
-    return energies
 
 
 def _moments(energies: Floats) -> tuple[float, float]:

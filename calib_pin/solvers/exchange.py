@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from calib_pin.errors import OptionError
 from calib_pin.solvers.status import Status
 
 LONGEST = 6
@@ -67,13 +66,13 @@ class Subset(Protocol):
 
 
 @dataclass(frozen=True)
-class ExchangeResult:
-    """Outcome of an exchange method.
+class SelectionResult:
+    """Outcome of a selection.
 
     Attributes:
-        chosen: Indices of the members, in the order in which they were added.
+        chosen: Indices of the members, in the order in which they were added, if any.
         cost: Their cost.
-        nit: Number of additions and removals.
+        nit: Number of additions and removals, or of generations.
         status: How the search ended.
     """
 
@@ -85,7 +84,7 @@ class ExchangeResult:
 
 def greedy(
     subset: Subset, count: int, callback: Callback | None = None
-) -> ExchangeResult:
+) -> SelectionResult:
     """Add the best candidate until there are `count` members; changes the subset.
 
     Args:
@@ -100,35 +99,19 @@ def greedy(
         if callback is not None and callback(steps, subset.cost):
             status = Status.STOPPED
             break
-    return ExchangeResult(tuple(subset.chosen), subset.cost, steps, status)
+    return SelectionResult(tuple(subset.chosen), subset.cost, steps, status)
 
 
-def exchange(
-    subset: Subset,
-    callback: Callback | None = None,
-    *,
-    longest: int = LONGEST,
-    max_steps: int = 100_000,
-) -> ExchangeResult:
+def exchange(subset: Subset, callback: Callback | None = None) -> SelectionResult:
     """Exchange members for candidates until nothing improves; changes the subset.
 
     Args:
         subset: The subset to begin with; its size stays.
         callback: Called after every excursion.
-        longest: Exchanges of the longest excursion.
-        max_steps: Limit on the additions and removals.
-
-    Raises:
-        OptionError: If `longest` is less than 1.
     """
-    if longest < 1:
-        raise OptionError(
-            "excursions are too short", value=longest, allowed="1 or more"
-        )
     best, best_cost = list(subset.chosen), subset.cost
     steps, length = 0, 1
-    status = Status.CONVERGED
-    while length <= longest:
+    while length <= LONGEST:
         improved = False
         for first_add in (True, False):
             if length > (subset.left if first_add else len(best)):
@@ -140,13 +123,10 @@ def exchange(
             else:
                 subset.reset(best)
             if callback is not None and callback(steps, best_cost):
-                return ExchangeResult(tuple(best), best_cost, steps, Status.STOPPED)
+                return SelectionResult(tuple(best), best_cost, steps, Status.STOPPED)
         # After a gain, short excursions may succeed again.
         length = 1 if improved else length + 1
-        if steps >= max_steps:
-            status = Status.ITERATIONS
-            break
-    return ExchangeResult(tuple(best), best_cost, steps, status)
+    return SelectionResult(tuple(best), best_cost, steps, Status.CONVERGED)
 
 
 def _excursion(subset: Subset, length: int, first_add: bool) -> None:

@@ -45,6 +45,9 @@ class GaussNewtonOptions:
 OPTIONS = GaussNewtonOptions()
 """The default options."""
 
+RANK = 1e-12
+"""Part of the largest singular value up to which others are rounding."""
+
 Linearize = Callable[[Floats], tuple[Floats, Floats]]
 Cost = Callable[[Floats], float]
 Complete = Callable[[Floats, Floats], Floats]
@@ -81,12 +84,9 @@ def gauss_newton(
     basis: Floats,
     *,
     tolerance: float = OPTIONS.promised,
-    rank_tolerance: float = 1e-12,
     worthwhile: float = 0.0,
     max_iterations: int = 100,
-    damped: bool = True,
     spare: bool = False,
-    callback: Callable[[int, float], None] | None = None,
     complete: Complete | None = None,
 ) -> LeastSquaresResult:
     """Minimize half the sum of squared residuals.
@@ -99,16 +99,12 @@ def gauss_newton(
         basis: Directions that x may take, shape (P, k).
         tolerance: Converged when a step promises to lower the cost by less than this
             part of it, or is shorter than this part of its way (1e-12 of the unit).
-        rank_tolerance: Singular values below this part of the largest are dropped.
         worthwhile: Converged as well when several steps together lower the cost by
             less than this part of it: a valley that goes on for ever, of a direction
             that the residuals can hardly tell.
         max_iterations: Limit on the steps.
-        damped: Whether a step that raises the cost is damped and tried again;
-            otherwise every step is taken whole.
         spare: Whether a step that promises less than the tolerance is not even taken:
             where evaluations are dear.
-        callback: Called with the step count and the cost after each step.
         complete: Completes steps where `linearize` has eliminated variables.
 
     Returns:
@@ -125,14 +121,14 @@ def gauss_newton(
             # A distance of zero has a cost, and no derivative.
             status = Status.NOT_FINITE
             break
-        step = _Step(J @ basis, r, rank_tolerance)
+        step = _Step(J @ basis, r)
         limit = max(tolerance * way, OPTIONS.shortest), tolerance * cost
         if spare and step.promised(step.solve(0.0)) <= limit[1]:
             status = Status.CONVERGED
             break
-        trial = _search(step, cost_of, x, basis, damping, limit, damped, complete)
+        trial = _search(step, cost_of, x, basis, damping, limit, complete)
         evaluations += trial.evaluations
-        if trial.improved or not damped:
+        if trial.improved:
             x, way = trial.x, way + trial.length
             r, J = linearize(x)
             cost = 0.5 * float(r @ r)
@@ -145,8 +141,6 @@ def gauss_newton(
             crawling = passed[0] - cost < worthwhile * cost
             if len(passed) == OPTIONS.patience and crawling:
                 status = Status.CONVERGED
-            if callback is not None:
-                callback(iteration, cost)
         elif not trial.done:
             status = Status.STALLED
         if trial.done:
@@ -173,7 +167,6 @@ def _search(
     basis: Floats,
     damping: float,
     limit: tuple[float, float],
-    damped: bool,
     complete: Complete | None,
 ) -> _Trial:
     """Damp the step from x until the cost falls, or nothing is left to gain.
@@ -197,7 +190,7 @@ def _search(
         improved = 2.0 * cost_of(candidate) < step.square
         rounding = not improved and negligible
         exhausted = damping > 1e8 * step.curvature
-        if improved or done or rounding or exhausted or not damped:
+        if improved or done or rounding or exhausted:
             return _Trial(
                 x=candidate,
                 length=float(np.linalg.norm(dy)),
@@ -212,14 +205,14 @@ def _search(
 class _Step:
     """One linearized problem, factored once and solved for several dampings."""
 
-    def __init__(self, A: Floats, r: Floats, rank_tolerance: float) -> None:
+    def __init__(self, A: Floats, r: Floats) -> None:
         # A triangular factor with the rotated residual is a small problem with the
         # same solution; its SVD costs next to nothing.
         R = np.asarray(np.linalg.qr(np.column_stack([A, r]), mode="r"))
         self.A, self.r = R[:, :-1], R[:, -1]
         self.square = float(r @ r)
         U, s, Vt = np.linalg.svd(self.A, full_matrices=False)
-        keep = s > rank_tolerance * s.max(initial=0.0)
+        keep = s > RANK * s.max(initial=0.0)
         self.s, self.V = s[keep], Vt[keep].T
         self.along = U[:, keep].T @ self.r
         self.curvature = float(s.max(initial=0.0) ** 2)

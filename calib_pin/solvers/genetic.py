@@ -24,30 +24,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from numbers import Integral, Real
 
 import numpy as np
 
-from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.solvers.evolution import (
-    Booleans,
-    Indices,
-    PopulationResult,
-    Rng,
-    below,
-    evaluate,
-)
-from calib_pin.solvers.options import (
-    FRACTION,
-    LIMIT,
-    TARGET,
-    Limits,
-    NumericOptions,
-    limited,
-    require_numbers,
-    whole,
-)
+from calib_pin.solvers.evolution import Booleans, Indices, Rng, below
+from calib_pin.solvers.exchange import SelectionResult
 from calib_pin.solvers.status import Status
 
 SubsetCosts = Callable[[Indices], Floats]
@@ -58,11 +40,11 @@ Callback = Callable[[int, Indices, float], bool | None]
 
 
 @dataclass(frozen=True)
-class Genetic(NumericOptions):
+class Genetic:
     """Options of the genetic algorithm.
 
     Attributes:
-        population_size: Number of members, 2 to 100 000.
+        population_size: Number of members, 2 or more.
         generations: Limit on the generations after the first population, 1 or more.
         tournament: Members drawn to find one parent, 1 or more; the more, the harder
             the selection.
@@ -70,34 +52,15 @@ class Genetic(NumericOptions):
         swaps: Items that a child swaps for others on average, 0 or more.
         elite: Members that live on, 1 or more, less than population_size.
         patience: Converged when the best cost has not fallen for as many generations.
-        target: Ends when `best cost <= target`.
-
-    Raises:
-        OptionError: If a value is not allowed.
     """
 
-    population_size: int = limited(100, whole(2, 100_000))
-    generations: int = limited(300, LIMIT)
-    tournament: int = limited(3, LIMIT)
-    crossover: float = limited(0.9, FRACTION)
-    swaps: float = limited(1.0, Limits(Real, 0, np.finfo(float).max, "0 or more"))
-    elite: int = limited(2, LIMIT)
-    patience: int = limited(50, LIMIT)
-    target: float = limited(-np.inf, TARGET)
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        super().__post_init__()
-        if self.elite >= self.population_size:
-            raise OptionError(
-                "elite leaves no room for children",
-                value=self.elite,
-                allowed=f"less than population_size = {self.population_size}",
-            )
-
-
-class SelectionResult(PopulationResult[Indices]):
-    """Outcome of a selection; members are subsets, indices in ascending order."""
+    population_size: int = 100
+    generations: int = 300
+    tournament: int = 3
+    crossover: float = 0.9
+    swaps: float = 1.0
+    elite: int = 2
+    patience: int = 50
 
 
 def genetic_selection(
@@ -123,69 +86,48 @@ def genetic_selection(
             (count,) and its cost; returns True to stop.
 
     Returns:
-        The result. Not finite if the first population had no feasible member.
-
-    Raises:
-        OptionError: If size or count cannot be used, or `costs` does not give one
-            number per member.
+        The result, its members in ascending order. Not finite if the first population
+        had no feasible member.
 
     Examples:
         >>> values = np.array([3.0, 1.0, 4.0, 1.5, 5.0, 9.0, 2.0, 6.0])
         >>> result = genetic_selection(
         ...     lambda x: -values[x].sum(axis=1), 8, 3, np.random.default_rng(0)
         ... )
-        >>> result.status.value, result.x.tolist(), result.fun
-        ('converged', [4, 5, 7], -20.0)
+        >>> result.status.value, result.chosen, result.cost
+        ('converged', (4, 5, 7), -20.0)
     """
-    require_numbers(
-        {"size": size, "count": count},
-        {"size": LIMIT, "count": Limits(Integral, 1, size, f"1 to size = {size}")},
-    )
     nursery = _Nursery(options, count, rng)
     subsets = nursery.founders(size)
     energies = _energies(costs, subsets)
-    nfev, best = len(subsets), int(energies.argmin())
-    best_history, mean_history = [float(energies[best])], [float(energies.mean())]
+    best_history = [float(energies.min())]
     status = Status.NOT_FINITE if best_history[0] == np.inf else None
     status = status or _stop(options, best_history)
     while status is None:
         elite = np.argsort(energies, kind="stable")[: options.elite]
         children = nursery.children(subsets, energies, size)
         fresh = _energies(costs, children)
-        nfev += len(children)
         subsets = np.concatenate([subsets[elite], children])
         energies = np.concatenate([energies[elite], fresh])
-        best = int(energies.argmin())
-        best_history.append(float(energies[best]))
-        mean_history.append(float(energies.mean()))
+        best_history.append(float(energies.min()))
         status = _stop(options, best_history)
         if callback is not None:
             generation = len(best_history) - 1
-            asked = callback(generation, subsets[best].copy(), best_history[-1])
+            best = subsets[energies.argmin()]
+            asked = callback(generation, best.copy(), best_history[-1])
             status = status or (Status.STOPPED if asked else None)
-    return SelectionResult(
-        x=subsets[best].copy(),
-        fun=best_history[-1],
-        nit=len(best_history) - 1,
-        nfev=nfev,
-        status=status,
-        population=subsets,
-        population_energies=energies,
-        best_history=np.array(best_history),
-        mean_history=np.array(mean_history),
-    )
+    chosen = tuple(subsets[energies.argmin()].tolist())
+    return SelectionResult(chosen, best_history[-1], len(best_history) - 1, status)
 
 
 def _energies(costs: SubsetCosts, subsets: Indices) -> Floats:
     """Costs of subsets, infinite where they are NaN, shape (S,)."""
-    energies = evaluate(costs, subsets)
+    energies = np.asarray(costs(subsets), float)
     return np.where(np.isnan(energies), np.inf, energies)
 
 
 def _stop(options: Genetic, best_history: list[float]) -> Status | None:
     """The stop reached by the last of these generations, if any."""
-    if best_history[-1] <= options.target:
-        return Status.TARGET
     generation = len(best_history) - 1
     before = generation - options.patience
     if before >= 0 and best_history[before] == best_history[-1]:
@@ -201,13 +143,13 @@ class _Nursery:
 
     def founders(self, size: int) -> Indices:
         """The first population, shape (S, count)."""
-        return self._highest(self.rng.random((int(self.options.population_size), size)))
+        return self._highest(self.rng.random((self.options.population_size, size)))
 
     def children(self, subsets: Indices, energies: Floats, size: int) -> Indices:
         """Children of a population, one for each member outside of the elite."""
         options, rng = self.options, self.rng
-        number = int(options.population_size) - int(options.elite)
-        contenders = below(len(subsets), (2, number, int(options.tournament)), rng)
+        number = options.population_size - options.elite
+        contenders = below(len(subsets), (2, number, options.tournament), rng)
         winners = energies[contenders].argmin(axis=-1)[..., None]
         mother, father = np.take_along_axis(contenders, winners, axis=-1)[..., 0]
         father = np.where(rng.random(number) < options.crossover, father, mother)

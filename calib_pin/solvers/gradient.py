@@ -55,6 +55,7 @@ class DescentOptions:
             learnt.
         edge: Distance from a bound, in widths of the box, that counts as at the bound.
         held: Part of its step at or below which a blocked point is no longer free.
+        memory: Steps from which the curvature is learnt.
     """
 
     sufficient: float = 1e-4
@@ -63,6 +64,7 @@ class DescentOptions:
     curved: float = 1e-10
     edge: float = 1e-9
     held: float = 1e-2
+    memory: int = 10
 
 
 OPTIONS = DescentOptions()
@@ -97,10 +99,8 @@ def projected_descent(
     x0: Floats,
     *,
     allowed: Allowed | None = None,
-    memory: int = 10,
     max_iterations: int = 200,
     tolerance: float = 1e-8,
-    callback: Callable[[int, Floats, float], bool | None] | None = None,
 ) -> DescentResult:
     """Go down to a local minimum of a smooth function of points in a box.
 
@@ -112,20 +112,17 @@ def projected_descent(
         x0: Start, shape (K, n), within the bounds and allowed.
         allowed: Whether each of the points (K, n) may be where it is, shape (K,),
             whatever the others do. Without it all may.
-        memory: Number of steps from which the curvature is learnt, 1 or more.
         max_iterations: Limit on the steps.
         tolerance: Converged when a full step lowered the function by no more than
             `tolerance * max(|f|, 1)`, or when no free component promises to do so by
             its gradient on the way across the box.
-        callback: Called after each step with its number, the points and the function;
-            returns True to stop.
 
     Returns:
         The result. Converged speaks of the points that were free to move: others may
         be held up at the edge of a forbidden place.
 
     Raises:
-        OptionError: If the bounds or x0 cannot be used.
+        OptionError: If the bounds cannot be used.
 
     Examples:
         >>> def valley(x):
@@ -137,11 +134,10 @@ def projected_descent(
         ('converged', [[1.0, 0.5], [1.0, 0.5], [1.0, 0.5]])
     """
     box = Box.of(bounds)
-    start = box.checked(x0, "K")
-    problem = _Problem(function, box, allowed, start.shape)
-    x = start.ravel().copy()
+    problem = _Problem(function, box, allowed, x0.shape)
+    x = np.array(x0, float).ravel()
     fun, gradient = problem.evaluate(x)
-    reach, pairs = _Reach(start.shape), _Pairs(memory, x.size)
+    reach, pairs = _Reach(x0.shape), _Pairs(x.size)
     nit, status = 0, Status.ITERATIONS
     if not math.isfinite(fun):
         max_iterations, status = 0, Status.NOT_FINITE
@@ -161,8 +157,6 @@ def projected_descent(
             done = trial.part == 1.0 and fun - trial.fun <= little
             pairs.learn((trial.x - x) / problem.unit, trial.gradient - gradient)
             x, fun, gradient, nit = trial.x, trial.fun, trial.gradient, nit + 1
-            if callback is not None and callback(nit, problem.points(x).copy(), fun):
-                status = Status.STOPPED
         closing = reach.learn(trial.blocked)
         if done and not closing:
             status = Status.CONVERGED
@@ -283,18 +277,14 @@ class _Reach:
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.parts, self.components = np.ones(shape[0]), shape[1]
-        self.everybody = np.ones(shape[0] * shape[1])
-        self.whole = True
 
     def free(self) -> Floats:
         """1 for components of points not held up, 0 for others, new, shape (N,)."""
-        if self.whole:
-            return self.everybody.copy()
         return np.repeat(self.parts > OPTIONS.held, self.components).astype(float)
 
     def shortened(self, step: Floats) -> Floats:
         """The part that is tried of a full step, shape (N,)."""
-        return step if self.whole else step * np.repeat(self.parts, self.components)
+        return step * np.repeat(self.parts, self.components)
 
     def learn(self, blocked: Booleans) -> bool:
         """Shorten the next steps of points that were blocked, shape (K,).
@@ -303,21 +293,18 @@ class _Reach:
             Whether points are still closing in on an edge: as long as they do, little
             progress of the whole does not mean its end.
         """
-        if self.whole and not blocked.any():
-            return False
         closing = bool((blocked & (self.parts > OPTIONS.held)).any())
         # A point that is held up keeps trying, should the others set it free.
         shorter = np.maximum(0.25 * self.parts, 0.25 * OPTIONS.held)
         self.parts = np.where(blocked, shorter, np.minimum(2.0 * self.parts, 1.0))
-        self.whole = bool(self.parts.min() == 1.0)
         return closing
 
 
 class _Pairs:
     """The last changes of x and of the gradient, in a ring of shape (memory, 2, N)."""
 
-    def __init__(self, memory: int, size: int) -> None:
-        self.changes = np.empty((memory, 2, size))
+    def __init__(self, size: int) -> None:
+        self.changes = np.empty((OPTIONS.memory, 2, size))
         self.forget()
 
     def forget(self) -> None:
@@ -329,9 +316,8 @@ class _Pairs:
         length = math.sqrt(s @ s)
         # Armijo's rule alone does not rule out a curvature that is not positive.
         if s @ y > OPTIONS.curved * length * math.sqrt(y @ y):
-            memory = len(self.changes)
-            self.newest = (self.newest + 1) % memory
-            self.count = min(self.count + 1, memory)
+            self.newest = (self.newest + 1) % OPTIONS.memory
+            self.count = min(self.count + 1, OPTIONS.memory)
             # H does not change where s and y are scaled alike.
             self.changes[self.newest] = s / length, y / length
 
@@ -344,7 +330,7 @@ class _Pairs:
                 enter the recursion; their step is `-gamma g`.
             first: The gamma of H = gamma I before anything is known of the curvature.
         """
-        order = (self.newest - np.arange(self.count)) % len(self.changes)
+        order = (self.newest - np.arange(self.count)) % OPTIONS.memory
         S, Y = free * self.changes[order, 0], free * self.changes[order, 1]
         sy = np.einsum("ij,ij->i", S, Y)
         sizes = np.einsum("ij,ij->i", S, S) * np.einsum("ij,ij->i", Y, Y)

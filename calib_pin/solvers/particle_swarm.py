@@ -47,11 +47,9 @@ References:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 
-from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.evolution import (
     Box,
@@ -63,24 +61,10 @@ from calib_pin.solvers.evolution import (
     below,
     evolve,
 )
-from calib_pin.solvers.options import (
-    FRACTION,
-    LIMIT,
-    TARGET,
-    TOLERANCE,
-    UP_TO_TWO,
-    Limits,
-    NumericOptions,
-    limited,
-    whole,
-)
-
-PULL = Limits(Real, 0, 4, "0 to 4")
-SHARE = Limits(Real, np.nextafter(0.0, 1.0), 1, "more than 0, up to 1")
 
 
 @dataclass(frozen=True)
-class ParticleSwarm(NumericOptions):
+class ParticleSwarm:
     """Options of the particle swarm.
 
     Attributes:
@@ -98,28 +82,25 @@ class ParticleSwarm(NumericOptions):
         tol: Converged when `std(costs) <= atol + tol * |mean(costs)|` for the costs of
             the particles' best places.
         atol: Absolute part of that, in the unit of the cost.
-
-    Raises:
-        OptionError: If a value is not allowed.
     """
 
-    particles: int = limited(60, whole(2, 100_000))
-    iterations: int = limited(300, LIMIT)
-    c1: float = limited(1.5, PULL)
-    c2: float = limited(1.5, PULL)
-    w: float = limited(1.0, UP_TO_TWO)
-    inertia: float = limited(0.73, FRACTION)
-    velocity: float = limited(0.25, SHARE)
-    crossover: float = limited(0.05, FRACTION)
-    mutation: float = limited(0.02, FRACTION)
-    target: float = limited(-np.inf, TARGET)
-    tol: float = limited(1e-8, TOLERANCE)
-    atol: float = limited(0.0, TOLERANCE)
+    particles: int = 60
+    iterations: int = 300
+    c1: float = 1.5
+    c2: float = 1.5
+    w: float = 1.0
+    inertia: float = 0.73
+    velocity: float = 0.25
+    crossover: float = 0.05
+    mutation: float = 0.02
+    target: float = -np.inf
+    tol: float = 1e-8
+    atol: float = 0.0
 
     @property
     def budget(self) -> int:
         """Evaluations of particles at most: the first places and the moves."""
-        return int(self.particles) * (int(self.iterations) + 1)
+        return self.particles * (self.iterations + 1)
 
 
 def particle_swarm(
@@ -140,8 +121,8 @@ def particle_swarm(
             equal the component stays fixed.
         rng: Source of chance; the same seed gives the same result.
         options: Sizes, pulls, probabilities and stops.
-        x0: First places of some particles, shape (S0, D), S0 up to the number of
-            particles. The others begin all over the box.
+        x0: First places of some particles within the bounds, shape (S0, D), S0 up to
+            the number of particles. The others begin all over the box.
         callback: Called after each iteration with its number, the best place (D,) and
             its cost; returns True to stop.
 
@@ -150,8 +131,7 @@ def particle_swarm(
         no first place was feasible.
 
     Raises:
-        OptionError: If the bounds or x0 cannot be used, or `costs` does not give one
-            number per particle.
+        OptionError: If the bounds cannot be used.
 
     Examples:
         >>> def costs(x):  # Waves with their lowest point at (1, 1).
@@ -164,17 +144,8 @@ def particle_swarm(
         >>> result.status.value, result.x.round(3).tolist()
         ('cost target reached', [1.0, 1.0])
     """
-    box, size = Box.of(bounds), int(options.particles)
-    places = box.populate(size, "latinhypercube", None, rng)
-    if x0 is not None:
-        given = box.checked(x0, "S")
-        if len(given) > size:
-            raise OptionError(
-                "x0 has more rows than there are particles",
-                value=len(given),
-                allowed=f"up to {size}",
-            )
-        places[: len(given)] = given
+    box = Box.of(bounds)
+    places = box.populate(options.particles, "latinhypercube", x0, rng)
     return evolve(
         costs,
         box,

@@ -71,14 +71,13 @@ class Controls:
 
         control.on_update(updated)
 
-    def switch(self, label: str, of: Any, on: bool = True) -> None:
-        """A checkbox that shows or hides a drawing."""
+    def switch(self, label: str, of: Any) -> None:
+        """A checkbox that shows or hides a drawing, which is seen at first."""
 
         def show(visible: bool) -> None:
             of.visible = visible
 
-        self.on(self.gui.add_checkbox(label, on), show)
-        show(on)
+        self.on(self.gui.add_checkbox(label, True), show)
 
 
 def text(content: str) -> str:
@@ -190,9 +189,12 @@ def _add_rows(controls: Controls, stage: Stage, rows: Rows, joints: Joints) -> N
 def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
     """One slider for error vectors and the geometry, if there are any of these."""
     positions = {} if scene.rows is None else scene.rows.positions
-    moving, largest = len(scene.bodies) > 1, scene.largest_move
+    moving = len(scene.bodies) > 1
     if not (positions or moving):
         return
+    # How far corrections move the origin of any link.
+    first, last = (scene.bodies[k].placements(scene.start) for k in (0, -1))
+    largest = float(np.linalg.norm((last - first)[:, :3, 3], axis=1).max())
     # Lines have no shades: they keep the colors of the legend.
     vectors = {
         name: stage.api.add_line_segments(
@@ -208,14 +210,14 @@ def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
         largest = max(largest, float(np.nanmax(lengths)))
     # The one that makes the largest vector just not too long.
     fitting = [m * largest <= VISIBLE * stage.size for m in MAGNIFICATIONS]
-    first = str(MAGNIFICATIONS[max(sum(fitting) - 1, 0)])
+    chosen = str(MAGNIFICATIONS[max(sum(fitting) - 1, 0)])
     factors = tuple(map(str, MAGNIFICATIONS))
     with controls.gui.add_folder(
         "Errors, predicted minus measured" if vectors else "Corrections"
     ):
         for name, handle in vectors.items():
             controls.switch(name, handle)
-        choice = controls.gui.add_dropdown("magnified", factors, initial_value=first)
+        choice = controls.gui.add_dropdown("magnified", factors, initial_value=chosen)
         legend = controls.gui.add_html("")
     shown = ["errors, from the measured point"] * bool(vectors)
     shown += ["corrections of the robot"] * moving
@@ -229,7 +231,7 @@ def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
         legend.content = text(f"{swatches}<br>{told}" if swatches else told)
 
     controls.on(choice, magnify)
-    magnify(first)
+    magnify(chosen)
 
 
 def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:

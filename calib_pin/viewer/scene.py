@@ -9,7 +9,7 @@ place of the tool only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.estimation.problem import error_table, tool_points
-from calib_pin.estimation.terms import Block
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.table import read_table
@@ -160,12 +159,6 @@ class Scene:
     rows: Rows | None = None
     plan: Floats | None = None
 
-    @property
-    def largest_move(self) -> float:
-        """How far the origin of any link is moved by corrections at the start [m]."""
-        first, last = (self.bodies[k].placements(self.start) for k in (0, -1))
-        return float(np.linalg.norm((last - first)[:, :3, 3], axis=1).max())
-
     @cached_property
     def moved(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Joints of the chains with a position of their own, (m,), among the bodies'.
@@ -219,11 +212,12 @@ def stage_errors(robot: Registered, link: str) -> StageErrors:
     problem, theta = robot.problem.rebased(robot.theta)
     data, residual = problem.data, problem.errors(theta)
     points, vectors = np.zeros((len(data), 3)), np.full((len(data), 3), np.nan)
-    for block, seen in _in_base(robot):
+    for block, seen in zip(problem.blocks, tool_points(problem, theta), strict=True):
         rows, chain = block.rows, block.term.key.chain
         T = base_poses(problem.chains, chain, link, data.q[rows])
-        points[rows] = np.einsum("nij,nj->ni", T[:, :3, :3], seen) + T[:, :3, 3]
-        turn = T[:, :3, :3] @ block.term.error.base.rotation.T
+        T = T @ block.term.error.base.inverse().homogeneous
+        turn = T[:, :3, :3]
+        points[rows] = np.einsum("nij,nj->ni", turn, seen) + T[:, :3, 3]
         errors = block.table(residual)
         for quantity in block.term.measurement.quantities:
             columns = errors[:, quantity.columns]
@@ -232,14 +226,6 @@ def stage_errors(robot: Registered, link: str) -> StageErrors:
     table, quantities = error_table(problem, theta), problem.layout.quantities
     sizes = {q.name: np.linalg.norm(table[:, q.columns], axis=1) for q in quantities}
     return StageErrors(points, vectors, sizes, {q.name: q.unit for q in quantities})
-
-
-def _in_base(robot: Registered) -> Iterator[tuple[Block, Floats]]:
-    """Blocks and the measured points of the tool in their base links, (N, 3) [m]."""
-    problem, theta = robot.problem.rebased(robot.theta)
-    for block, points in zip(problem.blocks, tool_points(problem, theta), strict=True):
-        base = block.term.error.base.inverse()
-        yield block, points @ base.rotation.T + base.translation
 
 
 def make_scene(

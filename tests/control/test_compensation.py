@@ -88,20 +88,6 @@ def test_a_motion(model, q):
     assert len(follow(model, q[:0]).jumps) == 0
 
 
-def test_only_positions(model, q):
-    found = follow(model, q, orientation=False)
-    assert found.reached.all()
-    assert not found.oriented
-    assert (found.orientation == 0.0).all()
-    assert (found.orientation_before == 0.0).all()
-    tips = model.error.tip_poses(found.q, model.theta)
-    expected = model.chain.poses(q)[:, :3, 3]
-    np.testing.assert_allclose(tips[:, :3, 3], expected, atol=1e-9)
-    whole = follow(model, q)
-    smaller = np.linalg.norm(found.corrections, axis=1)
-    assert (smaller <= np.linalg.norm(whole.corrections, axis=1) + 1e-12).all()
-
-
 def test_a_target_that_the_nominal_robot_cannot_reach(model):
     # Straight out: the real arm reaches a little farther than the nominal one, or less.
     q = np.tile([0.3, -0.8, 0.0, 0.2, 0.5, 0.1], (20, 1))

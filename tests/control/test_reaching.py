@@ -341,19 +341,6 @@ def test_closest_to_the_start(name, size):
     assert (moved <= np.linalg.norm(q - start, axis=1) + 1e-9)[found.reached].all()
 
 
-def planar() -> Chain:
-    """Three joints in a plane, with links of 1, 0.8 and 0.5 m."""
-    steps = [0.0, 1.0, 0.8]
-    placements = [pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])) for x in steps]
-    joints = [
-        {"name": f"j{k}", "parent": str(k), "child": str(k + 1), "placement": M}
-        for k, M in enumerate(placements)
-    ]
-    end = pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0]))
-    tip = {"name": "t", "parent": "3", "child": "tip", "type": "fixed"}
-    return chain_of(urdf_of(*joints, {**tip, "placement": end}))
-
-
 # --- what cannot be reached --------------------------------------------------------
 
 
@@ -379,17 +366,3 @@ def test_rows_out_of_reach_do_not_disturb_the_others(given):
         assert alone.reached[0]
         # Without a start chance decides which of several solutions is met first.
         assert not given or np.abs(alone.q[0] - found.q[k]).max() < 1e-6
-
-
-def test_just_out_of_reach_is_not_reached():
-    chain = planar()
-    model = calibrated(chain, size=0.0)
-    # The tool stands beside the arm, so it reaches farthest with a bent last joint.
-    tool = model.error.tool.translation
-    last = -np.arctan2(tool[1], 0.5 + tool[0])
-    targets = model.poses(np.tile([0.4, 0.0, last], (3, 1)))
-    outward = model.error.base.rotation @ [np.cos(0.4), np.sin(0.4), 0.0]
-    targets[:, :3, 3] += np.array([[-1e-4], [1e-8], [1e-3]]) * outward
-    found = commands(model, targets, orientation=False)
-    np.testing.assert_array_equal(found.reached, [True, False, False])
-    np.testing.assert_allclose(found.position[1:], [1e-8, 1e-3], rtol=1e-3)

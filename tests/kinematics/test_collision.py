@@ -162,21 +162,6 @@ def test_as_pinocchio_finds_them(chain: Chain, collisions: Collisions) -> None:
         assert np.mean([pair in pairs for pairs in met]) > 0.9
 
 
-def test_more_configurations_and_some_of_the_pairs(
-    chain: Chain, collisions: Collisions
-) -> None:
-    q = chain.random_configurations(150, np.random.default_rng(9))
-    contacts = collisions.contacts(q)
-    np.testing.assert_array_equal(collisions.free(q), ~contacts.any(axis=1))
-    # Those that touch most often come first.
-    rates = contacts.mean(axis=0)
-    assert rates[: len(rates) // 3].mean() > 2.0 * rates.mean()
-    kept = [5, 0, 2]
-    some = collisions.only(kept)
-    assert some.pairs == tuple(collisions.pairs[k] for k in kept)
-    np.testing.assert_array_equal(some.contacts(q), contacts[:, kept])
-
-
 def test_clearance(arm: Chain) -> None:
     ball = Obstacle(sphere=0.1, xyz=(0.705, 0.0, 0.0))
     for clearance, free in ((0.0, True), (0.002, True), (0.01, False), (0.2, False)):
@@ -266,18 +251,3 @@ def test_flat_obstacles(tmp_path: Path) -> None:
         ours = [k for k, pair in enumerate(collisions.pairs) if "obstacle" in pair[1]]
         assert 8 < contacts[:, ours].any(axis=1).sum() < 72
         np.testing.assert_array_equal(collisions.free(q), ~contacts.any(axis=1))
-
-
-def test_scaled_mesh(arm: Chain, tmp_path: Path) -> None:
-    file = tmp_path / "square.obj"
-    file.write_text(SQUARE.replace("1", "1000").replace("f 1000", "f 1"))
-    square = Obstacle(mesh=str(file), scale=(1e-3, 1e-3, 1e-3), xyz=(-0.5, -0.5, 0.095))
-    collisions = load_collisions(arm, [square], clearance=0.0)
-    assert collisions is not None
-    # The square ends at half a meter, below the middle of the ball's upper side.
-    assert not collisions.free(np.zeros((1, 1)))[0]
-    lower = load_collisions(
-        arm, [Obstacle(mesh=str(file), scale=(1e-3, 1e-3, 1e-3), xyz=(-1.5, -0.5, 0.0))]
-    )
-    assert lower is not None
-    assert lower.free(np.zeros((1, 1)))[0]

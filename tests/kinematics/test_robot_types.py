@@ -59,5 +59,5 @@ def test_of_other_joints() -> None:
     own, other = arm(), robot_type(Chains.of(load_chain("space6")))
     name = other.joints[0].name
     assert f"'{name}'" in own.difference(other)
-    assert "'b'" in own.difference(replace(own, joints=own.joints[:1]))
+    assert own.difference(replace(own, joints=own.joints[:1]))
     assert own.difference(replace(own, joints=own.joints[::-1]))

@@ -232,16 +232,6 @@ def test_derivatives_of_a_camera_on_the_hand() -> None:
 # Features.
 
 
-def test_the_corners_of_a_board_are_known_points() -> None:
-    setup = Setup(camera=SEEN, board=BOARD)
-    model = CameraModel.from_setup(setup, ())
-    assert model.targets == tuple(map(str, range(24))) and not model.missing
-    np.testing.assert_allclose(model.points[7].xyz, [0.03, 0.03, 0.0], atol=1e-13)
-    # Measurements name those that were seen; others may be named later.
-    some = CameraModel.from_setup(setup, ("3", "17"))
-    assert some.targets == ("3", "17") and len(some.spare) == 22
-
-
 @pytest.mark.parametrize("mount", MOUNTS)
 def test_a_robot_is_known_from_images_of_a_board(mount: str) -> None:
     rng = np.random.default_rng(7)

@@ -10,8 +10,6 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.fit import fit
-from calib_pin.estimation.formulation import make_problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.contact import PlaneContact, SphereContact
@@ -19,7 +17,6 @@ from calib_pin.measurement_models.references import Plane, Sphere
 from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, PointSetup, Setup, SphereSetup
 from tests.measurement_models.test_contact_registration import poses
-from tests.shared import simulated
 
 ARM = calib_pin.load_chain("space6")
 TIP = np.array([0.05, -0.03, 0.12])
@@ -206,20 +203,3 @@ def test_spheres_and_the_point_that_touches_them(
 
 
 # What can be known.
-
-
-def test_named_points_touch_as_well() -> None:
-    """Without a first guess of them and of one of two planes."""
-    planes = {"a": replace(TABLE, estimate=False), "b": WALL}
-    points = {
-        "long": PointSetup((0.05, 0.08, 0.12)),
-        "short": PointSetup((0.0, 0.02, 0.1)),
-    }
-    setup = Setup(planes=planes, targets=points)
-    problem, theta = simulated("plane-contact", setup, 120, 1.0)
-    assert {"long@a", "short@b"} <= set(problem.data.target)
-    assert np.abs(problem.errors(theta)).max() < 1e-11
-    fitted = fit(
-        make_problem(ARM, problem.data, Setup(planes=planes)), np.random.default_rng(0)
-    )
-    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-10

@@ -14,7 +14,6 @@ from calib_pin.estimation.formulation import make_problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import PointSetup, Setup
 from tests.shared import refused
@@ -138,24 +137,4 @@ def test_known_points_show_the_tool(
     np.testing.assert_array_equal(located(found), located(model))
 
 
-@pytest.mark.parametrize("base", [None, BASE])
-def test_some_points_are_known(base: pin.SE3 | None) -> None:
-    """With the tool given, they help to find the base and the others."""
-    F, data = seen(("a", "b", "c"), 9)
-    some = Setup(targets={**STATED, "b": PointSetup(), "c": PointSetup()})
-    model = position(some, *data.target)
-    found, found_base, tool = model.register(F, data, base, TOOL)
-    assert tool == TOOL
-    np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-11)
-    np.testing.assert_allclose(located(found), list(XYZ.values()), atol=1e-11)
-
-
 # What can be known.
-
-
-def test_a_point_that_no_row_looks_at_stays_at_the_origin() -> None:
-    F, data = seen(("a", "b"))
-    model = Position(tuple(Point(name, "target") for name in "abc"), origin=False)
-    found, _, _ = model.register(F, data, None, None)
-    assert found.missing == ""
-    np.testing.assert_array_equal(located(found)[2], np.zeros(3))

@@ -15,7 +15,6 @@ from calib_pin.measurement_models.registration import (
     register_plane,
     register_points,
     register_poses,
-    register_reached,
 )
 
 Poses = Callable[[np.random.Generator, int], Floats]
@@ -132,7 +131,7 @@ def test_several_points_are_registered_without_a_guess(known: tuple[int, ...]) -
         found = register_points(F, y, tool=given, label=label)
         for x, other in zip((R, b, t), found, strict=True):
             np.testing.assert_allclose(other, x, rtol=0, atol=1e-9)
-        reached = register_reached(F, y, R, b, given, label)
+        _, _, reached = register_points(F, y, base=(R, b), tool=given, label=label)
         np.testing.assert_allclose(reached, t, rtol=0, atol=1e-9)
 
 
@@ -144,7 +143,7 @@ def test_a_point_that_no_row_sees() -> None:
     for unseen in (known, np.full((2, 3), np.nan)):
         for found in (
             register_points(F, y, tool=unseen, label=label)[2],
-            register_reached(F, y, R, b, unseen, label),
+            register_points(F, y, base=(R, b), tool=unseen, label=label)[2],
         ):
             np.testing.assert_allclose(found[0], t, rtol=0, atol=1e-9)
             np.testing.assert_array_equal(found[1], unseen[1])
@@ -261,15 +260,3 @@ def test_planes_of_few_or_collinear_points() -> None:
         n, f = register_plane(points)
         assert abs(np.linalg.norm(n) - 1.0) < 1e-13
         np.testing.assert_allclose(points @ n + f, 0.0, atol=1e-13)
-
-
-def test_noisy_plane_is_the_least_squares() -> None:
-    rng = np.random.default_rng(17)
-    points = points_of_plane(rng, 30, np.array([0.6, 0.0, 0.8]), -1.0)
-    points += 1e-2 * rng.normal(size=points.shape)
-    n, f = register_plane(points)
-    cost = np.sum((points @ n + f) ** 2)
-    for _ in range(20):
-        other = so3_exp(1e-3 * rng.normal(size=3)) @ n
-        nearby = points @ other + f + 1e-3 * rng.normal()
-        assert np.sum(nearby**2) >= cost

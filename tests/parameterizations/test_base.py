@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,7 +10,6 @@ from calib_pin.errors import OptionError
 from calib_pin.io.urdf import load_chain
 from calib_pin.parameterizations import PARAMETERIZATIONS, parameterization
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE, Screw, owner
-from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Payload, Setup
 from tests.shared import FRAMED, chain_of, urdf_of
@@ -55,27 +52,6 @@ def test_registry() -> None:
         assert parameterization(name).name == name
     with pytest.raises(OptionError, match="'placement'"):
         parameterization("placment")
-
-
-def test_what_the_user_states_reaches_the_parameterization() -> None:
-    chain = load_chain("space6")
-    names = [s.parameter.name for s in parameterization("transmission").screws(chain)]
-    assert not any("motor" in name for name in names)
-    with_motors = parameterization("transmission", FRAMED).screws(chain)
-    assert len(with_motors) == len(names) + 4 * 6
-    payloads = {"light": Payload(1.0, (0.0, 0.0, 0.0)), **FRAMED.payloads}
-    several = parameterization("compliance", replace(FRAMED, payloads=payloads))
-    assert isinstance(several, Compliance)
-    assert several.payloads == payloads and several.gravity == FRAMED.gravity
-
-
-def test_no_configurations_have_no_poses() -> None:
-    chain = load_chain("space6")
-    for name in PARAMETERIZATIONS:
-        model = ErrorModel.create(chain, (name,), setup=FRAMED)
-        basis = model.basis(np.zeros((0, 6)))
-        theta = np.zeros(len(model.screws))
-        assert model.poses(np.zeros((0, 6)), theta, basis).shape == (0, 4, 4), name
 
 
 @pytest.mark.parametrize(("robot", "base", "tip"), ROBOTS)

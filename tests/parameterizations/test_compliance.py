@@ -200,27 +200,3 @@ def test_a_joint_about_gravity_is_unidentifiable() -> None:
     assert status["joint_7.compliance.k"] == "identifiable"
     status, _ = identified(chain, gravity=(0.5, 0.0, -G))
     assert status["joint_1.compliance.k"] == "identifiable"
-
-
-def test_a_single_lever_is_a_harmonic() -> None:
-    """One joint alone: its torque is m g l cos q, which a wheel could do as well."""
-    chain = chain_of(urdf_of(*beam()))
-    both = {"parameters": ("transmission", "compliance")}
-    status, sums = identified(chain, **both)
-    assert status["j.transmission.cos1"] == status["j.compliance.k"] == "coupled"
-    assert status["j.transmission.sin1"] == "identifiable"
-    # Elimination solves with a well-conditioned matrix of some 1000 rows.
-    expected = {"j.transmission.cos1": 1.0, "j.compliance.k": MASS * G * CENTER}
-    assert sums == [pytest.approx(expected, rel=1e-9)]
-    # Turned by an eighth it is both waves at once.
-    _, sums = identified(chain, gravity=(np.sqrt(0.5), 0.0, -np.sqrt(0.5)), **both)
-    part = MASS * CENTER * np.sqrt(0.5)
-    assert sums == [
-        pytest.approx({"j.transmission.sin1": 1.0, "j.compliance.k": -part}, rel=1e-9),
-        pytest.approx({"j.transmission.cos1": 1.0, "j.compliance.k": part}, rel=1e-9),
-    ]
-    # Two payloads tell them apart.
-    two = {str(mass): Payload(mass, (0.1, 0.0, 0.0)) for mass in (2.0, 5.0)}
-    status, sums = identified(chain, payloads=two, **both)
-    assert not sums
-    assert status["j.compliance.k"] == status["j.transmission.cos1"] == "identifiable"

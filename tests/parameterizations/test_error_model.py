@@ -12,8 +12,7 @@ import pytest
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.parameterizations.learned import Learned
+from calib_pin.parameterizations.error_model import ErrorModel, Learned
 from calib_pin.setup import Setup
 from tests.residual_models.corrections import Wave
 from tests.shared import FRAMED

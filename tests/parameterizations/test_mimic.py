@@ -11,7 +11,8 @@ import pytest
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameterizations import PARAMETERIZATIONS, drives
+from calib_pin.parameterizations import PARAMETERIZATIONS
+from calib_pin.parameterizations.base import drives
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Payload, Setup
 from tests.shared import urdf_of
@@ -171,15 +172,3 @@ def test_the_sum_of_columns_is_the_derivative(
             # Rounding of 1e-15 over the step, and a third-order remainder.
             atol = 1e-13 / step + 1e-8 * np.abs(found).max()
             np.testing.assert_allclose(found, twist / (2 * step), rtol=0, atol=atol)
-
-
-def test_from_a_mimic_joint_without_its_leader(arm: Chains) -> None:
-    """The position of the drive follows from that of the joint."""
-    part = Chains(arm.robot, "l1", "l2")
-    q = arm.random_configurations(3, np.random.default_rng(0))
-    whole = ErrorModel.create(arm[""], ["transmission"], setup=SETUP)
-    model = ErrorModel.create(part[""], ["transmission"], setup=SETUP)
-    values = {"lead.transmission.sin1": 0.01, "lead.transmission.motor_cos": 0.002}
-    moved = model.joint_positions(q[:, 1:2], model.parameters.vector(values))
-    expected = whole.joint_positions(q, whole.parameters.vector(values))[:, 1:2]
-    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)

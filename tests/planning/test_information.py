@@ -5,13 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import calib_pin
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import Information
-from calib_pin.planning.planned_problem import identification
-from calib_pin.planning.workspace import Workspace
-from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from tests.planning.test_criteria import factored, gram
 
 COLUMNS = 9
@@ -73,23 +68,3 @@ def test_singular_matrices_have_no_factor(kind: str, scale: float) -> None:
     largest = np.abs(almost[:, :, 1]).max()
     almost[:, :, 7] = almost[:, :, 1] + 1e-5 * noise * largest
     assert Information.of(gram(almost), 2) is not None
-
-
-def test_too_few_rows_are_never_enough() -> None:
-    """Of a robot, whose columns hardly differ; one row less than columns, or none."""
-    setup = Setup(
-        tool_frame=FrameSetup((0.05, 0.08, 0.12)),
-        planes={"wall": PlaneSetup((1.0, 0.3, 0.2), -3.0)},
-    )
-    for robot, model in (("pa10", "pose"), ("space7", "plane-distance")):
-        problem = nominal_problem(calib_pin.load_chain(robot), model, setup)
-        rng, workspace = np.random.default_rng(0), Workspace.create(problem)
-        candidates = workspace.candidates(300, rng)
-        _, rows, _ = identification(problem, workspace.aims, candidates)
-        U = rows.rows(candidates.q, candidates.aim)
-        size, d = U.shape[2], U.shape[1]
-        for _ in range(40):
-            few = U[rng.choice(300, (size - 1) // d, replace=False)]
-            assert Information.of(gram(few), rows.nuisances) is None
-            enough = U[rng.choice(300, -(-size // d) + 1, replace=False)]
-            assert Information.of(gram(enough), rows.nuisances) is not None

@@ -246,18 +246,6 @@ def test_several_planes(method: str) -> None:
         assert abs(along) / np.linalg.norm(normal) >= np.cos(np.radians(70.0)) - 1e-9
 
 
-def test_no_more_rows_than_unknowns() -> None:
-    """Five offsets and two planes: of random sets few would do."""
-    ranger: dict[str, Any] = {"model": "plane-distance", "setup": PLANES}
-    rank = small(method="greedy", count=30, **ranger).predicted.rank
-    plan = small(count=rank, **ranger)
-    check_set(plan, rank, PLANES)
-    assert np.isfinite(plan.value)
-    # One row per unknown: the matrix is square and regular.
-    J = matrix(plan.problem, plan.q, plan.target)
-    assert np.linalg.matrix_rank(J, tol=1e-8 * np.linalg.norm(J, 2)) == rank
-
-
 def test_additions_look_at_planes_that_were_not_measured() -> None:
     setup = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
     problem = nominal_problem(CHAIN, "plane-distance", setup)

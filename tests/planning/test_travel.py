@@ -10,7 +10,7 @@ import pytest
 import calib_pin
 from calib_pin.io.collision import load_collisions
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.travel import shortest_order
+from calib_pin.planning.plan import shortest_order
 from calib_pin.setup import Obstacle, Setup
 
 CHAIN = calib_pin.load_chain("example:ur5_robot", tip="tool0")
@@ -25,7 +25,7 @@ def test_what_a_gear_depends_on_keeps_its_turns():
 
 def test_turns_change_nothing_of_what_is_planned(monkeypatch):
     turned = calib_pin.plan(CHAIN, "position", 10, **QUICK)
-    monkeypatch.setattr("calib_pin.planning.travel._same", lambda *about: False)
+    monkeypatch.setattr("calib_pin.planning.plan._same", lambda *about: False)
     as_found = calib_pin.plan(CHAIN, "position", 10, **QUICK)
     assert turned.value == pytest.approx(as_found.value, rel=1e-4)
     assert np.abs(turned.q).max() <= np.pi + 1e-6
@@ -97,7 +97,7 @@ def test_blocked_moves_are_avoided_where_that_is_possible(with_start: bool) -> N
         rng = np.random.default_rng(seed)
         q = rng.uniform(-2.0, 2.0, (6, 2))
         start = rng.uniform(-2.0, 2.0, 2) if with_start else None
-        order, blocked = shortest_order(q, start, crosses)
+        order, blocked = shortest_order(q, start, lambda a, b: not crosses(a, b))
         # They are those of the order that comes out.
         first = int(with_start)
         way = q[order] if start is None else np.concatenate([start[None], q[order]])
@@ -121,12 +121,12 @@ def test_the_count_is_true_where_most_is_blocked() -> None:
     index = {tuple(place): k for k, place in enumerate(q)}
     asked = 0
 
-    def blocked(a: Floats, b: Floats) -> bool:
+    def is_free(a: Floats, b: Floats) -> bool:
         nonlocal asked
         asked += 1
-        return not free[index[tuple(a)], index[tuple(b)]]
+        return bool(free[index[tuple(a)], index[tuple(b)]])
 
-    order, places = shortest_order(q, None, blocked)
+    order, places = shortest_order(q, None, is_free)
     assert len(places) == sum(not free[a, b] for a, b in pairwise(order))
     # Asking is expensive, so not every pair is asked for twice.
     assert asked <= 40 * 39 / 2

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, skew, so3_exp
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.residual_models import Linearized, ResidualModel, Shifts, TrainingRows
+from calib_pin.residual_models.base import (
+    Linearized,
+    ResidualModel,
+    Shifts,
+    TrainingRows,
+)
 
 SIGMA = 1e-4
 
@@ -81,7 +86,7 @@ class Study:
             by_tip=lambda xi, z: linearized(np.zeros(q.shape), xi, z, True),
             values=3,
             some=lambda index: self.of(q[index], measured[index], groups[index]),
-            shift=Shifts.free(self.columns.shape[1]),
+            shift=Shifts(np.zeros(self.columns.shape[1])),
         )
 
     def errors(self, model: ResidualModel | None, count: int = 300) -> Floats:

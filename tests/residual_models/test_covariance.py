@@ -7,7 +7,12 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.residual_models.covariance import FORMS, Covariance, Form, Likelihood
+from calib_pin.residual_models.gaussian_process import (
+    FORMS,
+    Covariance,
+    Form,
+    Likelihood,
+)
 
 RNG = np.random.default_rng(0)
 ANGLE, A = RNG.uniform(-3.0, 3.0, (30, 2)), RNG.normal(size=(30, 2, 2))

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib_pin.residual_models import RESIDUAL_MODELS, ResidualModel, restore
-from calib_pin.residual_models.covariance import FORMS
+from calib_pin.residual_models import RESIDUAL_MODELS, restore
+from calib_pin.residual_models.base import ResidualModel
 from calib_pin.residual_models.gaussian_process import (
+    FORMS,
     GaussianProcessOptions,
     fit_gaussian_process,
 )

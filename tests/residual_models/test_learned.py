@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.residual_models import ResidualModel, TrainingRows, restore
-from calib_pin.residual_models.covariance import FORMS
+from calib_pin.residual_models import TrainingRows, restore
+from calib_pin.residual_models.base import ResidualModel
 from calib_pin.residual_models.gaussian_process import (
+    FORMS,
     Conditioned,
     GaussianProcess,
     GaussianProcessOptions,

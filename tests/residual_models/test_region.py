@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.residual_models import TrainedRegion
+from calib_pin.residual_models.region import TrainedRegion
 
 TURNS = np.ones(3, bool)
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.residual_models.units import Weights, combined, unit_columns
+from calib_pin.residual_models.network import Weights, combined, unit_columns
 
 RNG = np.random.default_rng(0)
 ROWS, D, JOINTS, UNITS = 5, 3, 4, 3

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, Status
 from calib_pin.solvers.evolution import Box, Stops, crossing, evolve, three_others
@@ -132,13 +131,6 @@ def test_a_first_population_without_a_finite_cost(value: float) -> None:
     result = run([0.4, 0.5], Script([0.1, 0.1]), costs=lambda x: x[:, 0] * 0 + value)
     assert result.status is Status.NOT_FINITE
     assert (result.fun, result.nit, result.nfev) == (np.inf, 0, 2)
-
-
-def test_costs_of_the_wrong_shape() -> None:
-    for costs, shape in ((np.sum, ()), (lambda x: x, (2, 1))):
-        with pytest.raises(OptionError) as caught:
-            run([0.4, 0.5], Script(), costs=costs)
-        assert caught.value.value == shape
 
 
 def test_others_are_uniform() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -90,18 +89,9 @@ def test_linear_problem_at_once() -> None:
 @pytest.mark.parametrize("start", [(-1.2, 1.0), (5.0, -3.0)])
 def test_damping_follows_a_bent_valley(start: tuple[float, float]) -> None:
     valley = Rosenbrock()
-    costs: list[float] = []
-    result = gauss_newton(
-        valley.linearize,
-        valley.cost,
-        np.array(start),
-        np.eye(2),
-        callback=lambda step, cost: costs.append(cost),
-    )
+    result = gauss_newton(valley.linearize, valley.cost, np.array(start), np.eye(2))
     assert result.status is Status.CONVERGED
     assert result.x == pytest.approx([1.0, 1.0], abs=1e-9)
-    assert len(costs) == result.nit
-    assert all(b <= a for a, b in pairwise(costs))
 
 
 @pytest.mark.parametrize("start", [(500.0, 1e-4), (250.0, 5e-4)])
@@ -127,22 +117,6 @@ def test_directions_outside_the_basis_stay() -> None:
     nothing = gauss_newton(problem.linearize, problem.cost, start, np.zeros((3, 0)))
     assert nothing.status is Status.CONVERGED
     assert nothing.x.tolist() == start.tolist()
-
-
-def test_a_single_undamped_step() -> None:
-    valley = Rosenbrock()
-    result = gauss_newton(
-        valley.linearize,
-        valley.cost,
-        np.array([-1.2, 1.0]),
-        np.eye(2),
-        damped=False,
-        max_iterations=1,
-    )
-    assert result.nit == 1
-    assert result.status is Status.ITERATIONS
-    # The full step solves the linearized system exactly: x = 1.
-    assert result.x[0] == pytest.approx(1.0)
 
 
 def test_start_without_a_derivative() -> None:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy import optimize
 
-from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.solvers import DescentResult, Status, projected_descent
-from tests.shared import refused
+from calib_pin.solvers import Status, projected_descent
+from calib_pin.solvers.gradient import DescentResult
 
 Smooth = Callable[[Floats], tuple[float, Floats]]
 
@@ -101,25 +98,19 @@ def test_as_low_as_scipy_with_about_as_many_evaluations(name: str) -> None:
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_every_place_visited_is_within_bounds(name: str) -> None:
     function, bounds, count = PROBLEMS[name]
-    visited, values = [], []
+    visited = []
 
     def watched(x: Floats) -> tuple[float, Floats]:
         visited.append(x.copy())
         return function(x)
 
-    def callback(step: int, x: Floats, fun: float) -> None:
-        assert step == len(values) + 1 and fun == function(x)[0]
-        x[:] = np.nan  # A copy: the descent goes on.
-        values.append(fun)
-
     x0 = random_points(bounds, count, 0)
     start = x0.copy()
-    result = projected_descent(watched, bounds, x0, callback=callback)
+    result = projected_descent(watched, bounds, x0)
     assert np.array_equal(x0, start)
     assert all((bounds[:, 0] <= x).all() and (x <= bounds[:, 1]).all() for x in visited)
-    assert (result.nit, result.nfev) == (len(values), len(visited))
-    assert all(b < a for a, b in pairwise(values))
-    assert values[-1] == result.fun
+    assert result.nfev == len(visited)
+    assert result.fun == min(function(x)[0] for x in visited)
 
 
 def test_units_of_components_and_who_owns_the_gradient_do_not_matter() -> None:
@@ -159,16 +150,11 @@ def test_a_flat_function_and_a_fixed_box_converge_at_once() -> None:
 def descend_among_obstacles(
     target: Floats, coupling: float, x0: Floats, allowed: Callable[[Floats], Floats]
 ) -> DescentResult:
-    """The descent; whatever it accepts must be allowed and lower than before."""
+    """The descent; where it ends must be allowed and lower than its start."""
     function = coupled(target, coupling)
-    values = [function(x0)[0]]
-
-    def callback(step: int, x: Floats, fun: float) -> None:
-        assert allowed(x).all()
-        assert fun < values[-1]
-        values.append(fun)
-
-    return projected_descent(function, SQUARE, x0, allowed=allowed, callback=callback)
+    result = projected_descent(function, SQUARE, x0, allowed=allowed)
+    assert allowed(result.x).all() and result.fun < function(x0)[0]
+    return result
 
 
 @pytest.mark.parametrize("coupling", [0.5])
@@ -230,24 +216,7 @@ def test_a_wrong_gradient_stalls() -> None:
     assert result.fun == rosenbrock(np.zeros((2, 2)))[0]
 
 
-def test_the_limits_end_it() -> None:
+def test_the_limit_ends_it() -> None:
     x0 = np.zeros((4, 2))
     limited = projected_descent(rosenbrock, SQUARE, x0, max_iterations=3)
     assert (limited.status, limited.nit) == (Status.ITERATIONS, 3)
-    stopped = projected_descent(rosenbrock, SQUARE, x0, callback=lambda k, *_: k == 2)
-    assert (stopped.status, stopped.nit) == (Status.STOPPED, 2)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "value"),
-    [
-        ({"x0": np.zeros(2)}, (2,)),
-        ({"x0": np.zeros((0, 2))}, (0, 2)),
-        ({"x0": np.array([[0.0, 0.0], [0.0, 3.0]])}, 3.0),
-        ({"bounds": SQUARE[:, ::-1]}, (2.0, -2.0)),
-    ],
-)
-def test_what_cannot_be_used(arguments: dict[str, Any], value: object) -> None:
-    usual = {"function": rosenbrock, "bounds": SQUARE, "x0": np.zeros((2, 2))}
-    with refused(OptionError, value=value):
-        projected_descent(**(usual | arguments))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
-from calib_pin.solvers import DifferentialEvolution, Genetic, ParticleSwarm, Status
+from calib_pin.solvers import DifferentialEvolution, Status
 
 GOOD = (
     DifferentialEvolution(
@@ -18,8 +18,6 @@ GOOD = (
         **{"tol": 0, "atol": np.inf, "init": "random"},
     ),
     DifferentialEvolution(mutation=1e-300, recombination=np.float32(1)),  # type: ignore[arg-type]
-    Genetic(population_size=3, generations=10**9, crossover=0, swaps=1e300),
-    ParticleSwarm(particles=2, c1=0, c2=4, w=2, inertia=1, velocity=1e-300),
 )
 """At their limits: nothing is refused where this module is read."""
 
@@ -34,30 +32,6 @@ BAD: dict[Any, dict[str, tuple[object, ...]]] = {
         "target": (np.nan, np.inf, None),
         "tol": (-1e-300, np.nan),
         "atol": (-1.0,),
-    },
-    Genetic: {
-        "population_size": (1,),
-        "generations": (0,),
-        "tournament": (0,),
-        "crossover": (1.5,),
-        "swaps": (-1, np.inf),
-        "elite": (0, Genetic().population_size),
-        "patience": (2.0,),
-        "target": (np.nan,),
-    },
-    ParticleSwarm: {
-        "particles": (1,),
-        "iterations": (0,),
-        "c1": (-0.1, 4.1),
-        "c2": (np.nan,),
-        "w": (0.0,),
-        "inertia": (1.1,),
-        "velocity": (0, 1.1),
-        "crossover": (True,),
-        "mutation": (2.0,),
-        "target": (np.nan,),
-        "tol": (-1.0,),
-        "atol": ("0",),
     },
 }
 

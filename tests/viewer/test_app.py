@@ -357,7 +357,7 @@ def test_only_sections_that_changed_are_drawn_again(scene, viser_server, monkeyp
 @pytest.fixture
 def address(tmp_path: Path) -> Iterator[str]:
     """The address of a page of a process of its own."""
-    words = [sys.executable, "-u", "-m", "calib_pin.cli", "app", "--port", "0"]
+    words = [sys.executable, "-u", "-m", "calib_pin", "app", "--port", "0"]
     process = subprocess.Popen(words, cwd=tmp_path, text=True, stdout=subprocess.PIPE)
     assert process.stdout is not None
     yield process.stdout.readline().split()[2]

@@ -44,7 +44,7 @@ class Viewing:
     """`calib-pin view` in a process of its own."""
 
     def __init__(self, folder: Path, words: list[str]) -> None:
-        program = [sys.executable, "-m", "calib_pin.cli", "view", *words]
+        program = [sys.executable, "-m", "calib_pin", "view", *words]
         self.process = subprocess.Popen(
             program, cwd=folder, text=True, stdout=-1, stderr=-1
         )

@@ -62,9 +62,6 @@ LINE = 100
 VECTORS = 200
 """Points of one kind that are drawn as paths; more are an image."""
 
-DECADES = 18
-"""Decades below the largest value that a log axis shows at most."""
-
 LARGEST = 100
 """Largest errors of every kind that are always drawn."""
 
@@ -254,8 +251,7 @@ def log_axis(axes: Axes, which: Literal["x", "y"], *values: Floats) -> bool:
     found = found[np.isfinite(found) & (found > 0.0)]
     if found.size == 0:
         return False
-    high = float(found.max())
-    low = max(float(found.min()), high * 10.0**-DECADES)
+    low, high = float(found.min()), float(found.max())
     room = max((high / low) ** 0.06, 1.15)
     axes.set(**{f"{which}scale": "log", f"{which}lim": (low / room, high * room)})
     axis = axes.xaxis if which == "x" else axes.yaxis

@@ -88,7 +88,7 @@ def robot_errors(
         shapes: Shapes of the robot's links; simple solids where there are none.
     """
     measured = _measured(result)
-    if measured is None or not len(measured.points):
+    if not len(measured.points):
         return None
     links = list(shapes) or stand_ins(result.model.chains.robot)
     low, high, triangles, colors = _scene(result, links, measured.points)
@@ -153,14 +153,14 @@ def _draw(axes: Any, corners: Floats, faces: Floats) -> None:
 # --- what is measured --------------------------------------------------------------
 
 
-def _measured(result: CalibrationResult) -> Measured | None:
+def _measured(result: CalibrationResult) -> Measured:
     """Tool points and sizes of errors of all measurements, fitted and held out.
 
-    Lengths come before all other quantities; None where nothing is known.
+    Lengths come before all other quantities.
     """
     parts = [part for part in (result.fitted, result.held_out) if part is not None]
     units = {q.unit for q in result.fitted.quantities}
-    unit = "m" if "m" in units else next(iter(sorted(units)), "")
+    unit = "m" if "m" in units else min(units)
     names = [q.name for q in result.fitted.quantities if q.unit == unit]
     link = drawn_link(result.model.chains)
     found = []
@@ -174,8 +174,6 @@ def _measured(result: CalibrationResult) -> Measured | None:
         usable &= np.isfinite(after)
         points = _in_link(result, part, link)
         found.append((points[usable], before[usable], after[usable]))
-    if not found:
-        return None
     points, before, after = (
         np.concatenate(parts) for parts in zip(*found, strict=True)
     )

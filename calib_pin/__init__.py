@@ -18,57 +18,33 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calib_pin.calibration import calibrate
-    from calib_pin.control.compensation import compensate
-    from calib_pin.errors import CalibPinError
-    from calib_pin.io.collision import load_collisions
-    from calib_pin.io.measurements import read_measurements, write_measurements
-    from calib_pin.io.results import read_calibration, read_result, write_urdf
-    from calib_pin.io.setup import read_setup
-    from calib_pin.io.urdf import load_chain, load_chains, robot_file
-    from calib_pin.kinematics.chain import Chain
-    from calib_pin.observations.blocks import Observations
-    from calib_pin.observations.measurements import Measurements
-    from calib_pin.planning.plan import plan
-    from calib_pin.plugins import register
-    from calib_pin.report.html import report
-    from calib_pin.report.text import format_report
-    from calib_pin.setup import Setup
-    from calib_pin.simulation import draw_errors, simulate
-    from calib_pin.validation.assessment import identify
-    from calib_pin.validation.comparison import compare
-    from calib_pin.validation.evaluation import evaluate
-    from calib_pin.validation.result import CalibrationResult
-
-__all__ = [
-    "CalibPinError",
-    "CalibrationResult",
-    "Chain",
-    "Measurements",
-    "Observations",
-    "Setup",
-    "calibrate",
-    "compare",
-    "compensate",
-    "draw_errors",
-    "evaluate",
-    "format_report",
-    "identify",
-    "load_chain",
-    "load_chains",
-    "load_collisions",
-    "plan",
-    "read_calibration",
-    "read_measurements",
-    "read_result",
-    "read_setup",
-    "register",
-    "report",
-    "robot_file",
-    "simulate",
-    "write_measurements",
-    "write_urdf",
-]
+    from calib_pin.calibration import calibrate as calibrate
+    from calib_pin.control.compensation import compensate as compensate
+    from calib_pin.errors import CalibPinError as CalibPinError
+    from calib_pin.io.collision import load_collisions as load_collisions
+    from calib_pin.io.measurements import read_measurements as read_measurements
+    from calib_pin.io.measurements import write_measurements as write_measurements
+    from calib_pin.io.results import read_calibration as read_calibration
+    from calib_pin.io.results import read_result as read_result
+    from calib_pin.io.results import write_urdf as write_urdf
+    from calib_pin.io.setup import read_setup as read_setup
+    from calib_pin.io.urdf import load_chain as load_chain
+    from calib_pin.io.urdf import load_chains as load_chains
+    from calib_pin.io.urdf import robot_file as robot_file
+    from calib_pin.kinematics.chain import Chain as Chain
+    from calib_pin.observations.blocks import Observations as Observations
+    from calib_pin.observations.measurements import Measurements as Measurements
+    from calib_pin.planning.plan import plan as plan
+    from calib_pin.plugins import register as register
+    from calib_pin.report.html import report as report
+    from calib_pin.report.text import format_report as format_report
+    from calib_pin.setup import Setup as Setup
+    from calib_pin.simulation import draw_errors as draw_errors
+    from calib_pin.simulation import simulate as simulate
+    from calib_pin.validation.assessment import identify as identify
+    from calib_pin.validation.comparison import compare as compare
+    from calib_pin.validation.evaluation import evaluate as evaluate
+    from calib_pin.validation.result import CalibrationResult as CalibrationResult
 
 _HOMES = {
     "CalibPinError": "errors",
@@ -100,6 +76,8 @@ _HOMES = {
     "write_urdf": "io.results",
 }
 """Where each public name lives; imported when it is first used."""
+
+__all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

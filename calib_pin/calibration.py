@@ -10,21 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
+import calib_pin.estimation.formulation as formulation
+import calib_pin.validation.assessment as assessment
+import calib_pin.validation.model_errors as model_errors
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.fit import (
     FittedModel,
     fit_model,
     time_course,
     with_time_course,
-)
-from calib_pin.estimation.formulation import (
-    Stated,
-    fitting,
-    make_terms,
-    require_conditions,
-    require_known,
-    setup_of,
-    with_parameters,
 )
 from calib_pin.estimation.problem import tool_points
 from calib_pin.kinematics.chains import Chains, Robots
@@ -34,13 +28,6 @@ from calib_pin.observations import AT, Measurements, Observations, states_sigmas
 from calib_pin.parameterizations import outside_urdf
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import ReadingSetup, Setup
-from calib_pin.validation.assessment import (
-    breakdown,
-    estimates,
-    fitted_ranks,
-    measurement_leverages,
-    robot_errors,
-)
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.calibrations import older_calibration
@@ -48,19 +35,11 @@ from calib_pin.validation.findings.case import Others
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.joint_errors import encoder_steps
 from calib_pin.validation.judgement import Judgement, examine, judge, unexplained
-from calib_pin.validation.model_errors import (
-    ModelErrors,
-    fitted_errors,
-    quantity_errors,
-    registered,
-)
 from calib_pin.validation.model_selection import USES, select_model
 from calib_pin.validation.result import (
     CalibrationResult,
     MeasurementErrors,
-    ModelSelection,
     NamedArray,
-    Recalibration,
     SolverSummary,
     Statistics,
     UrdfResult,
@@ -75,7 +54,7 @@ from calib_pin.workers.base import SERIAL, Workers
 def calibrate(
     chains: Robots,
     measurements: Measurements | Observations,
-    setup: Stated = None,
+    setup: formulation.Stated = None,
     *,
     validation: Measurements | Observations | None = None,
     holdout: float | None = None,
@@ -135,12 +114,12 @@ def calibrate(
         >>> result.verdict, result.identifiability.structural_rank
         ('good', 34)
     """
-    setup = setup_of(setup)
+    setup = formulation.setup_of(setup)
     sources = [one for one in (measurements, validation) if one is not None]
     given = [as_stated(Observations.of(one), setup.reading) for one in sources]
     # It has been obeyed now, and says nothing of other files.
     setup = replace(setup, reading=ReadingSetup())
-    chains, (data, *more) = fitting(chains, setup, *given)
+    chains, (data, *more) = formulation.fitting(chains, setup, *given)
     further = more[0] if more else None
     steps = {j: n for j, n in data.conditions.steps.items() if j in chains.joints}
     setup = replace(setup, encoder_steps={**steps, **setup.encoder_steps})
@@ -153,7 +132,7 @@ def calibrate(
     stated = setup
     setup = with_time_course(chains, training, setup, seed)
     if held is not None:
-        require_conditions(held, setup)
+        formulation.require_conditions(held, setup)
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
     selected, parts = None, None
 
@@ -177,11 +156,13 @@ def calibrate(
         else:
             tell = portion(named(progress, "fit"), 0.0, share)
             model = fit_model(chains, training, setup, seed, tell)
-        fitted = fitted_errors(model, training)
+        fitted = model_errors.fitted_errors(model, training)
         tell = named(progress, "joint readings")
         known = examine(chains, model, seed, tell, others)
         # Fits to parts of what no robot explains are slow, and say nothing.
-        hopeless = bool(known.found.causes) or _unexplained(model, fitted)
+        errors = fitted.counted(model.fit.problem.data.weight)
+        sizes = model_errors.quantity_errors(model.problem.layout.quantities, errors)
+        hopeless = bool(known.found.causes or unexplained(model.fit, sizes))
         hopeless &= held is None and not ladder
         held_out = check(
             model,
@@ -196,15 +177,10 @@ def calibrate(
         )
     judgement = judge(model, fitted, held_out, known)
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
-    result = _result(
-        model,
-        training,
-        fitted,
-        held_out,
-        judgement,
-        seed,
+    result = replace(
+        _result(model, training, fitted, held_out, judgement, seed),
         files=tuple(filter(None, dict.fromkeys(files))),
-        selection=None if selected is None else selected.selection,
+        model_selection=None if selected is None else selected.selection,
         urdf=_urdf(chains, training, model, held, seed, validate, judgement, workers),
         recalibration=begun,
     )
@@ -217,20 +193,19 @@ def calibrate(
 def _result(
     model: FittedModel,
     training: Observations,
-    errors: ModelErrors,
+    errors: model_errors.ModelErrors,
     held_out: HeldOut,
     judgement: Judgement,
     seed: int,
-    *,
-    files: tuple[str, ...],
-    selection: ModelSelection | None,
-    urdf: UrdfResult | None,
-    recalibration: Recalibration | None,
 ) -> CalibrationResult:
-    """The result of a calibration, from its steps."""
+    """The result of a fit, from its steps."""
     fitted = model.fit
-    parameters, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
-    checked = ModelErrors.joined(held_out.parts) if held_out.parts else None
+    parameters, groups = assessment.estimates(
+        fitted.problem.parameters, fitted.structure, fitted
+    )
+    checked = (
+        model_errors.ModelErrors.joined(held_out.parts) if held_out.parts else None
+    )
     # Against the sigma that is stated, or was assumed.
     chi2 = 2.0 * replace(fitted.problem, units=np.zeros(0)).cost(fitted.theta)
     names = [parameter.name for parameter in parameters]
@@ -241,8 +216,8 @@ def _result(
         reason=judgement.verdict[1],
         parameters=parameters,
         groups=groups,
-        identifiability=fitted_ranks(fitted),
-        robot_errors=robot_errors(fitted.problem, fitted.structure, fitted),
+        identifiability=assessment.fitted_ranks(fitted),
+        robot_errors=assessment.robot_errors(fitted.problem, fitted.structure, fitted),
         errors=judgement.errors,
         validation=Validation(
             method=held_out.method,
@@ -271,29 +246,21 @@ def _result(
             outliers=fitted.robust.outliers,
             gains=held_out.gains,
         ),
-        **vars(breakdown(model, errors, judgement.accuracies)),
+        **vars(assessment.breakdown(model, errors, judgement.accuracies)),
         covariance=NamedArray.of(fitted.covariance, names, names),
         fitted=_measured(
-            model, model.weighted(training), errors, measurement_leverages(fitted)
+            model,
+            model.weighted(training),
+            errors,
+            assessment.measurement_leverages(fitted),
         ),
         held_out=None
         if checked is None
         else _measured(model, held_out.measurements, checked),
-        files=files,
-        model_selection=selection,
-        urdf=urdf,
         rejected=model.rejected,
         distances=errors.distances + (checked.distances if checked else ()),
         findings=judgement.findings,
-        recalibration=recalibration,
     )
-
-
-def _unexplained(model: FittedModel, fitted: ModelErrors) -> bool:
-    """Whether far more errors are left than the geometry of a robot explains."""
-    errors = fitted.counted(model.fit.problem.data.weight)
-    quantities = model.problem.layout.quantities
-    return bool(unexplained(model.fit, quantity_errors(quantities, errors)))
 
 
 def _require_ends(
@@ -307,13 +274,13 @@ def _require_ends(
     if not setup.distances:
         return
     targets = {block.key: block.target.distinct for block in training.blocks}
-    terms, _ = make_terms(chains, targets, setup)
+    terms, _ = formulation.make_terms(chains, targets, setup)
     fitted = {half for found in targets.values() for t in found for half in t.split(AT)}
     new = set[str]()
     for block in held.blocks if held is not None else ():
         own = {half for t in block.target.distinct for half in t.split(AT)} - fitted
         new |= own | {f"{block.station}/{name}" for name in own}
-    require_known(terms.values(), setup, fitted, new)
+    formulation.require_known(terms.values(), setup, fitted, new)
 
 
 def _urdf(
@@ -346,12 +313,12 @@ def _urdf(
     geometry = FittedModel(fitted, *fitted.problem.rebased(fitted.theta))
     if names != setup.parameters:
         # A gear ratio and an offset may nearly cancel: alone it needs its own fit.
-        setup = with_parameters(chains, training, setup, names)
+        setup = formulation.with_parameters(chains, training, setup, names)
         geometry = fit_model(chains, training, setup, seed)
     held_out = check(
         geometry, training, seed, validation=held, validate=validate, workers=workers
     )
-    errors = fitted_errors(geometry, training)
+    errors = model_errors.fitted_errors(geometry, training)
     own = judge(geometry, errors, held_out, examine(chains, geometry, seed, seek=False))
     return UrdfResult(
         own.errors,
@@ -363,7 +330,7 @@ def _urdf(
 def _measured(
     model: FittedModel,
     measurements: Observations,
-    errors: ModelErrors,
+    errors: model_errors.ModelErrors,
     leverage: Floats | None = None,
 ) -> MeasurementErrors:
     """Errors with their measurements, in the order of these."""
@@ -373,7 +340,7 @@ def _measured(
     if all(key in problem.terms for key in rows.keys):
         problem = replace(problem, data=rows)
     else:
-        there = registered(problem, theta, rows)
+        there = model_errors.registered(problem, theta, rows)
         problem, theta = there.problem, there.theta
     points, points_of = [], tool_points(problem, theta)
     for (term, *_), found in zip(problem.blocks, points_of, strict=True):

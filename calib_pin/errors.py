@@ -125,11 +125,8 @@ class InputError(CalibPinError):
         if line is not None:
             place += f":{line}" if place else f"line {line}"
         message = f"{place}: {reason}" if place else reason
-        details = []
-        if column is not None:
-            details.append(f"column '{column}'")
-        if value is not None:
-            details.append(f"value {_cut(repr(value), VALUE)}")
+        details = [f"column '{column}'"] * (column is not None)
+        details += [f"value {_cut(repr(value), VALUE)}"] * (value is not None)
         if details:
             message += f" ({', '.join(details)})"
         if allowed:  # Of what has no name nothing could be listed.
@@ -226,7 +223,5 @@ def require_known(what: str, name: object, known: Iterable[str]) -> None:
     """
     names = list(known)
     if name not in names:
-        raise OptionError(
-            f"unknown {what} '{name}'{nearest(str(name), names)}",
-            allowed=", ".join(names),
-        )
+        reason = f"unknown {what} '{name}'{nearest(str(name), names)}"
+        raise OptionError(reason, allowed=", ".join(names))

@@ -140,9 +140,8 @@ class ParameterSet:
             OptionError: If there is no such parameter; names the nearest one.
         """
         if name not in self._positions:
-            raise OptionError(
-                f"there is no parameter '{name}'{nearest(name, self._positions)}"
-            )
+            hint = nearest(name, self._positions)
+            raise OptionError(f"there is no parameter '{name}'{hint}")
         return self._positions[name]
 
     def vector(self, values: Mapping[str, float]) -> Floats:
@@ -180,10 +179,8 @@ class ParameterSet:
         for (pattern, limit), positions in zip(bounds.items(), found, strict=True):
             lower, upper = limit if isinstance(limit, tuple) else (-limit, limit)
             if not lower <= 0.0 <= upper:
-                raise OptionError(
-                    f"bounds of '{pattern}' exclude zero, the nominal robot",
-                    value=[lower, upper],
-                )
+                reason = f"bounds of '{pattern}' exclude zero, the nominal robot"
+                raise OptionError(reason, value=[lower, upper])
             changes |= {k: {"lower": lower, "upper": upper} for k in positions}
         return self._replace(changes)
 
@@ -191,30 +188,18 @@ class ParameterSet:
         """Give a prior standard deviation about zero, by name or glob.
 
         Raises:
-            OptionError: If a glob matches nothing or a deviation is not positive.
+            OptionError: If a glob matches nothing.
         """
-        for pattern, sigma in priors.items():
-            if not sigma > 0.0:
-                raise OptionError(
-                    f"the prior of '{pattern}' is a standard deviation",
-                    value=sigma,
-                    allowed="a positive number",
-                )
         found = _matching_each(tuple(priors), self.names)
         entries = zip(priors.values(), found, strict=True)
-        return self._replace(
-            {k: {"prior": s} for s, positions in entries for k in positions}
-        )
+        changes = {k: {"prior": s} for s, positions in entries for k in positions}
+        return self._replace(changes)
 
     def _replace(self, changes: Mapping[int, Mapping[str, float]]) -> ParameterSet:
-        if not changes:
-            return self
-        return ParameterSet(
-            tuple(
-                replace(p, **changes[k]) if k in changes else p  # type: ignore[arg-type]
-                for k, p in enumerate(self.parameters)
-            )
-        )
+        parameters = [*self.parameters]
+        for k, change in changes.items():
+            parameters[k] = replace(parameters[k], **change)  # type: ignore[arg-type]
+        return ParameterSet(tuple(parameters)) if changes else self
 
 
 def matching(pattern: str, names: Sequence[str]) -> list[int]:
@@ -250,12 +235,8 @@ def by_joint(
     for pattern, value in stated:
         found = matching(pattern, joints)
         if not found:
-            raise OptionError(
-                f"no joint of the robot matches '{pattern}'{nearest(pattern, joints)}",
-                file=file,
-                column=column,
-                allowed=", ".join(joints),
-            )
+            reason, allowed = f"no joint matches '{pattern}'", ", ".join(joints)
+            raise OptionError(reason, file=file, column=column, allowed=allowed)
         result |= {joints[k]: value for k in found}
     return result
 

@@ -83,27 +83,17 @@ def extensions(group: str) -> Mapping[str, Any]:
         CalibPinError: If one cannot be loaded, or two have the same name.
     """
     found: dict[str, Any] = {}
-    sources: dict[str, str] = {}
     entries = every_entry_point().select(group=group)
     for entry in sorted(entries, key=lambda entry: entry.name):
-        package = entry.dist.name if entry.dist else "an unknown package"
-        if entry.name in found:
-            # An editable installation may show the same package twice.
-            if sources[entry.name] == entry.value:
-                continue
-            raise CalibPinError(
-                f"the plug-in '{entry.name}' of {group} is there twice: "
-                f"{sources[entry.name]} and {entry.value} (of {package}); uninstall one"
-            )
+        said = f"the plug-in '{entry.name}' of {group} ({entry.value})"
         try:
-            found[entry.name] = entry.load()
+            member = entry.load()
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            raise CalibPinError(
-                f"the plug-in '{entry.name}' of {package} ({group}) cannot be loaded: "
-                f"{reason}"
-            ) from error
-        sources[entry.name] = entry.value
+            raise CalibPinError(f"{said} cannot be loaded: {reason}") from error
+        # An editable installation may show the same package twice.
+        if found.setdefault(entry.name, member) is not member:
+            raise CalibPinError(f"{said} is there twice; uninstall one")
     return found
 
 
@@ -147,14 +137,12 @@ class Members(Mapping[str, T]):
         if not outside:
             return self._bundled
         for name, member in outside.items():
-            if reason := self.fault(name, member):
+            reason = self.fault(name, member)
+            if name in self._bundled:
+                reason = "a bundled member has this name"
+            if reason:
                 raise CalibPinError(
                     f"the plug-in '{name}' of {self._group} cannot be used: {reason}"
-                )
-            if name in self._bundled:
-                raise CalibPinError(
-                    f"the plug-in '{name}' of {self._group} has the name of a bundled "
-                    "member; it needs another"
                 )
         return {**self._bundled, **outside}
 

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import cycle, islice
 
 import numpy as np
 from numpy.typing import NDArray
 
+import calib_pin.estimation.nominal as nominal
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, require_known
-from calib_pin.estimation.nominal import (
-    asked,
-    brought_to_contact,
-    named_targets,
-    observable_configurations,
-    payloads_in_turn,
-)
 from calib_pin.estimation.problem import Problem, assumed_sigma
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import (
@@ -76,7 +71,6 @@ def simulate(
     per_configuration: bool = False,
     noise: float | None = None,
     repeats: int = 1,
-    average: bool = False,
 ) -> Observations:
     """Measure a robot with known errors.
 
@@ -104,7 +98,6 @@ def simulate(
         noise: Standard deviation of every component [m, rad, px]; default that of the
             setup, or of the model. Zero leaves the values exact and without sigmas.
         repeats: Readings per configuration.
-        average: Whether the readings of a configuration become one measurement.
 
     Returns:
         The measurements, with their standard deviations.
@@ -153,12 +146,15 @@ def simulate(
             own, held = q[of[one]], conditions.rows(of[one])
             if not len(own):
                 continue
-            turn = () if len(target) else _in_turn(problem, one, own)
-            looked = Labels.of(turn or Labels.of(target)[of[one]])
+            looked = Labels.of(target)[of[one]] if len(target) else None
+            if looked is None:
+                looked = Labels.of(
+                    _in_turn(nominal.named_targets(problem, one), len(own))
+                )
             if not len(held.payload):
                 names = Labels.of(_carried(problem, one, len(own), every))
                 held = replace(held, payload=names)
-            at = asked(problem, one, own, looked, held)
+            at = nominal.asked(problem, one, own, looked, held)
             if not every:
                 at = _measurable(problem, theta, at, strict)
         if every:
@@ -168,7 +164,7 @@ def simulate(
         elif "direction" in needed_conditions(problem.setup.parameters):
             # What makes a difference is told with the measurements.
             at = replace(at, conditions=replace(at.conditions, source="columns"))
-        found.append(_measured(problem, theta, at, rng, noise, repeats, average))
+        found.append(_measured(problem, theta, at, rng, noise, repeats))
     return Observations.of(*found)
 
 
@@ -186,11 +182,8 @@ def _of_blocks(
             own &= labels.where(getattr(key, kind))
     left = ~np.any([*of.values()], axis=0)
     if left.any():
-        raise InputError(
-            f"configuration {int(left.argmax()) + 1} is of no chain, station and tool "
-            "that the setup states",
-            allowed="; ".join(map(str, keys)),
-        )
+        reason = f"configuration {int(left.argmax()) + 1} is of no block of the setup"
+        raise InputError(reason, allowed="; ".join(map(str, keys)))
     return of
 
 
@@ -213,7 +206,7 @@ def exact_problem(
             configuration before each.
         conditions: What holds at each, as for `asked`.
     """
-    at = asked(problem, problem.only.key, q, target, conditions, start)
+    at = nominal.asked(problem, problem.only.key, q, target, conditions, start)
     return exact_at(problem, theta, at)
 
 
@@ -249,7 +242,6 @@ def _measured(
     rng: np.random.Generator,
     noise: float | None,
     repeats: int,
-    average: bool,
 ) -> Measurements:
     """Measurements at configurations of a block; the rest as for `simulate`."""
     term = problem.terms[at.key]
@@ -257,14 +249,11 @@ def _measured(
     if term.measurement.declaration.contact and problem.setup.gauge:
         gaps = rng.uniform(-1.0, 1.0, (len(exact), term.components))
         gaps *= problem.setup.gauge
-        q, _ = brought_to_contact(problem, theta, at, gaps)
+        q, _ = nominal.brought_to_contact(problem, theta, at, gaps)
         exact = replace(exact, q=q, values=gaps)
     sigma = assumed_sigma(term, problem.setup)
     if noise is not None:
         sigma = np.full_like(sigma, noise)
-    if average:
-        # The mean of K independent readings, drawn at once.
-        sigma, repeats = sigma / np.sqrt(repeats), 1
     rows = exact.rows(np.repeat(np.arange(len(exact)), repeats))
     if not sigma.any():
         return rows
@@ -272,8 +261,8 @@ def _measured(
     sigmas = np.tile(sigma, (len(rows), 1))
     if not rows.values.shape[1]:
         # Contacts have no values: that they are not exact is that the robot stands so.
-        stood = asked(problem, at.key, rows.q, rows.target, rows.conditions)
-        moved, _ = brought_to_contact(problem, theta, stood, draws)
+        stood = nominal.asked(problem, at.key, rows.q, rows.target, rows.conditions)
+        moved, _ = nominal.brought_to_contact(problem, theta, stood, draws)
         return replace(rows, q=moved, sigma=sigmas)
     values = term.measurement.disturb(rows.values, draws)
     return replace(rows, values=values, sigma=sigmas)
@@ -299,16 +288,17 @@ def _drawn(
     """
     if not problem.terms[key].measurement.declaration.relative:
         carried = _carried(problem, key, count, every)
-        return observable_configurations(problem, key, theta, count, rng, carried)
+        return nominal.observable_configurations(
+            problem, key, theta, count, rng, carried
+        )
     more = count + -(-count // LEG)
-    at = observable_configurations(problem, key, theta, more, rng)
+    at = nominal.observable_configurations(problem, key, theta, more, rng)
     return replace(at, target=Labels.of(_legs(at.target, LEG + 1)))
 
 
-def _in_turn(problem: Problem, key: BlockKey, q: Floats) -> tuple[str, ...]:
-    """The targets of a block in turn, one for each configuration."""
-    names = named_targets(problem, key)
-    return tuple(names[k % len(names)] for k in range(len(q)))
+def _in_turn(names: Sequence[str], count: int) -> tuple[str, ...]:
+    """Names in turn, one for each configuration."""
+    return tuple(islice(cycle(names), count))
 
 
 def _carried(
@@ -316,9 +306,8 @@ def _carried(
 ) -> tuple[str, ...]:
     """The payloads in turn, so that each meets every target, length `count`."""
     if not every:
-        return payloads_in_turn(problem, key, count)
-    names = problem.data.payload.distinct or ("",)
-    return tuple(names[k % len(names)] for k in range(count))
+        return nominal.payloads_in_turn(problem, key, count)
+    return _in_turn(problem.data.payload.distinct or ("",), count)
 
 
 def _legs(target: Sequence[str], size: int) -> tuple[str, ...]:
@@ -344,10 +333,8 @@ def _relative(at: Measurements) -> Measurements:
     several = at.target[rows].distinct
     for alone in at.target.distinct:
         if alone not in several:
-            raise InputError(
-                f"the relative distances of '{alone}' have a start and no end",
-                column="target",
-            )
+            reason = f"the relative distances of '{alone}' have a start and no end"
+            raise InputError(reason, column="target")
     begun = at.rows(starts[rows])
     held = replace(at.conditions.rows(rows), payload=begun.conditions.payload)
     return replace(at.rows(rows), conditions=held, start=begun.q)
@@ -364,7 +351,7 @@ def _measurable(
     """
     seen = np.ones(len(at.q), bool)
     if problem.terms[at.key].measurement.declaration.contact:
-        q, seen = brought_to_contact(problem, theta, at)
+        q, seen = nominal.brought_to_contact(problem, theta, at)
         at = replace(at, q=q)
     seen &= problem.observable(theta, at)
     _require_seen(problem, at.key, seen, strict)
@@ -379,7 +366,7 @@ def _everything_seen(
     Raises:
         InputError: As for `_measurable`.
     """
-    names = named_targets(problem, at.key)
+    names = nominal.named_targets(problem, at.key)
     each = at.rows(np.repeat(np.arange(len(at.q)), len(names)))
     codes = np.tile(np.arange(len(names)), len(at.q))
     each = replace(each, target=Labels(names, codes))

@@ -30,17 +30,6 @@ def measured(
     return chain, replace(rows, sigma=None)
 
 
-def test_five_folds_by_default() -> None:
-    chain, rows = measured(60)
-    result = calib_pin.calibrate(chain, rows)
-    assert (result.verdict, result.validation.method) == ("good", "5-fold")
-    assert (len(result.fitted), result.validation.count) == (60, 60)
-    (errors,) = result.errors
-    assert errors.validation_before is not None
-    assert errors.validation_after is not None
-    assert errors.after.rms < errors.validation_after.rms < 0.2 * errors.before.rms
-
-
 def test_rows_for_validation_are_not_fitted() -> None:
     """Whether the rows are marked or stand in a file of their own."""
     chain, rows = measured(60)
@@ -182,14 +171,6 @@ def test_evaluate_registers_a_chain_but_not_a_model() -> None:
         for data in (rows, moved)
     )
     assert there == pytest.approx(here, rel=1e-6)
-
-
-def test_same_seed_same_result() -> None:
-    chain, rows = measured(40)
-    first, second = (calib_pin.calibrate(chain, rows, seed=3) for _ in range(2))
-    assert np.array_equal(first.covariance, second.covariance)
-    assert first.parameters == second.parameters
-    assert first.errors == second.errors
 
 
 @pytest.mark.slow

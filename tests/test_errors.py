@@ -17,7 +17,7 @@ from calib_pin.errors import InputError, OptionError, nearest, require_known
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations import Measurements
 from calib_pin.setup import PointSetup, Region, Setup
-from calib_pin.solvers import DifferentialEvolution, Genetic
+from calib_pin.solvers import DifferentialEvolution
 from tests.shared import refused
 
 
@@ -137,14 +137,12 @@ GOLDEN: dict[str, Callable[[], object]] = {
     "best/1, rand-to-best/1, midpoint, tradeoff": (
         lambda: DifferentialEvolution(strategy="rand1")
     ),
-    "elite leaves no room for children (value 5); allowed: less than population_size "
-    "= 5": lambda: Genetic(elite=5, population_size=5),
     "lab.yaml: 'compliance' needs something that gravity pulls at: there is no "
     "gravity, or the links of 'space6' have no mass that loads a joint and there is no "
     "payload; allowed: <inertial> in the URDF, or payloads in the setup file": (
         lambda: space6(parameters=("compliance",))
     ),
-    "lab.yaml: no joint of the robot matches 'elbow' (column 'gear_ratios'); allowed: "
+    "lab.yaml: no joint matches 'elbow' (column 'gear_ratios'); allowed: "
     "joint_1, joint_2, joint_3, joint_4, joint_5, joint_6": (
         lambda: space6(parameters=("transmission",), gear_ratios={"elbow": 2.0})
     ),

@@ -297,7 +297,7 @@ def test_one_target_of_two_instruments_is_two_things() -> None:
         rows_of("position", 2, target=("a", "a")),
         rows_of("camera", 2, target=("a", "b")),
     )
-    first, second, third, fourth = twice.things().tolist()
+    first, second, third, fourth = twice.things.tolist()
     assert first == second and len({second, third, fourth}) == 3
 
 

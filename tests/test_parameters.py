@@ -77,10 +77,6 @@ def test_vector() -> None:
             lambda p, b=bound: p.with_bounds({"joint1.*": b})
             for bound in (-0.01, (0.1, 0.2), (-2.0, -1.0), np.nan)
         ),
-        *(
-            lambda p, s=sigma: p.with_priors({"joint1.*": s})
-            for sigma in (0.0, -1e-3, np.nan)
-        ),
         lambda p: ParameterSet((p[0], p[1], Parameter(p[0].name, "m", 2.0))),
     ],
 )

@@ -69,7 +69,7 @@ def test_names_are_taken_once(install: Install, names: tuple[str, ...]) -> None:
     """By a bundled member, or by one of two packages."""
     for k, name in enumerate(names):
         package = f"outside_{name}_{k}"
-        install(package, f"{name} = {package}:X", "X = 1\n")
+        install(package, f"{name} = {package}:X", "X = object()\n")
     with pytest.raises(CalibPinError, match=f"'{names[0]}'"):
         list(Members(GROUP, {"z": 0}))
 

@@ -122,25 +122,18 @@ def test_the_setup_states_the_noise_of_each_block():
 # --- repeats -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("average", [False, True])
-def test_repeats_stay_together(problem, average):
-    """Averages are better by the root of their number."""
+def test_repeats_stay_together(problem):
     theta, rng = errors(problem), np.random.default_rng(1)
     q = simulated(problem, theta, rng, count=40).q
-    options = {"repeats": 4, "average": average, "noise": 1e-3}
-    rows = simulated(problem, theta, rng, q=q, **options)
-    if average:
-        np.testing.assert_array_equal(rows.q, q)
-    else:
-        groups = rows.groups().reshape(40, 4)
-        assert (groups == groups[:, :1]).all()
-        assert len(set(groups[:, 0])) == 40
-        assert len(np.unique(rows.values[:, 0])) == 160
-    size = 5e-4 if average else 1e-3
-    np.testing.assert_allclose(rows.sigma, size)
-    # 40 draws: the deviation of a standard deviation is 11 %.
+    rows = simulated(problem, theta, rng, q=q, repeats=4, noise=1e-3)
+    groups = rows.groups().reshape(40, 4)
+    assert (groups == groups[:, :1]).all()
+    assert len(set(groups[:, 0])) == 40
+    assert len(np.unique(rows.values[:, 0])) == 160
+    np.testing.assert_allclose(rows.sigma, 1e-3)
+    # The deviation of a standard deviation of 40 draws is 11 %.
     found = residuals(problem, rows, theta).std(axis=0)
-    np.testing.assert_allclose(found, size, rtol=0.5)
+    np.testing.assert_allclose(found, 1e-3, rtol=0.5)
 
 
 # --- configurations ----------------------------------------------------------------

@@ -65,7 +65,8 @@ class Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Words like `name:=value`, wherever they stand, belong to the robot."""
-        own = [word for word in args if _is_argument(word)]
+        parts = ((word, *word.partition(":=")) for word in args)
+        own = [word for word, name, mark, _ in parts if mark and name.isidentifier()]
         rest = super().parse_args(ctx, [word for word in args if word not in own])
         if own and "robot" not in ctx.params:
             reason = f"{own[0]} is an argument of a robot, and this command takes none"
@@ -87,12 +88,3 @@ class Command(TyperCommand):
         for topic, rows in sorted(topics.items(), key=lambda t: ORDER.get(t[0], 2)):
             with formatter.section(topic):
                 formatter.write_dl(rows)
-
-
-def _is_argument(word: str) -> bool:
-    """Whether a word is an argument of a xacro file; loads little for those without."""
-    if ":=" not in word:
-        return False
-    from calib_pin.io.urdf import ARGUMENT
-
-    return ARGUMENT.fullmatch(word) is not None

@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import calib_pin.control.compensation as compensation
+import calib_pin.io.results as results
 import calib_pin.report.compensation_text as texts
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import FRAMES, POINTS, Compensate
 from calib_pin.control import calibrated
-from calib_pin.control.calibrated import (
-    block_of,
-    model_errors,
-    with_payload,
-)
 from calib_pin.control.compensation import Compensation
 from calib_pin.errors import OptionError
 from calib_pin.io.exchange.motions import PROGRAMS, moving_times, paced, speed_limits
-from calib_pin.io.results import (
-    document_file,
-    doubt_of,
-    read_result,
-    written_before,
-)
 from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -59,8 +48,7 @@ CONDITIONS = {
 states them."""
 
 
-@dataclass(frozen=True)
-class Commanded:
+class Commanded(NamedTuple):
     """Commands for the targets of a file.
 
     Attributes:
@@ -87,13 +75,13 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
         raise OptionError("--degrees is for --format csv")
     stated, output = files.open_setup(asked.setup), asked.output
     files.require_joints_only(stated)
-    file = document_file(asked.calibration)
-    result = read_result(file)
-    doubt = doubt_of(result, file)
-    key = block_of(result.model, asked.chain, asked.station, asked.tool)
-    model = with_payload(result.applied.of(key), asked.payload, file)
+    file = results.document_file(asked.calibration)
+    result = results.read_result(file)
+    doubt = results.doubt_of(result, file)
+    key = calibrated.block_of(result.model, asked.chain, asked.station, asked.tool)
+    model = calibrated.with_payload(result.applied.of(key), asked.payload, file)
     robot = model.chain.robot.file
-    own = robot, str(file.parent / robot), *map(str, written_before(file))
+    own = robot, str(file.parent / robot), *map(str, results.written_before(file))
     inputs = [*own, file, asked.targets, asked.setup]
     files.check_outputs([output], inputs, asked.force)
     targets, timed = read(asked, model, stated)
@@ -128,7 +116,7 @@ def _report(
     about = {"motion": motion, "file": str(asked.targets), "lines": lines}
     yield from texts.compensation_report(done.found, done.chain, **about)
     yield from texts.hasty_lines(done.faults[HASTY])
-    yield from texts.accuracy_lines(model_errors(result))
+    yield from texts.accuracy_lines(calibrated.model_errors(result))
 
 
 def _remarks(
@@ -148,10 +136,7 @@ def _remarks(
     own = [k.model for k in result.model.terms if k.chain == key.chain]
     oriented = targets.oriented and not asked.position and asked.point != "tip"
     if oriented and all(declared(name).tracks == "point" for name in own):
-        yield (
-            "the tool was measured as a point: its orientation is the stated one, or "
-            "that of the tip link"
-        )
+        yield "measured as a point, the tool has its stated orientation, or the tip's"
     ends = (asked.frame or FRAMES[0], asked.point or POINTS[0])
     if known := calibrated.ends_known(
         result, key, *(("base", "tip") if targets.T is None else ends)

@@ -19,6 +19,7 @@ from calib_pin.errors import (
     require_known,
     stated_in,
 )
+from calib_pin.io.files import same_file
 from calib_pin.io.measured_columns import asked_models
 from calib_pin.io.measurements import read_measurements
 from calib_pin.io.urdf import load_chains, locate_robot
@@ -61,8 +62,7 @@ def stated_setup(asked: OfRobot) -> Setup:
         OptionError: If an option cannot.
     """
     setup = open_setup(asked.setup)
-    flags = {key: value for key, value in vars(asked).items() if key in FLAGS}
-    given = {key: value for key, value in flags.items() if value is not None}
+    given = {k: v for k, v in vars(asked).items() if k in FLAGS and v is not None}
     asked_models(given.get("model"))
     if "parameters" in given:
         given["parameters"] = tuple(map(str.strip, given["parameters"].split(",")))
@@ -82,10 +82,8 @@ def stated_blocks(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
         OptionError: If neither the setup nor a flag names a measurement model.
     """
     if setup.model is None:
-        raise OptionError(
-            "without measurements, --model must name the measurement model",
-            allowed=", ".join(MEASUREMENT_MODELS),
-        )
+        reason = "without measurements, --model must name the measurement model"
+        raise OptionError(reason, allowed=", ".join(MEASUREMENT_MODELS))
     stated = (chains or setup.chains, setup.stations, setup.tools)
     places = (tuple(names) or ("",) for names in stated)
     keys = product(asked_models(setup.model), *places)
@@ -110,23 +108,15 @@ def open_chains(
     robot, package_dirs = asked.robot, asked.package_dir or []
     require_folders(package_dirs)
     if robot.endswith(".json"):
-        raise RobotError(
-            "this command needs a robot; a calibration is for evaluate and compensate",
-            file=robot,
-            allowed="a URDF file, such as the corrected one",
-        )
+        reason = "is a calibration, which evaluate and compensate take, and no robot"
+        allowed = "a URDF file, such as the corrected one"
+        raise RobotError(reason, file=robot, allowed=allowed)
     # A tip that is stated has to be there, whatever else is measured.
     names = [] if setup.tip is None else [""]
     if measured is not None:
         names = [measured] if isinstance(measured, str) else [k.chain for k in measured]
-    chains = load_chains(
-        robot,
-        base=setup.base,
-        tip=setup.tip,
-        stated=setup.chains,
-        names=names,
-        package_dirs=package_dirs,
-    )
+    ends: Any = {"base": setup.base, "tip": setup.tip, "stated": setup.chains}
+    chains = load_chains(robot, **ends, names=names, package_dirs=package_dirs)
     for remark in chains.robot.remarks:
         notice(f"{robot}: {remark}")
     return chains
@@ -137,16 +127,12 @@ def tell_limits(chains: Chains) -> None:
     far = (chains.upper - chains.lower > MANY_TURNS) & chains.revolute
     if far.any():
         joints = enumerated(compress(chains.joints, far))
-        notice(
-            f"{chains.robot.file}: limits of {joints} are many turns; a URDF states "
-            "them in rad, not in degrees"
-        )
+        said = f"limits of {joints} are many turns; a URDF has rad, no degrees"
+        notice(f"{chains.robot.file}: {said}")
     if chains.unlimited:
-        notice(
-            f"{chains.robot.file}: limits missing, inverted or endless: "
-            f"{enumerated(chains.unlimited)}; assumed is a turn, or {FREE_TRAVEL:g} m "
-            "either way of a prismatic joint"
-        )
+        joints = enumerated(chains.unlimited)
+        said = f"limits of {joints} missing, inverted or endless; assumed is a turn"
+        notice(f"{chains.robot.file}: {said}, or {FREE_TRAVEL:g} m either way")
 
 
 def calibration_file(asked: OfCalibration) -> Path | None:
@@ -245,12 +231,9 @@ def open_older(
 
     found = read_result(path)
     for file in used_files(document_file(path), used):
-        raise InputError(
-            "the older calibration has used these measurements; they would count twice",
-            file=file,
-            value=str(path),
-            allowed="measurements that were taken since then",
-        )
+        reason = "the older calibration has used these measurements, which would count "
+        reason += "twice"
+        raise InputError(reason, file=file, value=str(path))
     model, before = found.model, dict[str, Any]()
     if not setup.file:
         before["parameters"] = model.setup.parameters
@@ -317,6 +300,15 @@ def open_rows(
     return open_measurements(files, chains, **given)
 
 
+def beside(file: Path, robot: str) -> str:
+    """A robot that a file names: from its folder, or a bundled one.
+
+    A xacro file has its arguments behind it.
+    """
+    there = exists(file.parent / robot.split(" ")[0])
+    return str(file.parent / robot) if there else robot
+
+
 def require_folders(folders: Sequence[Path]) -> None:
     """Refuse folders that are not there.
 
@@ -336,7 +328,7 @@ def require_distinct(files: Sequence[Path]) -> None:
         OptionError: If a file is given twice.
     """
     for position, file in enumerate(files):
-        if any(_same(file, other) for other in files[:position]):
+        if any(same_file(file, other) for other in files[:position]):
             raise OptionError("this file is given twice", file=file)
 
 
@@ -362,7 +354,7 @@ def check_outputs(
             reason = "is a folder in which nothing can be written"
             raise OptionError(reason, file=place)
         reason, allowed = "", None
-        if any(_same(path, file) for file in read):
+        if any(same_file(path, file) for file in read):
             reason = "is an input of this run, and inputs are never changed"
             allowed = "another file"
         elif whole in others[:k]:
@@ -374,10 +366,3 @@ def check_outputs(
             reason = "is a folder, not a file" if path.is_dir() else reason
         if reason:
             raise OptionError(reason, file=path, allowed=allowed)
-
-
-def _same(first: Path, second: Path) -> bool:
-    try:
-        return first.samefile(second)
-    except (OSError, ValueError):
-        return False  # One of them does not exist.

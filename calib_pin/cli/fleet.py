@@ -43,9 +43,9 @@ TRIALS, NUMBERS, CURVES = (f"monte-carlo.{kind}" for kind in ("csv", "json", "ht
 
 def fleet(asked: Fleet) -> int:
     """Do what `Fleet` asks for."""
-    if asked.table is not None and asked.monte_carlo is None:
+    if asked.table is not None:
         return _calibrated(asked, asked.table)
-    if asked.monte_carlo is not None and asked.table is None:
+    if asked.monte_carlo is not None:
         return _simulated(asked, asked.monte_carlo)
     raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
 
@@ -60,7 +60,7 @@ def _calibrated(asked: Fleet, table: Path) -> int:
     done = dict[str, Outcome]()
     with (
         # A job may end the process that does it, so none is done here.
-        asked_workers(asked.workers, asked.cluster, 0.0) as workers,
+        asked_workers(asked.workers, asked.cluster, patience=0.0) as workers,
         progress_bar(quiet=asked.quiet) as bar,
     ):
         for wave in _waves(every):
@@ -108,9 +108,6 @@ def _check(table: Path, jobs: Sequence[Job], output: Path, force: bool) -> None:
         OptionError: If something is there.
     """
     for job in jobs:
-        if job.name.casefold() in FILES:
-            reason = "a job cannot have this name"
-            raise OptionError(reason, file=table, line=job.line, value=job.name)
         if not force and files.exists(folder := output / job.name):
             reason = "exists; --resume goes on, --force begins again"
             raise OptionError(reason, file=folder)
@@ -181,7 +178,7 @@ def _simulated(asked: Fleet, file: Path) -> int:
             yield from own
 
     with (
-        asked_workers(asked.workers, asked.cluster, None) as workers,
+        asked_workers(asked.workers, asked.cluster) as workers,
         progress_bar(quiet=asked.quiet) as bar,
     ):
         further = workers.map(try_robot, study, range(len(known), robots))
@@ -213,9 +210,7 @@ def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
         if value is None:
             raise OptionError(f"'{key}' is missing", file=file)
     assert asked.robot is not None
-    there = file.parent / asked.robot.split(" ")[0]
-    robot = str(file.parent / asked.robot) if files.exists(there) else asked.robot
-    keys = files.stated_blocks(stated)
+    keys, robot = files.stated_blocks(stated), files.beside(file, asked.robot)
     chains = files.open_chains(OfRobot(robot=robot), stated, keys)
     files.tell_limits(chains)
     plan = None

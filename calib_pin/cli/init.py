@@ -9,14 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import calib_pin.cli.files as files_of
 from calib_pin.cli import printing
 from calib_pin.cli.asked import Init
-from calib_pin.cli.files import (
-    check_outputs,
-    require_distinct,
-    require_folders,
-    stated_setup,
-)
 from calib_pin.errors import InputError, OptionError, enumerated, stated_in
 from calib_pin.io.columns import LENGTH, Kind
 from calib_pin.io.first_look import Choose, Look, draft, first_look
@@ -32,7 +27,9 @@ SIGMA = 1e-5
 def init(asked: Init, words: Sequence[str]) -> int:
     """Do what `Init` asks for."""
     files = asked.measurements
-    check_outputs([asked.output], [asked.robot, *files, asked.setup], asked.force)
+    files_of.check_outputs(
+        [asked.output], [asked.robot, *files, asked.setup], asked.force
+    )
     robot, look = looked_at(asked, _choose)
     text = draft(robot, look, printing.told_command(words))
     written, contents = list[str](), dict[Path, bytes]()
@@ -55,9 +52,9 @@ def looked_at(asked: Init, choose: Choose) -> tuple[Robot, Look]:
         CalibPinError: If one of the files cannot be used.
     """
     files, folders = asked.measurements, asked.package_dir or []
-    require_folders(folders)
-    require_distinct(files)
-    robot, given = load_robot(asked.robot, folders), stated_setup(asked)
+    files_of.require_folders(folders)
+    files_of.require_distinct(files)
+    robot, given = load_robot(asked.robot, folders), files_of.stated_setup(asked)
     seen = given.board
     if asked.board is not None:
         from calib_pin.io.boards import board_of  # Loads what looks at images.
@@ -102,10 +99,9 @@ def _with_distances(look: Look, stated: str | None) -> Look:
     pairs = [names for names in places.values() if len(names) == 2]
     if stated is None:
         if pairs:
-            printing.notice(
-                f"sockets tell no size: say how far apart {' and '.join(pairs[0])} are "
-                "by --distance '50 mm', or by 'distances' in the setup file"
-            )
+            both = " and ".join(pairs[0])
+            said = f"say how far apart {both} are: --distance '50 mm'"
+            printing.notice(f"sockets tell no size: {said}")
         return look
     if not pairs:
         raise OptionError("no place has two sockets, called PLACE/0 and PLACE/1")
@@ -141,7 +137,6 @@ def reading(text: str, kinds: Mapping[str, Kind], unit: str) -> tuple[list[float
     given = [as_number(word) for word in words]
     numbers = [math.nan if n is None else kind.units[unit] * n for n in given]
     if len(numbers) != len(kinds) or not all(abs(n) <= kind.largest for n in numbers):
-        allowed = "a number for each and a unit, such as 523.5 mm, up to "
-        allowed += f"{kind.largest:g} {kind.si}"
+        allowed = f"numbers and a unit, as 523.5 mm, up to {kind.largest:g} {kind.si}"
         raise InputError(f"{names} cannot be read", value=text, allowed=allowed)
     return numbers, unit

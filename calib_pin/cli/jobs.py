@@ -18,8 +18,10 @@ from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type_hints
 
+import calib_pin.io.results as results
 from calib_pin.cli.asked import Calibrate, Fleet
 from calib_pin.cli.calibrate import calibrated, opened
+from calib_pin.cli.files import beside
 from calib_pin.cli.options import Request, Told
 from calib_pin.cli.printing import complaint, taken_notices
 from calib_pin.cli.results import write_results
@@ -27,13 +29,6 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError, OptionError, nearest, one_line
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.files import read_bytes, sha256
-from calib_pin.io.results import (
-    DOCUMENT,
-    REPORT,
-    document_file,
-    read_document,
-    read_result,
-)
 from calib_pin.io.table import read_table
 from calib_pin.setup import DATE, Date, Entry
 from calib_pin.setup.arguments import taken
@@ -232,9 +227,7 @@ def _job(path: str | Path, line: int, cells: Cells) -> Job:
     for key in ("robot", "measurements"):
         if key not in found:
             raise InputError(f"'{key}' is missing", file=path, line=line)
-    # A robot may be a bundled one, and a xacro file has its arguments behind it.
-    if (folder / found["robot"].split(" ")[0]).exists():
-        found["robot"] = str(folder / found["robot"])
+    found["robot"] = beside(Path(path), found["robot"])
     return Job(**found)
 
 
@@ -296,7 +289,8 @@ def calibrate_job(shared: tuple[Path, Fleet], job: Job) -> Outcome:
     """
     home, asked = shared
     try:
-        _enter(home)
+        # Where there is no common file system, as on a cluster, this names the folder.
+        os.chdir(home)
         folder = asked.output / job.name
         request = request_of(job, asked.output)
         pages = not asked.no_pages
@@ -307,7 +301,7 @@ def calibrate_job(shared: tuple[Path, Fleet], job: Job) -> Outcome:
             with write_results(result, folder, contents, force=True):
                 pass
             # As the folder has it, so that who goes on later has the same bytes.
-            result = read_result(folder)
+            result = results.read_result(folder)
         row = fleet_row(job.name, result, job.serial_number, job.date)
         row = _drifted(row, asked.output, job, result)
         return Outcome(row, _evidence(result))
@@ -315,20 +309,6 @@ def calibrate_job(shared: tuple[Path, Fleet], job: Job) -> Outcome:
         return failed(job, one_line(complaint(error)))
     finally:
         taken_notices()
-
-
-def _enter(home: Path) -> None:
-    """Make the process name files as the command does.
-
-    Raises:
-        OptionError: If the folder of the command is not there, as on a cluster without
-            a common file system.
-    """
-    try:
-        os.chdir(home)
-    except OSError as error:
-        reason = "workers do not see this folder; all of a cluster need the same files"
-        raise OptionError(reason, file=home) from error
 
 
 def failed(job: Job, reason: str) -> Outcome:
@@ -355,7 +335,7 @@ def _drifted(row: FleetRow, output: Path, job: Job, own: CalibrationResult) -> F
     if not name:
         return row
     try:
-        before = read_result(job.previous or output / name)
+        before = results.read_result(job.previous or output / name)
         return with_drift(row, compare(before, own), name)
     except CalibPinError as error:
         said = f"no drift from {name}: {error}"
@@ -391,16 +371,14 @@ def _before(job: Job, output: Path) -> Path:
     if job.before:
         return output / job.before
     serial, found = folder_name(job.serial_number), list[str]()
-    for name in (path.parent.name for path in output.glob(f"*/{DOCUMENT}")):
+    for name in (path.parent.name for path in output.glob(f"*/{results.DOCUMENT}")):
         day = DATE.fullmatch(name.removeprefix(f"{serial}-"))
         later = day and job.date and day[0] >= job.date
         if name == serial or (day and not later):
             found.append(name)
     if not found:
-        raise InputError(
-            "'start: previous', and there is no earlier calibration of serial number "
-            f"'{job.serial_number}' in the table or in {output}"
-        )
+        reason = f"no earlier calibration of '{job.serial_number}', here or in {output}"
+        raise InputError(f"'start: previous', and there is {reason}")
     return output / max(found)
 
 
@@ -411,17 +389,18 @@ def finished(folder: Path, request: Request, pages: bool) -> CalibrationResult |
     """
     robot = Path(request.robot)
     try:
-        document, _ = read_document(folder / DOCUMENT)
+        document, _ = results.read_document(folder / results.DOCUMENT)
         used = [*document["measurements"]["files"], document["setup_file"]]
-        same = [sha256(read_bytes(f["file"])) == f["sha256"] for f in used if f]
-        words = tuple(document["provenance"]["command"])
-        same += [words == request.words(folder)]
-        same += [REPORT in document["files"] or not pages]
+        same = [
+            tuple(document["provenance"]["command"]) == request.words(folder),
+            results.REPORT in document["files"] or not pages,
+            *(sha256(read_bytes(f["file"])) == f["sha256"] for f in used if f),
+        ]
         if request.start is not None:
             begun = document["recalibration"]["steps"][-1]["created"]
-            started, _ = read_document(document_file(request.start))
+            started, _ = results.read_document(results.document_file(request.start))
             same += [begun == started["provenance"]["created"]]
-        result = read_result(folder) if all(same) else None
+        result = results.read_result(folder) if all(same) else None
         if result is None or not robot.is_file():
             return result
         nominal = result.model.chains.robot.source

@@ -103,15 +103,12 @@ def number(
     allowed = f"whole numbers, {allowed}" if kind is int else allowed
 
     def parse(text: str | float) -> Any:
-        try:
-            value = None if as_number(str(text)) is None else kind(text)
-        except ValueError:
-            value = None
-        # Not-a-number lies in no interval.
-        inside = value is not None and least <= value <= most
-        if value is None or not inside or value in (-math.inf, math.inf):
+        value = as_number(str(text))
+        # Not-a-number lies in no interval, and infinity is no whole number.
+        fits = value is not None and least <= value <= most
+        if value is None or not fits or (kind is int and not value.is_integer()):
             raise OptionError(f"{option} cannot be {text!r}", allowed=allowed)
-        return value
+        return kind(value)
 
     return parse
 
@@ -501,15 +498,14 @@ class Shared:
 
 
 def asked_workers(
-    count: int | None, cluster: str | None, patience: float | None = None
+    count: int | None, cluster: str | None, **patience: float
 ) -> AbstractContextManager[Workers]:
     """The workers that `--workers` and `--cluster` ask for.
 
     Args:
         count: Number of processes; None for one for every core.
         cluster: Address of a scheduler; None for processes of this machine.
-        patience: Time that items are done in this process before others are started
-            [s]; None for the default, zero where an item may end its process.
+        patience: That of these processes, see `LocalProcesses`.
 
     Raises:
         OptionError: If the cluster cannot be used.
@@ -518,6 +514,6 @@ def asked_workers(
         from calib_pin.workers.cluster import Cluster
 
         return Cluster(cluster)
-    from calib_pin.workers.local import PATIENCE, LocalProcesses
+    from calib_pin.workers.local import LocalProcesses
 
-    return LocalProcesses(count, PATIENCE if patience is None else patience)
+    return LocalProcesses(count, **patience)

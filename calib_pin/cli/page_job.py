@@ -364,8 +364,7 @@ class Job:
 
     def _asked(self) -> Iterator[Widget]:
         """Where files come from; always the same, so that uploads are not disturbed."""
-        said = "Drop files here: the robot (URDF, xacro), measurements (CSV, ...), and "
-        said += "a setup file if there is one"
+        said = "Drop files here: robot (URDF, xacro), measurements (CSV), setup file"
         names, path = (NOTHING, *bundled_robots()), ("or a path here",)
         yield Widget("upload", "or choose a file", said, do=self.give)
         yield Widget("choice", "or bundled robot", names[0], names, do=self.add)

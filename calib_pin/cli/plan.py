@@ -133,15 +133,12 @@ def _acceptance(
         OptionError: If there are several chains, stations or tools, or no cube is
             found.
     """
-    if len(chains.names) > 1:
-        reason = "an acceptance test is of one chain; say which one with --chain"
-        raise OptionError(reason, allowed=", ".join(chains.names))
-    for kind in ("station", "tool"):
+    for kind in ("chain", "station", "tool"):
         if len(names := {getattr(key, kind): None for key in keys}) > 1:
             reason = f"an acceptance test is of one {kind}, the setup states several"
-            file, value = setup.file or None, enumerated(names)
-            allowed = f"one of '{kind}s'"
-            raise OptionError(reason, file=file, value=value, allowed=allowed)
+            file, allowed = setup.file or None, enumerated(names)
+            allowed += " (--chain)" * (kind == "chain")
+            raise OptionError(reason, file=file, allowed=allowed)
     chain = chains[chains.names[0]]
     problem, count = nominal_problem(chains, keys, setup), len(chain.joints)
     lower, upper = joint_limits(problem)

@@ -119,10 +119,8 @@ def write_results(
         return
     for chain in map(geometry.of, geometry.measured_chains):
         if chain.tool_carries_tip:
-            notice(
-                f"'{chain.chain.tip}' is the link of the last joint itself: the error "
-                "behind that joint is in frames.tool of calibration.json"
-            )
+            said = "moves with the last joint: the error behind that is in frames.tool"
+            notice(f"'{chain.chain.tip}' {said} of calibration.json")
 
 
 def _tell_others(files: Sequence[Path], written: Collection[Path], kind: str) -> None:

@@ -54,7 +54,7 @@ def watched(asked: Watch) -> guidance.Watch:
             taken_notices()
 
     files, folders = asked.measurements, asked.package_dir or ()
-    proposals = Proposals(files[0], asked.plan, asked.srdf, folders, True)
+    proposals = Proposals(files[0], asked.plan, asked.srdf, folders)
     followed = [*files, *filter(None, [asked.setup])]
     return guidance.Watch(read, followed, proposals, asked.limit, asked.seed)
 

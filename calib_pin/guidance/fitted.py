@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import calib_pin.validation.model_errors as model_errors
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel, fit_model
@@ -27,13 +28,6 @@ from calib_pin.validation.findings import find
 from calib_pin.validation.findings.case import FOREIGN, Case, Others
 from calib_pin.validation.held_out import check
 from calib_pin.validation.judgement import examine, judge
-from calib_pin.validation.model_errors import (
-    fitted_errors,
-    mahalanobis,
-    predicted_variance,
-    registered,
-    registration_reason,
-)
 
 LEVEL = 1e-3
 """Probability by chance below which a row is told not to be as expected."""
@@ -103,7 +97,7 @@ class Fitted:
             problem = make_problem(self.chains, self.rows, self.setup)
             if not known:
                 found, result = register(problem, np.zeros(len(problem.parameters)))
-                if reason := registration_reason(found, result):
+                if reason := model_errors.registration_reason(found, result):
                     return replace(self, reason=reason)
             model = fit_model(self.chains, self.rows, self.setup, self.seed)
             if early := not model.fit.noise:
@@ -135,17 +129,19 @@ class Fitted:
         elif not states_sigmas(fit.problem.data):
             freedom = sum(part.redundancy * part.values for part in fit.noise)
         try:
-            there = registered(self.model.problem, self.model.theta, row)
+            there = model_errors.registered(self.model.problem, self.model.theta, row)
         except CalibPinError:
             return None
         if there.new or freedom < 1.0:
             return None  # Its own place is all it tells.
         problem, theta = there.problem, there.theta
         values = len(problem.sigma)
-        square = mahalanobis(fit, problem, theta) / inflation**2
+        square = model_errors.mahalanobis(fit, problem, theta) / inflation**2
         first = problem.layout.component == problem.layout.component[0]
         error = problem.errors(theta)[first]
-        variance = inflation**2 * predicted_variance(fit, problem, theta)[first]
+        variance = (
+            inflation**2 * model_errors.predicted_variance(fit, problem, theta)[first]
+        )
         size, sigma = np.sqrt([np.sum(error**2), variance.sum()]) / len(row) ** 0.5
         unit = problem.layout.quantities[0].unit
         chance = f_tail(square / values, values, freedom)
@@ -188,7 +184,7 @@ class Fitted:
         if self.early and self._case is not None:
             return known, find(self._case, seek=False).others
         try:
-            errors = fitted_errors(model, self.rows)
+            errors = model_errors.fitted_errors(model, self.rows)
             held_out = check(model, self.rows, self.seed, validate=False)
             examined = examine(self.chains, model, self.seed, seek=seek)
             found = judge(model, errors, held_out, examined)

@@ -78,14 +78,12 @@ class Proposals:
         plan: File of a plan, of which the rest comes first; None without one.
         srdf: Pairs of links that need no collision check.
         package_dirs: Folders of the packages that the robot names.
-        free: Whether they must be free of collisions.
     """
 
     file: Path | None
     plan: Path | None
     srdf: Path | None
     package_dirs: Sequence[Path]
-    free: bool
     _known: tuple[Workspace, Candidates] | None = None
     _degrees: bool | None = None
     _together: tuple[Floats, Indices] | None = None
@@ -176,9 +174,8 @@ class Proposals:
         problem = replace(fitted.informed, setup=setup, units=none)
         aims = Aims.of(problem, keys)
         if self._known is None:
-            solid, rng = None, np.random.default_rng(fitted.seed)
-            if self.free:
-                solid = self._collisions(fitted.chains, setup)
+            rng = np.random.default_rng(fitted.seed)
+            solid = self._collisions(fitted.chains, setup)
             workspace = Workspace.create(problem, solid, aims)
             self._known = workspace, workspace.candidates(SAMPLES, rng)
         workspace, spread = self._known
@@ -186,7 +183,7 @@ class Proposals:
         search = Search(
             rows,
             workspace,
-            Prediction(TipTests.among(rows, spread).position),
+            Prediction(TipTests.of(rows, spread).position),
             information,
             spread,
             max(1, min(TOGETHER, len(spread.q))),

@@ -49,15 +49,13 @@ def camera_of(path: Path, estimate: bool) -> dict[str, Any]:
     K, lens, *size = (_numbers(found.get(key)) for key in KEYS)
     if len(K) != 9 or "distortion_coefficients" not in found:
         reason = "is no camera_info of ROS, and no FileStorage of OpenCV as YAML"
-        allowed = f"a file with {' and '.join(KEYS[:2])}, or 'focal', 'center' and "
-        allowed += "'distortion' under 'camera'"
-        raise InputError(reason, file=path, allowed=allowed)
+        raise InputError(reason, file=path, allowed=", ".join(KEYS[:2]))
     model, lens = str(found.get("distortion_model", "")), np.trim_zeros(lens, "b")
     if len(lens) and (len(lens) > MOST or model not in BROWN):
         if not estimate:
-            reason = f"the lens '{model or len(lens)}' is none of Brown and Conrady; "
-            reason += "state 'estimate: true' beside 'file', and such a one is fitted"
-            raise InputError(reason, file=path)
+            reason = f"the lens '{model or len(lens)}' is none of Brown and Conrady"
+            allowed = "such a one to start from, with 'estimate: true' beside 'file'"
+            raise InputError(reason, file=path, allowed=allowed)
         lens = np.zeros(0)
     camera = {
         "focal": K[[0, 4]].tolist(),

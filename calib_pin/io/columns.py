@@ -174,12 +174,6 @@ class Column:
         codes = self.codes[index] if self.words else self.codes
         return replace(self, numbers=self.numbers[index], codes=codes)
 
-    def same(self, other: Column) -> bool:
-        """Whether another column holds the same cells under the same header."""
-        numbers = np.array_equal(self.numbers, other.numbers, equal_nan=True)
-        texts = self.words == other.words and np.array_equal(self.codes, other.codes)
-        return self.header == other.header and numbers and texts
-
     def text(self, row: int) -> str:
         """Trimmed text of a cell, or its number."""
         if self.words and self.codes[row] >= 0:
@@ -197,13 +191,11 @@ class Column:
         """Whether each cell is blank or says that it has no reading, shape (N,)."""
         lost: NDArray[np.bool_] = self.numbers == self.sentinel
         if not self.words:
-            lost |= np.isnan(self.numbers)
-            return lost
-        # The last entry is that of the code -1.
+            return lost | np.isnan(self.numbers)
         said = [bool(MISSING.fullmatch(word.strip())) for word in self.words]
-        lost |= np.isnan(self.numbers) & (self.codes < 0)
+        # The last entry is that of the code -1.
         lost |= np.array([*said, False])[self.codes]
-        return lost
+        return lost | (np.isnan(self.numbers) & (self.codes < 0))
 
     def fault(self, row: int) -> str:
         """The reason why a cell is no finite number."""

@@ -8,7 +8,6 @@ place what the run that decided did not live to.
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import os
 import shutil
@@ -18,7 +17,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
 
-from calib_pin.errors import InputError, OptionError, OutputError
+from calib_pin.errors import InputError, OptionError, OutputError, nearest
 
 COMMIT = ".calib-pin-commit"
 """Name of the folder with what a folder is about to hold; empty files are to go."""
@@ -145,6 +144,13 @@ def listed(path: Path, folder: Path) -> str:
     """Name of a file within a folder; empty for one that lies elsewhere."""
     place, home = path.parent.resolve() / path.name, folder.resolve()
     return str(place.relative_to(home)) if place.is_relative_to(home) else ""
+
+
+def same_file(first: Path, second: Path) -> bool:
+    """Whether two paths lead to one file; not where one leads to none."""
+    with suppress(OSError, ValueError):
+        return first.samefile(second)
+    return False
 
 
 def sha256(data: bytes) -> str:
@@ -281,10 +287,7 @@ def write_atomically(path: Path, data: bytes, *, force: bool) -> None:
 
 
 def _nearest_sibling(path: Path) -> str:
-    """A hint at a file of a similar name, compared without the endings; or empty."""
-    try:
-        stems = {file.stem: file.name for file in path.parent.iterdir()}
-    except (OSError, ValueError):
-        return ""
-    match = difflib.get_close_matches(path.stem, stems, n=1, cutoff=0.6)
-    return f" (did you mean '{stems[match[0]]}'?)" if match else ""
+    """A hint at a file of a similar name; or empty."""
+    with suppress(OSError, ValueError):
+        return nearest(path.name, (file.name for file in path.parent.iterdir()))
+    return ""

@@ -13,6 +13,7 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations, product
 from math import inf
 from pathlib import Path
@@ -132,6 +133,9 @@ COMMENTS = {
 Choose = Callable[[str, Sequence[str], str], str]
 """The choice of a user: of a question, the choices, and the option that says it."""
 
+Try = Callable[["Look"], "Look"]
+"""A reading with the errors that it leaves, see `looked`."""
+
 
 @dataclass(frozen=True)
 class Look:
@@ -143,6 +147,7 @@ class Look:
         tips: Links that these joints move, and no others, likeliest first; empty where
             the measurements name their chains.
         order: How columns stand that are known to be theirs by their order alone.
+        chains: The chains that the measurements name.
         data: The measurements; None where they cannot be read or the robot cannot be
             located on them.
         errors: Root mean square errors of the registered nominal robot, by quantity
@@ -162,6 +167,7 @@ class Look:
     joints: Mapping[str, Foreign]
     tips: Sequence[str] = ()
     order: str = ""
+    chains: Chains | None = None
     data: Observations | None = None
     errors: Mapping[str, float] = field(default_factory=dict)
     share: float = inf
@@ -208,15 +214,16 @@ def first_look(
     """
     table = read_table(files[0]).whole(robot.model.names)
     columns = headers.with_turns(headers.foreign(table.columns))
+    look_at = partial(looked, robot=robot, files=files, apart=apart)
     looks, found = list[Look](), None
     for joints in _joints(robot, _with_camera(setup, columns), columns, choose):
         ways = [way for own in joints for way in readings(own, robot, columns)]
         stated = [way for way in ways if way.setup.reading == setup.reading]
         inverted = [way for way in ways if way.setup.reading != setup.reading]
-        tries = [looked(way, robot, files, apart) for way in stated]
+        tries = [*map(look_at, stated)]
         if inverted and not best(tries).fits:
-            tries += [looked(way, robot, files, apart) for way in inverted]
-        tries = _in_conventions(tries, robot, files, apart)
+            tries += map(look_at, inverted)
+        tries = _in_conventions(tries, look_at)
         better = best(tries)
         # Joints are exchanged where that fits, not where nothing does.
         if found is None or better.fits or better.share < found.share == inf:
@@ -252,8 +259,7 @@ def first_look(
     if len(ends) > 1 and found.share < inf:
         tip = choose("which link was measured", ends, "--tip")
         found = best([look for look in looks if look.setup.tip == tip])
-    hints = [*_separated(found, columns)]
-    hints += _names_that_fit(found, columns, robot, files, apart)
+    hints = *_separated(found, columns), *_names_that_fit(found, columns, look_at)
     found = replace(found, remarks=[*found.remarks, *hints])
     if found.hand_set:
         prior = {"*.joint-offset.q": round(HAND_SET, 3)}
@@ -288,11 +294,7 @@ def _separated(look: Look, columns: Sequence[Foreign]) -> Iterator[str]:
 
 
 def _names_that_fit(
-    look: Look,
-    columns: Sequence[Foreign],
-    robot: Robot,
-    files: Sequence[Path],
-    apart: bool,
+    look: Look, columns: Sequence[Foreign], look_at: Try
 ) -> Iterator[str]:
     """Columns of a few names that nobody reads, and what these may tell apart."""
     setup, taken = look.setup, _taken(look)
@@ -301,35 +303,27 @@ def _names_that_fit(
         count = len(one.column.texts().distinct)
         if not 1 < count <= len(one.column.numbers) / headers.SHARED:
             continue
-        others = dict[str, Look]()
+        left = dict[str, float]()
         for key in free:
             named = replace(setup, columns={**setup.columns, key: one.column.header})
-            others[key] = looked(replace(look, setup=named), robot, files, apart)
-        shares, now = {key: other.share for key, other in others.items()}, look.share
-        words, whole = "errors of {:.2g} % of the motion", 1.0
-        if look.fits and not min(shares.values(), default=inf) < CLEAR * now:
-            # Errors of the robot hide some millimeters of a tool.
-            shares = {key: _fitted(other, robot) for key, other in others.items()}
-            now = whole = _fitted(look, robot)
-            words = "{:.2g} % of the errors of a fit"
-        least = min(shares.values(), default=inf)
+            left[key] = _fitted(look_at(replace(look, setup=named)))
+        now, least = _fitted(look), min(left.values(), default=inf)
         told = f"'{one.name}' has {count} names that repeat: "
-        if least < CLEAR * now:
-            close = [key for key in free if CLEAR * shares[key] <= least]
+        if least < CLEAR * now < inf:
+            close = [key for key in free if CLEAR * left[key] <= least]
             told += f"named {' or '.join(close)} in 'columns' it leaves "
-            yield told + words.format(100.0 * least / whole)
+            yield f"{told}{100.0 * least / now:.2g} % of the errors of a fit"
         elif not look.fits:
             yield f"{told}does it tell {', '.join(free)} apart? name it in 'columns'"
 
 
-def _fitted(look: Look, robot: Robot) -> float:
+def _fitted(look: Look) -> float:
     """Errors that a fit of the robot leaves [standard deviations]; infinite of none."""
-    if look.data is None:
+    if look.data is None or look.chains is None:
         return inf
-    chains = _named(_chains(robot, look.setup), look.data)
     try:
         rows, _ = some_of(look.data)
-        fit = QuickFit.of(make_problem(chains, rows, look.setup))
+        fit = QuickFit.of(make_problem(look.chains, rows, look.setup))
     except (CalibPinError, np.linalg.LinAlgError):
         return inf
     return fit.rms if fit.redundant else inf
@@ -353,8 +347,7 @@ def _with_camera(setup: Setup, columns: Sequence[Foreign]) -> Setup:
     if not pixels or setup.model not in (None, "camera"):
         return setup
     if setup.board is None:
-        reason = "the points that the camera saw must be known: state --board, or "
-        reason += "--setup, the file of detect's --setup-output"
+        reason = "state the board that the camera saw (--board, or --setup of detect)"
         raise OptionError(reason, allowed="charuco:7x5:0.03:0.022, lengths in m")
     # The image is larger than where corners were seen, by how much nobody knows.
     width, height = (100.0 * -(-found[axis][0].largest // 100.0) for axis in "uv")
@@ -589,7 +582,8 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
     """A reading with the errors that it leaves the nominal robot."""
     setup, remarks = look.setup, list[str]()
     try:
-        chains = _chains(robot, setup)
+        names = () if setup.tip is None else ("",)
+        chains = Chains(robot, setup.base, setup.tip, setup.chains, names)
         data = read_measurements(
             list(files),
             chains,
@@ -599,7 +593,7 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
             station_per_file=apart,
             notice=remarks.append,
         )
-        chains = _named(chains, data)
+        chains = chains.named(tuple(key.chain for key in data.keys))
         require_motion(data)
         rows, rank = some_of(data)
         ready = prepared(chains, rows, setup)
@@ -607,11 +601,8 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
         parameters = ready.problem.parameters
         unknown = int(np.sum(parameters.free & parameters.nuisance))
         if known <= unknown:
-            reason = f"{len(data)} measurement{'s' * (len(data) > 1)} ({known} numbers)"
-            reason += " are too few: where instrument and tool are takes "
-            named = len(data.target.distinct)
-            more = f", with {named} targets: do their names number the measurements?"
-            reason += f"{unknown} already{more * (named > 1)}"
+            reason = f"{known} numbers are too few: where the instrument and the tool "
+            reason += f"({len(data.target.distinct)} targets) are takes {unknown}"
             raise InputError(reason, file=files[0])
         errors, share = _errors(ready)
         quick = QuickFit(ready.problem, ready.theta)
@@ -627,14 +618,12 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
                 said = f"{np.count_nonzero(far)} of {len(rows)} measurements"
                 remarks.append(f"far off all others: {said}, the first is {first}")
     except CalibPinError as error:
-        return replace(look, fault=error)
-    found = replace(look, data=data, errors=errors, share=share, exact=exact)
-    return replace(found, remarks=remarks)
+        return replace(look, fault=error, data=None)
+    found = replace(look, chains=chains, data=data, errors=errors, share=share)
+    return replace(found, exact=exact, remarks=remarks)
 
 
-def _in_conventions(
-    looks: Sequence[Look], robot: Robot, files: Sequence[Path], apart: bool
-) -> list[Look]:
+def _in_conventions(looks: Sequence[Look], look_at: Try) -> list[Look]:
     """The same readings, orientations in the convention that fits best.
 
     Of each position the one with the units that fit: with others no convention does.
@@ -643,31 +632,27 @@ def _in_conventions(
     turned.sort(key=lambda look: look.share, reverse=True)
     likely = {look.position: look for look in turned}  # The last counts.
     return [
-        _in_convention(look, robot, files, apart)
-        if likely.get(look.position) is look
-        else look
+        _in_convention(look, look_at) if likely.get(look.position) is look else look
         for look in looks
     ]
 
 
-def _in_convention(
-    look: Look, robot: Robot, files: Sequence[Path], apart: bool
-) -> Look:
+def _in_convention(look: Look, look_at: Try) -> Look:
     """A reading with its orientations in the convention that fits best.
 
     The one that columns are called by comes first. What the orientation was taken for
     is a remark, with the conventions that fit about as well.
     """
-    ways = {b.orientation for b in (look.data.blocks if look.data else ())} - {""}
-    if look.data is None or len(ways) != 1:
+    assert look.data is not None and look.chains is not None
+    ways = {block.orientation for block in look.data.blocks} - {""}
+    if len(ways) != 1:
         return look
     setup, tries = look.setup, [look]
-    chains = _named(_chains(robot, setup), look.data)
-    for one in orientations(Case.of_none(chains, look.data, setup), 1.0 / CLEAR):
+    case = Case.of_none(look.chains, look.data, setup)
+    for one in orientations(case, 1.0 / CLEAR):
         if (held := one.reading.orientation) is not None:
             reading = replace(setup.reading, orientation=held)
-            other = replace(look, setup=replace(setup, reading=reading))
-            tries.append(looked(other, robot, files, apart))
+            tries.append(look_at(replace(look, setup=replace(setup, reading=reading))))
     off = [k.errors.get("orientation", inf) for k in tries]
     if min(off) > DROPPED:
         return look
@@ -687,17 +672,6 @@ def _in_convention(
         remark += f"; others fit about as well: {enumerated(told[1:])}; if it is "
         remark += "written so, correct 'reading'"
     return replace(close[0], remarks=[*close[0].remarks, remark])
-
-
-def _chains(robot: Robot, setup: Setup) -> Chains:
-    """The chains that a setup means."""
-    names = () if setup.tip is None else ("",)
-    return Chains(robot, setup.base, setup.tip, setup.chains, names)
-
-
-def _named(chains: Chains, data: Observations) -> Chains:
-    """Those of the chains that measurements name."""
-    return chains.named(tuple(key.chain for key in data.keys))
 
 
 def _far_off(ready: Registered) -> Booleans:
@@ -755,18 +729,12 @@ def best(looks: Sequence[Look]) -> Look:
     close = [k for k in close if chosen.fits and CLEAR * k.share <= chosen.share]
     if close:
         other = min(close, key=lambda look: look.share)
-        sizes = [shown(next(iter(k.errors.values())), "m") for k in (chosen, other)]
-        remarks.append(
-            f"the position is that of '{chosen.position}', which fits to {sizes[0]}; "
-            f"'{other.position}' does to {sizes[1]}: if that was measured, correct "
-            "'columns'"
-        )
+        size = shown(next(iter(other.errors.values())), "m")
+        taken = f"the position is that of '{chosen.position}', and "
+        remarks.append(f"{taken}'{other.position}' fits to {size}: correct 'columns'?")
     if off and chosen.fits and "orientation" not in chosen.errors:
         size = shown(min(off), "rad")
-        remarks.append(
-            f"the orientation is not used: it fits the robot to {size} only, as one of "
-            "another convention or order of columns"
-        )
+        remarks.append(f"the orientation is not used: it fits the robot to {size} only")
     return replace(chosen, remarks=remarks, computed=sorted(computed))
 
 

@@ -321,12 +321,11 @@ def understood(table: Table) -> Table:
     Of several that may be one of ours, the likeliest is; a column of ours stays.
     """
     columns = foreign(table.columns)
-    likeliest = {ours: one.name for ours, (one, *_) in measured(columns).items()}
-    names = {ours: n for ours, n in likeliest.items() if ours not in table}
     units = {one.name: one.unit or one.column.unit for one in columns}
     stated = {n: replace(c, unit=units[n]) for n, c in table.columns.items()}
+    names = {ours: one.name for ours, (one, *_) in measured(columns).items()}
     known = reserved()
-    free = {ours: n for ours, n in names.items() if n not in known}
+    free = {o: n for o, n in names.items() if o not in table and n not in known}
     return replace(table, columns=stated).renamed(free)
 
 
@@ -345,9 +344,8 @@ def check_gauges(table: Table, names: Iterable[str]) -> None:
         # Whole numbers without a unit count readings.
         if ours in optional() and (one.unit or (one.numbers % 1.0 != 0.0).any()):
             way = f"columns: {{{ours}: '{one.stated(one.unit)}'}}"
-            reason = "these look like readings of a gauge, how far the contact is off; "
-            reason += f"state in the setup '{way}' ('dial' where pushed in is positive,"
-            reason += " 'deviation' where away from the surface is), or leave them out"
+            reason = f"looks like readings of a gauge: state in the setup '{way}' "
+            reason += "('dial' where pushed in is positive), or leave it out"
             raise table.error(reason, one.name)
 
 

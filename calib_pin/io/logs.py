@@ -195,8 +195,7 @@ def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
         likely = [max(of, key=lambda n: len(_names(one, n))) for one, of in pairs]
         first = ours.labels(likely[0])[0], theirs.labels(likely[1])[0]
         reason = "the names of both logs have none in common: '{}' and '{}', say"
-        reason, allowed = reason.format(*first), "the names that the joints have"
-        raise theirs.error(reason, likely[1], allowed)
+        raise theirs.error(reason.format(*first), likely[1])
     raise (theirs if times[0] else ours).error(reason, allowed=allowed)
 
 
@@ -229,8 +228,7 @@ def _named_once(table: Table) -> Table:
     first = dict[str, int]()
     for row, name in enumerate(map(str.lower, table.labels(POSE))):
         if name and first.setdefault(name, row) != row:
-            reason = f"the joints have the name '{name}' twice"
-            raise table.error(reason, POSE, "a name for each pose", row)
+            raise table.error(f"the joints have the name '{name}' twice", POSE, row=row)
     return table
 
 
@@ -252,8 +250,7 @@ def _require_points(
     for rows in (one.readings for one in found.standstills):
         apart = float(np.ptp(values[rows][:, lengths], axis=0).max(initial=0.0))
         if apart > APART:
-            reason = f"readings of one name are {1e3 * apart:.0f} mm apart: they are "
-            reason += "of several stations, tools or points"
+            reason = f"readings of one name are {1e3 * apart:.0f} mm apart"
             allowed = "a column 'station', 'tool' or 'target', maybe by 'columns'"
             raise table.error(reason, POSE, allowed, int(rows[-1]))
 
@@ -289,9 +286,8 @@ def _readings(table: Table, notice: Notice) -> tuple[Table, list[str], str]:
     # Beside other values a deviation is one from some nominal value.
     own = [n for n in own if n not in measured_columns.optional()] or own
     if not (own or way or IMAGE in table):
-        reason = "there are no measured columns; 'columns' in the setup says which are"
         allowed = "x, y, z, distance, u, v, an orientation, or a column 'image'"
-        raise table.error(reason, allowed=allowed)
+        raise table.error("there are no measured columns", allowed=allowed)
     used = {"time", *own, *oriented, *_kept(table), "temperature"}
     if ignored := table.ignored([name for name in table.columns if name not in used]):
         notice(ignored)

@@ -150,8 +150,7 @@ def read_quaternions(
         norm = np.linalg.norm(given, axis=1)
     off = abs(norm - 1.0)
     if off[row := int(np.argmax(off))] > 1e-2:
-        cells = ", ".join(table.columns[name].text(row) for name in STATED[way])
-        reason = f"the norm of the quaternion '{cells}' is {norm[row]:.6g}"
+        reason = f"the norm of the quaternion is {norm[row]:.6g}"
         raise table.error(reason, STATED[way][-1], "0.99 to 1.01", row)
     # Dividing a unit quaternion once more may change its last bit, and a file that was
     # written from here must read back as it was.
@@ -259,11 +258,10 @@ def find_starts(table: Table, distance: Floats, q: Floats) -> Indices:
     start: Indices = first[which]
     begins = start == np.arange(len(start))
     of = "the first row of a target is its start"
-    named = "target" if "target" in table else "distance"
     for column, wrong, reason in (
         ("distance", begins != (distance == 0.0), f"{of}, where alone distance is 0"),
         ("distance", distance < 0.0, "a distance from a start is not negative"),
-        (named, np.bincount(start)[start] == 1, f"{of}, and no other row is of it"),
+        ("target", np.bincount(start)[start] == 1, f"{of}, and no other row is of it"),
         ("distance", ~begins & (q == q[start]).all(axis=1), "the joints did not move"),
         ("payload", payload != payload[start], "the payload is not that of the start"),
     ):
@@ -384,9 +382,7 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
         return fitting.pop()
     if fitting:
         ways = " and ".join(name for name in names if name in fitting)
-        reason = f"the columns allow {ways}; name what is measured "
-        reason += "with --model, or row by row in a column 'model'"
-        raise table.error(reason)
+        raise table.error(f"the columns allow {ways}; say --model, or a column 'model'")
     for name in named:
         columns[name].append("target")
     told = [f"{n} ({', '.join(own) or 'nothing'})" for n, own in columns.items()]
@@ -412,11 +408,8 @@ def own_columns(
         for name in kinds_of(columns, joint):
             # One that is not there is told as missing.
             if name in known and (name in table or name != joint):
-                raise InputError(
-                    f"column '{name}' has a meaning of its own and cannot be that of "
-                    f"joint '{joint}'; give the joint a column of another name by "
-                    "'joints' in the setup file"
-                )
+                reason = f"column '{name}' has its own meaning: for joint '{joint}' "
+                raise InputError(f"{reason}name another by 'joints' in the setup file")
     return table.whole({*chain.robot.model.names, *joints}), columns
 
 

@@ -38,18 +38,6 @@ WORDS = ("set", "file", "line", "target", "payload", *BlockKey._fields)
 STATED = ("temperature", "time")
 """Columns of conditions, where they are known."""
 
-LEGEND = """\
-calib-pin measurements of a calibration, run {run}; lengths in m, angles in rad, images
-in px. set: train is fitted, validate is predicted by a fit without it. <joint>: the
-commanded position, start.<joint> that of the first configuration of a relative
-measurement, direction.<joint> the sign of its last motion, 0 where it is not known.
-measured.<k>: the values in the layout of the model. weight: 0 is rejected.
-leverage: of the fit. tool.<axis>: the calibrated tool point in the base link.
-<component>.before, .after: predicted minus measured by the nominal robot (registered)
-and by the calibrated one. .sigma: its standard deviation as it is used, .stated: as it
-was stated. An empty cell is a number that a measurement does not have. model, chain,
-station, tool: the block; each model has its own values and components."""
-
 
 def encode_errors(result: CalibrationResult, run: str) -> bytes:
     """The file of a result.
@@ -67,7 +55,8 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
         every = [t.get(name, none) for t, none in zip(tables, blanks, strict=True)]
         words = name in WORDS
         columns[name] = [*chain(*every)] if words else np.concatenate(every)
-    return encode_table(columns, LEGEND.format(run=run).splitlines())
+    head = f"calib-pin measurements of a calibration, run {run}; in m, rad and px"
+    return encode_table(columns, [head])
 
 
 def decode_errors(

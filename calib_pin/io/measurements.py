@@ -31,7 +31,6 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.measurement_models.declaration import QUATERNION
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import (
-    AT,
     BlockKey,
     Booleans,
     Conditions,
@@ -260,8 +259,7 @@ class _Reader:
             for name in (n for n in some.columns if n in anybody - read[key]):
                 filled = ~some.columns[name].missing()
                 reason = f"the row measures '{key.model}', which has no {name}"
-                allowed = "a blank cell; what else was measured is in a row of its own"
-                some.refuse(filled, reason, name, allowed)
+                some.refuse(filled, reason, name, "a blank cell")
             part, own = self._block(some, chains, key, q[rows], held.rows(rows), spare)
             parts.append(part)
             unread -= own
@@ -419,18 +417,13 @@ def _check_names(data: Observations, sockets: Collection[str]) -> None:
             seen = np.unique(rows.groups() * len(places.names) + places.codes)
             seldom = np.bincount(seen % len(places.names)) == 1
             lonely = (seldom & ~np.isin(places.names, [*sockets]))[places.codes]
-            reason = f"the {noun} '{places[int(np.argmax(lonely))]}' has one "
-            reason += "configuration only"
-            allowed = f"two configurations or more in every {noun}"
-            _refuse_targets(rows, lonely, reason, allowed)
+            first = f"the {noun} '{places[int(np.argmax(lonely))]}'"
+            _refuse_targets(rows, lonely, f"{first} has one configuration only")
 
 
-def _refuse_targets(
-    rows: SourcedRows, wrong: Booleans, reason: str, allowed: str | None = None
-) -> None:
+def _refuse_targets(rows: SourcedRows, wrong: Booleans, reason: str) -> None:
     if wrong.any():
-        row = int(np.argmax(wrong))
-        raise rows.error(row, reason, column="target", allowed=allowed)
+        raise rows.error(int(np.argmax(wrong)), reason, column="target")
 
 
 def read_held(table: Table, joints: Sequence[str], q: Floats) -> Conditions:
@@ -542,9 +535,9 @@ def write_measurements(
     Args:
         path: File to write.
         measurements: Measurements to write; quaternions of unit length with qw >= 0, as
-            `read_measurements` gives them, come back unchanged. So do the targets of
-            relative distances where every start has one of its own. Those of files
-            stand in the order of their lines, others block after block.
+            `read_measurements` gives them, come back unchanged. Of relative distances
+            every start needs a target of its own. Measurements of files stand in the
+            order of their lines, others block after block.
         comments: Lines for the head of the file.
         force: Whether an existing file is replaced.
         progress: Told the part that is done, 0 to 1.
@@ -642,39 +635,25 @@ def _with_starts(data: Observations) -> Observations:
 
 
 def _started(data: Measurements) -> Measurements:
-    """Relative measurements with a row for every start.
-
-    Targets tell starts apart; of several with one name the first keeps it.
-    """
+    """Relative measurements with a row for every start, which targets tell apart."""
     start = data.start if data.start.size else data.q * np.nan
+    _, firsts, which = np.unique(data.target.codes, True, True)
+    load, first = data.payload.codes, firsts[which]
+    another = (start != start[first]).any(axis=1) | (load != load[first])
     for wrong, reason in (
         (np.isnan(start).any(axis=1), "has no start"),
         ((data.q == start).all(axis=1), "is taken at its start"),
         (data.values[:, 0] <= 0.0, "is not more than 0"),
+        (another, "has another start than its target"),
     ):
         if wrong.any():
             told = f"the relative distance {reason} and would not read back"
             raise OutputError(f"{data.source(int(np.argmax(wrong)))}: {told}")
-    # Bit by bit, for starts have to read back.
-    starts = [*zip(data.target, data.payload, map(bytes, start), strict=True)]
-    names, taken, firsts = dict[Any, str](), {*data.target.names}, list[int]()
-    for row, label in enumerate(starts):
-        if label in names:
-            continue
-        target = name = label[0]
-        if any(other == target for other, *_ in names):
-            stem = target + "start" * (not target or target.endswith(AT))
-            name = next(n for k in count(2) if (n := f"{stem}/{k}") not in taken)
-        names[label] = name
-        taken.add(name)
-        firsts.append(row)
     index = np.sort(np.append(np.arange(len(data)), firsts))
     begin = np.append(np.diff(index) == 0, False)
     rows = data.rows(index)
     q = np.where(begin[:, None], rows.start, rows.q)
-    values = np.where(begin[:, None], 0.0, rows.values)
-    targets = Labels.of([names[starts[row]] for row in index.tolist()])
-    return replace(rows, q=q, values=values, target=targets)
+    return replace(rows, q=q, values=np.where(begin[:, None], 0.0, rows.values))
 
 
 def _writable(column: str, names: Sequence[str]) -> Labels:

@@ -20,7 +20,7 @@ manifest at any time.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -69,6 +69,8 @@ DOCUMENT = "calibration.json"
 REPORT = "report.html"
 NOMINAL = "nominal.urdf"
 """Names in a folder: the result, the page, and the robot as it was."""
+
+TOGETHER = "keep the files of one run together"
 
 PICTURES = (".png", ".pdf", ".svg")
 """Endings of files from which no program takes a number: these may be edited."""
@@ -276,9 +278,7 @@ def read_result(path: str | Path) -> CalibrationResult:
     return read_written(path)[0]
 
 
-def read_calibration(
-    path: str | Path, *, notice: Callable[[str], None] | None = None
-) -> CalibratedModel:
+def read_calibration(path: str | Path) -> CalibratedModel:
     """The calibrated robot of a `calibration.json`.
 
     The robot is looked for where the file says, from the working folder and from that
@@ -287,14 +287,11 @@ def read_calibration(
 
     Args:
         path: The file, or its folder.
-        notice: Called with one sentence if the calibration must not be trusted.
 
     Raises:
         InputError, OutputError, RobotError: As `read_result`.
     """
     result, _ = read_written(path, measured=False)
-    if notice is not None and (doubt := doubt_of(result, path)):
-        notice(doubt)
     return result.model
 
 
@@ -593,9 +590,8 @@ def require_one_run(record: Document, robot: bytes, path: Path) -> None:
         data = read_bytes(file)
         known = sha256(data) == content or data == robot
         if not (record.run.encode() in data if content is None else known):
-            reason = f"not the file that '{path.name}' beside it was written with, but "
-            reason += "of another run or edited; keep the files of one run together, or"
-            raise InputError(f"{reason} remove this one", file=file)
+            reason = f"was edited, or is of another run than '{path.name}'; {TOGETHER}"
+            raise InputError(reason, file=file)
 
 
 def find_robot(source: Source, path: Path) -> Robot:
@@ -627,8 +623,8 @@ def find_robot(source: Source, path: Path) -> Robot:
     if not found:
         reason = f"the robot '{source.file}' that was calibrated is neither there nor"
         raise RobotError(f"{reason} beside the calibration", file=path)
-    reason = f"'{found[0]}' is not the robot that was calibrated: its content differs; "
-    raise InputError(f"{reason}keep the files of one run together", file=path)
+    reason = f"'{found[0]}' is not the robot that was calibrated"
+    raise InputError(f"{reason}; {TOGETHER}", file=path)
 
 
 def written_before(path: Path) -> list[Path]:

@@ -155,9 +155,8 @@ def _messages(
         return []
     words = " or ".join(sorted({kind.split("/")[-1] for kind in kinds}))
     reason = f"has {len(found)} topics of {words}: {enumerated(found) or 'none'}"
-    reason += f", and no '{topic}'" if topic else ""
     allowed = "one, named by --topic or --joint-topic"
-    raise InputError(reason, file=path, allowed=allowed)
+    raise InputError(reason, file=path, value=topic, allowed=allowed)
 
 
 def _cells(message: Any) -> dict[str, float]:

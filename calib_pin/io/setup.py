@@ -200,12 +200,10 @@ def _prior_of(document: Mapping[str, Any]) -> JointPrior:
     kind = JointPrior if document.get("format") == ROBOT else PopulationPrior
     prior = typed(kind, document)
     C = np.array(prior.covariance)
-    if not np.isfinite([*C.flat, *(p.mean for p in prior.parameters)]).all():
-        raise ValueError("a number is missing, or infinite")
-    if not all(0.0 < sigma < np.inf for sigma in prior.noise.values()):
-        raise ValueError("'noise' has a standard deviation that is none")
-    if C.shape != (count := len(set(prior.names)), len(prior.names)):
-        raise ValueError(f"'covariance' does not have {count} rows and columns")
+    usable = np.isfinite([*C.flat, *(p.mean for p in prior.parameters)]).all()
+    usable &= all(0.0 < sigma < np.inf for sigma in prior.noise.values())
+    if not usable or C.shape != (len(set(prior.names)), len(prior.names)):
+        raise ValueError("a number is missing, or none that it can be")
     deviations = np.diag(np.linalg.cholesky(C))
     if np.abs((C - C.T) / np.outer(deviations, deviations)).max() > SYMMETRIC:
         raise ValueError("'covariance' is not symmetric")

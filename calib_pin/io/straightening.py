@@ -60,9 +60,8 @@ def straightened(robot: Robot) -> Robot:
         return robot
     origins = (document.origin(joints[name]).translation for name in slides)
     far, moved = max(map(np.linalg.norm, origins)), enumerated(map(repr, slides))
-    remark = f"offsets of up to {far:.3g} m along axes cancel: straightened, by moving "
-    remark += f"the frames of joints {moved} along their axes; the forward kinematics "
-    remark += "are the same, and the corrected URDF has these frames"
+    remark = f"offsets of up to {far:.3g} m along axes cancel: joints {moved} "
+    remark += "are moved along them, in the corrected URDF as well"
     source = urdf_tree.move_origins(document, _moved(document, slides))
     found = urdf_tree.parse_robot(source, robot.file)
     return replace(found, remarks=(*robot.remarks, remark))

@@ -375,11 +375,10 @@ def read_table(
     table = Table(cells.file, found.line or None, {}, lines[row])
     for column in given if not layout else ():
         other = ours[column.theirs]  # The last one of this name.
-        if not column.same(other):
-            both = f"'{column.header}', '{other.header}'"
-            raise table.error(
-                f"two columns are '{column.theirs}': {both}", other.theirs
-            )
+        same = column is other or column.texts() == other.texts()
+        if not same or column.header != other.header:
+            both = f"two columns are '{other.theirs}': '{column.header}'"
+            raise table.error(f"{both}, '{other.header}'", other.theirs)
     table = replace(table, columns=found.read(ours)).called(columns)
     if not layout and (read := reading(table.columns, Path(cells.file))):
         # The setup names columns as the file does, or as they are called then.
@@ -453,10 +452,8 @@ def require_columns(tables: Sequence[Table]) -> None:
     first, *others = tables
     for ours, theirs in first.missing.items():
         if all(ours in other.missing for other in others):
-            raise first.error(
-                f"'columns' in the setup takes '{ours}' from '{theirs}', and there is "
-                f"no such column{closest(theirs, first.columns.keys())}"
-            )
+            hint = closest(theirs, first.columns.keys())
+            raise first.error(f"there is no column '{theirs}' for '{ours}'{hint}")
 
 
 class Growing:
@@ -545,14 +542,13 @@ class Cells:
                 are not as CSV has them; names the line.
         """
         above = lines[: max(self.heading.line + 1 - first, 0)]
-        bare = {line.lstrip("\ufeff") for line in above}
-        self.head |= bare | {f"\ufeff{line}" for line in bare}
+        self.head |= {line.lstrip("\ufeff") for line in above}
         numbers = [
             number
             for number, line in enumerate(lines, first)
             if line[0] not in OTHER or not (line.isspace() or _is_comment(line))
             if number > self.heading.line
-            if line not in self.head  # Of files behind each other.
+            if line.lstrip("\ufeff") not in self.head  # Of files behind each other.
         ]
         lines = [lines[number - first] for number in numbers]
         later, comma = bool(self.lines), self.heading.separator == ","
@@ -594,10 +590,9 @@ class Cells:
         # Beside decimal commas, in this column or others, these are no fractions.
         if points and (commas or thousands):
             row = next(k for k, cell in enumerate(written) if cell in points)
-            reason = "a number has a decimal point here, others a comma (line "
-            reason, line = f"{reason}{self.comma})", self.lines[row - len(written)]
-            about = {"column": name, "value": written[row].strip()}
-            raise InputError(reason, file=self.file, line=line, **about)
+            reason = f"a decimal point, where others are a comma (line {self.comma})"
+            line, cell = self.lines[row - len(written)], written[row].strip()
+            raise InputError(reason, file=self.file, line=line, column=name, value=cell)
         return [c.replace(",", ".") if c in commas else c for c in written]
 
     def _rows(self, numbers: Sequence[int], lines: Sequence[str]) -> list[list[str]]:
@@ -613,9 +608,8 @@ class Cells:
                     raise csv.Error("a quote is not closed")
                 # Blank cells behind the last column are none.
                 if len(row) < width or any(map(str.strip, row[width:])):
-                    more = row[width:] if mark == "," else ()
-                    commas = bool(more) and all(c.strip(" -").isdecimal() for c in more)
-                    hint = " (the decimal mark must be a point)" * commas
+                    commas = mark == "," and len(row) > width
+                    hint = " (are there decimal commas?)" * commas
                     raise csv.Error(f"{len(row)} cells for {width} columns{hint}")
                 rows.append(row[:width])
         except csv.Error as error:
@@ -759,9 +753,9 @@ def _heading(first: Sequence[str], file: str) -> Heading:
         if units := _units(below[1]):
             number, names = below[0], [*map(_with_unit, names, units)]
         return Heading(mark, names, number, "")
-    reason = "the first row holds numbers, a header with the names of the columns is "
+    reason = "the first row holds numbers, and there is no header"
     allowed = f"{width} names above it, such as {mark.join(_names(width))}"
-    raise InputError(reason + "missing", file=file, line=top, allowed=allowed)
+    raise InputError(reason, file=file, line=top, allowed=allowed)
 
 
 def _numbered(text: str) -> Iterator[tuple[int, str]]:
@@ -813,15 +807,16 @@ def _is_comment(line: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """The separator that cuts most lines into as many cells."""
+    """The separator that cuts the most lines, and half of them, into as many cells."""
+    found = {",": 0}
     for mark in SEPARATORS:
         counts = Counter(len(cells_of(line, mark)) for line in lines)
         ((width, often),) = counts.most_common(1)
         # A single column may have a space in its name, but not in its numbers.
         rows = mark != " " or len(cells_of(lines[-1], mark)) == width
         if width > 1 and 2 * often >= len(lines) and rows:
-            return mark
-    return ","
+            found[mark] = often
+    return max(SEPARATORS, key=lambda mark: found.get(mark, -1))
 
 
 def _is_row(cells: Sequence[str], separator: str) -> bool:

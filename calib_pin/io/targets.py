@@ -92,10 +92,8 @@ def read_target_file(
     has_targets = oriented or bool({*measured_columns.POSITION} & table.columns.keys())
     has_joints = bool({*own.names} & table.columns.keys())
     if not has_targets and not has_joints:
-        raise table.error(
-            "neither targets nor joint positions; targets need x, y, z and may have an "
-            f"orientation, a motion needs the joints {', '.join(own.names)}"
-        )
+        needs = f"x, y, z of targets, or the joints {', '.join(own.names)}"
+        raise table.error("neither targets nor joint positions", allowed=needs)
     q = None
     if has_joints:
         q = measured_columns.read_positions(table, chain, own)
@@ -173,8 +171,7 @@ def encode_commands(
     columns = _command_columns(targets, q, rows, degrees)
     if targets.T is not None:
         if ROW in targets.columns.names:
-            reason = f"a joint column is called '{ROW}', which is the line of a target"
-            raise OutputError(reason)
+            raise OutputError(f"a joint column is called '{ROW}', as lines of targets")
         columns[ROW] = targets.table.lines[rows].tolist()
     if times is not None:
         columns["time"] = times.tolist()

@@ -20,7 +20,7 @@ from calib_pin.errors import (
     require_known,
 )
 from calib_pin.io.children import converted
-from calib_pin.io.files import TEXT, read_bytes
+from calib_pin.io.files import TEXT, read_bytes, same_file
 from calib_pin.io.packages import package_folders
 from calib_pin.io.straightening import straightened
 from calib_pin.io.urdf_tree import parse_document, parse_robot
@@ -245,30 +245,18 @@ def locate_robot(name: str) -> Path:
 
 def _unread(name: str, reason: str) -> RobotError:
     """The error of a user's word for which no file can be read, with what there is."""
-    known, stem = known_robots(), name.removesuffix(".urdf")
-    examples = [key for key in known if key.startswith(_EXAMPLE)]
-    if stem in known or not name.startswith(_EXAMPLE):
-        bundled = [key for key in known if key not in examples]
-        reason += nearest(name, bundled) if reason == "no such file" else ""
-        names = f" ({', '.join(bundled)})" if bundled else ""
-        allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
-        return RobotError(reason, file=name or ".", allowed=allowed)
-    if not examples:
+    known, bundled = known_robots(), ", ".join(bundled_robots())
+    if name.startswith(_EXAMPLE) and not any(_EXAMPLE in key for key in known):
         reason = "example robots need a package: pip install 'example-robot-data>=4.4'"
-        return RobotError(reason, file=name)
-    word = stem.removeprefix(_EXAMPLE)
-    others = ", ".join(key for key in examples if word and word in key)
-    hint = "" if others else nearest(stem, examples)
-    reason = f"example-robot-data has no robot '{word}'{hint}"
-    return RobotError(reason, file=name, allowed=others or None)
+    elif reason == "no such file":
+        reason += nearest(name, known)
+    allowed = f"a URDF or xacro file, a bundled robot ({bundled}), or {_EXAMPLE}NAME"
+    return RobotError(reason, file=name or ".", allowed=allowed)
 
 
 def is_source(path: Path, robot: Robot) -> bool:
     """Whether a file is the one that a robot was read from."""
-    try:
-        return path.samefile(locate_robot(robot.file))
-    except (OSError, ValueError):
-        return False  # One of them does not exist.
+    return same_file(path, locate_robot(robot.file))
 
 
 def other_robots(chains: Chains, setup: Setup) -> Iterator[Chains]:

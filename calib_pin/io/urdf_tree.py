@@ -430,9 +430,8 @@ def _check(document: Document, element: Element) -> None:
             if key in part.attrib:
                 numbers = document.numbers(part, key, count)
                 near = key != "xyz" or np.abs(numbers).max() <= FARTHEST
-                about = {"value": part.get(key), "allowed": "xyz in m"}
                 reason = f"the {part.tag} of {owner} is too far away"
-                document.require(near, part, reason, **about)
+                document.require(near, part, reason, value=part.get(key))
     if element.tag == "joint":
         document.origin(element)
         reason = "a joint cannot be called 'universe', Pinocchio's name of the world"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ TESTS = 100
 SHARE = 0.95
 """Part of the workspace in which a robot has to be within its limit."""
 
-PURPOSES = DRAWN, MEASURED, PREDICTED = range(3)
+DRAWN, MEASURED, PREDICTED = range(3)
 """Purposes of random numbers, which do not disturb each other."""
 
 
@@ -122,12 +123,9 @@ def study_of(
     asked = setup.monte_carlo
     counts = tuple(sorted(asked.configurations))
     if plan is not None and counts[-1] > len(plan):
-        raise OptionError(
-            f"the plan has {len(plan)} configurations",
-            file=setup.file or None,
-            value=counts[-1],
-            allowed=f"'monte_carlo.configurations' up to {len(plan)}",
-        )
+        allowed = f"'monte_carlo.configurations' up to {len(plan)}, those of the plan"
+        reason, file = "the plan has fewer configurations", setup.file or None
+        raise OptionError(reason, file=file, value=counts[-1], allowed=allowed)
     plain = replace(setup, monte_carlo=MonteCarloSetup())
     errs = replace(plain, parameters=asked.parameters or setup.parameters, learned=None)
     with stated_in(setup.file):
@@ -215,18 +213,13 @@ def _compared(
     A, nominal = (true.error.poses(q, values) for values in (errors, 0.0 * errors))
     calibrated = term.error.poses(q, term.values(model.theta)[0])
     before, _ = apart(A, absorbed(A, nominal))
-    position, orientation = apart(A, absorbed(A, calibrated))
+    names = ("position", "orientation")
+    found = dict(zip(names, apart(A, absorbed(A, calibrated)), strict=True))
+    sizes: dict[str, Any] = {name: rms(size) for name, size in found.items()}
+    for name, size in found.items():
+        sizes[f"{name}_share"] = float(np.quantile(size, SHARE))
     expected = bound = np.nan
     if fitted.noise:
-        found = ToolErrors.of(fitted, term, q).expected(rng)
-        expected, bound = found.calibrated.position, found.bound.position
-    return replace(
-        trial,
-        nominal=rms(before),
-        position=rms(position),
-        position_share=float(np.quantile(position, SHARE)),
-        orientation=rms(orientation),
-        orientation_share=float(np.quantile(orientation, SHARE)),
-        expected=expected,
-        bound=bound,
-    )
+        tool = ToolErrors.of(fitted, term, q).expected(rng)
+        expected, bound = tool.calibrated.position, tool.bound.position
+    return replace(trial, nominal=rms(before), **sizes, expected=expected, bound=bound)

@@ -173,14 +173,11 @@ class Observations(SourcedRows):
         if np.array_equal(weight, self.weight):
             return self
         parts = zip(self.blocks, self.slices, strict=True)
-        # What the configurations are does not change.
-        result = Observations(
-            tuple(replace(block, weight=weight[rows]) for block, rows in parts)
-        )
-        known = ("q", "target", "conditions", "files", "lines", "in_order")
-        for name in (*known, "_groups", "_things"):
-            if name in self.__dict__:
-                result.__dict__[name] = self.__dict__[name]
+        blocks = tuple(replace(block, weight=weight[rows]) for block, rows in parts)
+        result, known = Observations(blocks), {**self.__dict__}
+        # Nothing else changes.
+        known.pop("weight")
+        result.__dict__.update(known | {"blocks": result.blocks})
         return result
 
     def sample(self, count: int) -> Observations:
@@ -189,19 +186,12 @@ class Observations(SourcedRows):
             return self
         share = count / len(self)
         least = min(20, max(1, count // len(self.blocks)))
-        return Observations(
-            tuple(
-                block.sample(max(least, int(len(block) * share)))
-                for block in self.blocks
-            )
-        )
-
-    def things(self) -> Indices:
-        """Label of the block and the target of each row, shape (N,)."""
-        return self._things
+        counts = (max(least, int(len(block) * share)) for block in self.blocks)
+        return Observations(tuple(map(Measurements.sample, self.blocks, counts)))
 
     @cached_property
-    def _things(self) -> Indices:
+    def things(self) -> Indices:
+        """Label of the block and the target of each row, shape (N,)."""
         return np.asarray(self.block_of * len(self.target.names) + self.target.codes)
 
     def _joined(self, name: str) -> Floats:
@@ -228,11 +218,9 @@ def apart(
     for block, rows in zip(data.blocks, data.slices, strict=True):
         for name in names[rows].distinct:
             own = np.flatnonzero(names[rows].where(name))
-            part, whole = block.rows(own), (getattr(block, kind) or kind) + name
-            if name:
-                as_tool = replace(part, tool=whole)
-                part = replace(part, station=whole) if kind == "station" else as_tool
-            blocks.append(part)
+            whole = (getattr(block, kind) or kind) + name
+            named: dict[str, Any] = {kind: whole} if name else {}
+            blocks.append(replace(block.rows(own), **named))
             index.append(rows.start + own)
     return Observations.of(*blocks), np.concatenate(index)
 
@@ -285,8 +273,6 @@ def fitted_and_held_out(data: Observations) -> tuple[Observations, Observations]
     if data.validate.all():
         reason = "no measurement is left to fit: all are marked for validation"
         raise InputError(reason, column="set")
-    if not data.validate.any():
-        return data, data.rows(data.validate)
     return data.rows(~data.validate), data.rows(data.validate)
 
 

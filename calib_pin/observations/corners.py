@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-Floats = NDArray[np.float64]
+from calib_pin.observations.labels import Floats
 
 ENDS = 0.12
 """Part of an edge of a marker at its ends that its corners may have rounded."""

@@ -115,13 +115,11 @@ class Standstill:
 
     Attributes:
         start: When they had stood for long enough [s, clock of the joints].
-        end: When they moved again.
         q: Means of the joints, shape (n,).
         readings: Rows of the readings that count.
     """
 
     start: float
-    end: float
     q: Floats
     readings: NDArray[np.int64]
 
@@ -171,9 +169,7 @@ def join(joints: Log, readings: Log, settle: float, gap: float) -> Joined:
     """
     motion = _Motion(joints, settle, gap)
     if not motion.standstills:
-        raise InputError(
-            f"the joints never stand still for {settle:g} s", allowed="standstills"
-        )
+        raise InputError(f"the joints never stand still for {settle:g} s")
     # Of several points that are read by turns, one moves smoothly.
     most = max(readings.kinds, key=len)
     clock = motion.clock(Log(readings.time[most], readings.values[most]))
@@ -193,7 +189,7 @@ def join(joints: Log, readings: Log, settle: float, gap: float) -> Joined:
             used += len(rows)
             if len(kept):
                 q = joints.values[inside].mean(axis=0)
-                standstills.append(Standstill(start, end, q, kept))
+                standstills.append(Standstill(start, q, kept))
     return Joined(clock, tuple(standstills), empty, len(time) - used, scattered)
 
 
@@ -365,11 +361,8 @@ class _Motion:
                 zone, counts = best, every[best]
         if not counts.max():
             spans = [f"{t[0]:.1f} to {t[-1]:.1f} s" for t in (self.grid, readings.time)]
-            raise InputError(
-                f"the logs have no common time: joints are of {spans[0]}, readings of "
-                f"{spans[1]}; none of these falls into a standstill, in no time zone, "
-                "and their motions are not alike"
-            )
+            both = "joints are of {}, readings of {}".format(*spans)
+            raise InputError(f"the logs have no common time: {both}")
         # Runs of offsets that are as good, of which the one nearest to zero counts.
         good = np.concatenate([[False], counts == counts.max(), [False]])
         runs = near[np.flatnonzero(np.diff(good)).reshape(-1, 2) - [0, 1]].tolist()
@@ -399,7 +392,7 @@ def join_by_name(
     """
     own, names = (np.array([*map(str.lower, told)]) for told in (ours, theirs))
     found = [
-        Standstill(float(k), float(k), joints.values[k], rows)
+        Standstill(float(k), joints.values[k], rows)
         for k, name in enumerate(own)
         for kind in readings.kinds
         if len(rows := kind[names[kind] == name])

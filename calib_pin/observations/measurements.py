@@ -237,10 +237,8 @@ class Measurements(Brief, SourcedRows):
             return first
         for part in parts:
             if (part.sigma is None) != (first.sigma is None):
-                raise InputError(
-                    "cannot join measurements with and without standard deviations",
-                    file=part.files[0] or None,
-                )
+                reason = "cannot join measurements with and without sigma"
+                raise InputError(reason, file=part.files[0] or None)
         sigmas = [part.sigma for part in parts if part.sigma is not None]
         # Contacts without readings are exact beside those with some.
         width = max(part.values.shape[1] for part in parts)
@@ -274,14 +272,11 @@ class Measurements(Brief, SourcedRows):
         label = np.zeros(len(firsts), np.int64)
         if 1 < len(self.target.distinct) <= count // 20:
             label = np.unique(codes[firsts], return_inverse=True)[1]
-        order = np.argsort(label, kind="stable")
-        sizes = np.bincount(label)
-        few = np.minimum(sizes, min(20, count))
-        shares = np.maximum(sizes * count // len(firsts), few)
         kept = np.zeros(len(firsts), bool)
-        for images, share in zip(
-            np.split(order, np.cumsum(sizes)[:-1]), shares, strict=True
-        ):
+        for k in range(label.max() + 1):
+            (images,) = np.nonzero(label == k)
+            few = min(len(images), 20, count)
+            share = max(len(images) * count // len(firsts), few)
             kept[images[np.linspace(0, len(images) - 1, share).astype(np.int64)]] = True
         return self.rows(kept[np.cumsum(begins) - 1])
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 
+from calib_pin.errors import enumerated
+
 SAME = 1e-6
 """Largest difference of nominal geometries that count as one [m], and as parts of unit
 vectors: what is left of numbers that were printed with seven digits."""
@@ -43,13 +45,9 @@ class RobotType:
 
     def difference(self, other: RobotType) -> str:
         """How another robot differs in a few words; empty for one of this type."""
-        here = tuple(joint.name for joint in self.joints)
-        there = tuple(joint.name for joint in other.joints)
-        for name in (*there, *here):
-            if (name in here) != (name in there):
-                return f"it has {'no' if name in here else 'a'} joint '{name}'"
+        here, there = ([joint.name for joint in of.joints] for of in (self, other))
         if here != there:
-            return "its joints stand in another order"
+            return f"its joints are {enumerated(map(repr, there))}"
         for own, joint in zip(self.joints, other.joints, strict=True):
             for word in ("axis", "placement"):
                 numbers: list[Row] = [getattr(own, word), getattr(joint, word)]

@@ -53,11 +53,9 @@ class Cluster(Workers, AbstractContextManager["Cluster"]):
         try:
             self._client: Any = distributed.Client(there, timeout=PATIENCE)
         except Exception as error:  # Anything may answer, in any language.
-            reason = words_of(error)
-            raise OptionError(
-                f"no scheduler answers at --cluster '{address}': {reason}",
-                allowed="tcp://HOST:PORT, tls://HOST:PORT, a scheduler.json",
-            ) from error
+            reason = f"no scheduler answers at --cluster '{address}': {words_of(error)}"
+            allowed = "tcp://HOST:PORT, tls://HOST:PORT, a scheduler.json"
+            raise OptionError(reason, allowed=allowed) from error
         self.count = sum(self._client.nthreads().values())
         if not self.count:
             self._client.close()

@@ -211,7 +211,7 @@ def inside(monkeypatch: pytest.MonkeyPatch) -> None:
     patient = partial(asked_workers, patience=1e9)
     monkeypatch.setattr(
         "calib_pin.cli.fleet.asked_workers",
-        lambda count, cluster, _: patient(count, cluster),
+        lambda count, cluster, **_: patient(count, cluster),
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -209,14 +208,6 @@ def test_untrusted(prepare, status, number, here, run):
     assert document["verdict"]["reason"].rstrip(".") in verdict
 
 
-def test_the_robot_of_an_earlier_run_does_not_stay(here, run):
-    few_rows(here)
-    result = run("calibrate arm.urdf rows.csv --setup setup.yaml -o done --force")
-    assert result.status == 2
-    assert result.err.startswith("calib-pin: note: ") and "done/arm.urdf" in result.err
-    assert {path.name for path in Path("done").iterdir()} == TRUSTED_OR_NOT
-
-
 def test_identification_of_too_few_rows(here, run):
     few_rows(here)
     result = run("identify arm.urdf rows.csv --setup setup.yaml")
@@ -284,19 +275,6 @@ def test_what_a_verdict_leaves(here, run, judged, verdict, status, first, urdf):
     compared = run("compare out/calibration.json done/calibration.json")
     assert compared.status == status
     assert (f"{first}: A (out/calibration.json)" in compared.out) == (status == 2)
-
-
-def test_no_gain_replaces_the_robot_of_an_earlier_run(here, run, judged):
-    shutil.copytree("done", "out")
-    corrected = Path("out/arm.urdf").read_bytes()
-    judged("no-gain")
-    assert run(f"{COMMAND} -o out --force").status == 0
-    nominal = Path("arm.urdf").read_bytes()
-    assert Path("out/arm.urdf").read_bytes() == nominal != corrected
-    # A folder that was calibrated can be calibrated again.
-    again = run("calibrate out/nominal.urdf rows.csv --setup setup.yaml -o out --force")
-    assert again.status == 0
-    assert Path("out/nominal.urdf").read_bytes() == nominal
 
 
 def test_lines_that_undo_a_fault_stand_once(here, run):

@@ -109,13 +109,6 @@ def test_a_station_for_each_file(here: Path, run: Callable[..., Any]) -> None:
 # --- chains ------------------------------------------------------------------------
 
 
-def test_two_arms_in_one_fit(two_arms: None) -> None:
-    assert set(column("arms.csv", "chain")) == {"left", "right"}
-    found = read_calibration("both/calibration.json")
-    assert found.measured_chains == ("left", "right")
-    assert Path("both/twins.urdf").read_text() != Path("twins.urdf").read_text()
-
-
 def test_one_of_the_chains_is_evaluated(
     two_arms: None, run: Callable[..., Any], refuses: Callable[..., None]
 ) -> None:
@@ -179,15 +172,6 @@ def test_frames_of_one_chain(two_arms: None, run: Callable[..., Any]) -> None:
         assert {
             end for end in ("left_3", "right_3") if f"frame_id: {end}" in text
         } == ends
-
-
-def test_the_whole_robot_is_said_to_be_whole(
-    two_arms: None, run: Callable[..., Any]
-) -> None:
-    for option in ("", " --chain left"):
-        result = run(f"export both --format mjcf -o both.xml --force{option}")
-        said = "the whole robot, with right, whatever --chain names" in result.err
-        assert result.status == 0 and said == bool(option)
 
 
 def test_visits_of_one_chain_are_read_back(

@@ -24,7 +24,7 @@ from calib_pin.errors import InputError
 from calib_pin.io.setup import read_setup, setup_document
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.residual_models import RESIDUAL_MODELS
-from tests.cli.files import column, document, marked, numbers, table, write
+from tests.cli.files import document, marked, numbers, table, write
 
 POSITION = "calibrate arm.urdf rows.csv --setup setup.yaml"
 
@@ -207,19 +207,6 @@ def test_solvers_by_option_and_by_setup_file(here, run, solver):
     assert run("evaluate out/calibration.json new.csv").status == 0
 
 
-def test_the_corrected_robot_is_better(here, run):
-    def rms(robot):
-        result = run(f"evaluate {robot} new.csv --json")
-        assert (result.status, result.err) == (0, "")
-        return json.loads(result.out)["errors"]["position"]["rms"]
-
-    nominal, corrected, true = map(rms, ("arm.urdf", "done/arm.urdf", "truth.urdf"))
-    assert nominal > 5 * corrected
-    # 0.1 mm of noise in each of three coordinates.
-    assert corrected == pytest.approx(true, rel=0.1)
-    assert true == pytest.approx(np.sqrt(3) * 1e-4, rel=0.3)
-
-
 def test_inputs_stay_as_they_are(here, run, listing):
     before = listing(here)
     assert run(POSITION).status == 0
@@ -292,19 +279,6 @@ def test_options_win_over_the_setup_file(here, run):
     assert not any("joint1." in name for name in names)
 
 
-def test_validation_file(here, run):
-    assert run(f"{POSITION} --validation new.csv -o out").status == 0
-    found = document("out")
-    assert found["errors"]["position"]["validation"]["method"] == "file"
-    assert found["measurements"]["training"] == 40
-    assert found["measurements"]["validation"] == 25
-    files = [entry["file"] for entry in found["measurements"]["files"]]
-    assert files == ["rows.csv", "new.csv"]
-    assert run("calibrate arm.urdf rows.csv new.csv -o two --quiet").status == 0
-    assert document("two")["measurements"]["files"] == found["measurements"]["files"]
-    assert document("two")["measurements"]["training"] == 65
-
-
 COLOR = re.compile(r"\x1b\[(\d+;)*(3|9)[0-7](;\d+)*m")
 """Bold is no color; colors of text are 30 to 37 and 90 to 97."""
 
@@ -347,20 +321,6 @@ def test_names_that_a_file_system_cannot_hold(here, run):
     assert "../[red] ärm: 1: 4 joints" in result.out
     assert Path("out", "__red__ärm__1.urdf").exists()
     assert document("out")["robot"]["name"] == "../[red] ärm: 1"
-
-
-def test_mapped_columns(here, run):
-    text = Path("rows.csv").read_text()
-    for k in range(1, 5):
-        text = text.replace(f"joint{k}", f"J{k}", 1)
-    Path("rows.csv").write_text(text.replace("calib-pin", ""))
-    Path("setup.yaml").write_text(
-        "parameters: [joint-offset]\njoints:\n"
-        + "".join(f"  J{k}: {{joint: joint{k}}}\n" for k in range(1, 5))
-    )
-    assert run(f"{POSITION} -o out").status == 0
-    # The calibration knows the columns it was made from.
-    assert run("evaluate out/calibration.json rows.csv").status == 0
 
 
 # --- beyond geometry ---------------------------------------------------------------
@@ -501,18 +461,6 @@ def test_evaluation_of_a_calibration(here, run, unsought):
 # --- simulate ----------------------------------------------------------------------
 
 
-def test_simulation_is_repeatable(here, run):
-    words = "simulate arm.urdf --model position --count 6 --seed 4 -o out.csv"
-    result = run(words)
-    assert result.status == 0
-    first = Path("out.csv").read_bytes()
-    assert f"# simulated by: calib-pin {words}\n".encode() in first
-    assert run(f"{words} --force").status == 0
-    assert Path("out.csv").read_bytes() == first
-    assert run(words.replace("--seed 4", "--seed 5 --force")).status == 0
-    assert Path("out.csv").read_bytes() != first
-
-
 def test_simulation_of_given_configurations(here, run):
     words = "simulate arm.urdf --model pose --configurations new.csv --noise 0 -o o.csv"
     assert run(words).status == 0
@@ -537,36 +485,6 @@ def test_simulation_without_noise_and_with_its_truth(here, run):
     assert values["joint3.joint-offset.q"] == pytest.approx(-3e-3, abs=1e-9)
 
 
-def test_repeated_readings(here, run):
-    words = "simulate arm.urdf --model position --count 4 --noise 1e-3 --repeats 25"
-    assert run(f"{words} -o kept.csv").status == 0
-    kept, header = numbers("kept.csv"), table("kept.csv")[0]
-    assert len(kept) == 100 and (kept[:, header.index("sigma_x")] == 1e-3).all()
-    np.testing.assert_array_equal(kept[:25, :4], np.tile(kept[0, :4], (25, 1)))
-    assert 5e-4 < kept[:25, header.index("x")].std() < 2e-3
-
-
-def test_images_of_a_board(here, run):
-    Path("board.yaml").write_text(
-        "model: camera\n"
-        "camera: {mount: world, focal: [900, 900], center: [640, 480]}\n"
-        "board: {type: charuco, columns: 4, rows: 3, square: 0.03}\n"
-        "frames: {base: {xyz: [0, 0, 3]}}\n"
-    )
-    words = "simulate arm.urdf --setup board.yaml --count 30 --seed 1 -o out.csv"
-    assert run(words).status == 0
-    rows = calib_pin.read_measurements("out.csv", calib_pin.load_chain("arm.urdf")).only
-    assert rows.configurations == 30 and len(rows) > 5 * 30
-    assert set(rows.target.distinct) == set("012345")
-
-
-def test_noise_of_the_setup_file(here, run):
-    Path("setup.yaml").write_text("noise: {position: 2.0e-5}\n")
-    words = "simulate arm.urdf --setup setup.yaml --model position --count 3 -o out.csv"
-    assert run(words).status == 0
-    assert set(map(float, column("out.csv", "sigma_z"))) == {2e-5}
-
-
 # --- robots ------------------------------------------------------------------------
 
 
@@ -583,29 +501,6 @@ def test_a_bundled_robot_is_copied(alone, run, fails):
     words = "calibrate copy/robot.urdf copy/measurements.csv --setup copy/setup.yaml"
     assert run(words).status == 0
     fails("robots space7 -o copy", "copy")
-
-
-@pytest.mark.parametrize(
-    "robot", ["space6", pytest.param("pa10", marks=pytest.mark.slow)]
-)
-def test_bundled_robots_from_simulation_to_evaluation(robot, alone, run):
-    setup = calib_pin.robot_file(robot, "setup.yaml")
-    for words in (
-        f"simulate {robot} --setup {setup} --count 60 -o rows.csv --truth true.urdf",
-        f"simulate true.urdf --setup {setup} --count 60 --seed 1 --errors none.yaml "
-        "-o new.csv",
-        f"calibrate {robot} rows.csv --setup {setup} -o out --quiet",
-        "evaluate out/calibration.json new.csv",
-        f"evaluate out/{robot}.urdf new.csv --setup {setup}",
-        f"identify {robot} --setup {setup}",
-    ):
-        Path("none.yaml").write_text("base.frame.x: 0\n")
-        result = run(words)
-        assert (result.status, result.err) == (0, "")
-    found = document("out")
-    assert found["robot"]["file"] == robot
-    assert read_setup(setup).parameters == tuple(found["setup"]["parameters"])
-    assert json.loads(json.dumps(setup_document(read_setup(setup)))) == found["setup"]
 
 
 def test_no_urdf_that_is_worse_than_the_nominal_one(alone, run):
@@ -668,7 +563,7 @@ def test_the_same_bytes_in_any_environment(tmp_path: Path) -> None:
             "0.2",
         ]
         subprocess.run(
-            [sys.executable, "-m", "calib_pin.cli", *map(str, words)],
+            [sys.executable, "-m", "calib_pin", *map(str, words)],
             env={**os.environ, **environment},
             cwd=folder,
             capture_output=True,

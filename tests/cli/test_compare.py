@@ -45,16 +45,6 @@ def test_a_drift_is_no_failure(here, run):
     assert "joint3.joint-offset.q " in result.out
 
 
-def test_what_must_not_be_trusted(here, run):
-    verdict = {"status": "untrusted", "reason": "not converged"}
-    edited(lambda d: d.update(verdict=verdict))
-    result = run(PAIR)
-    assert (result.status, result.err) == (2, "")
-    first, second, *_ = result.out.splitlines()
-    assert first.startswith("UNTRUSTED: B (later/calibration.json)")
-    assert second.startswith("No drift ")
-
-
 def test_calibrations_of_different_robots(here, run):
     text = Path("arm.urdf").read_text()
     Path("other.urdf").write_text(text.replace("0.5 0 0.05", "0.6 0 0.05"))
@@ -83,18 +73,3 @@ def test_calibrations_of_different_robots(here, run):
 def test_wrong_files(change, named, here, fails):
     edited(change)
     fails(PAIR, "later/", named)
-
-
-def test_other_joints(here, run, refuses):
-    Path("other.urdf").write_text(
-        Path("arm.urdf").read_text().replace('"joint4"', '"wrist"')
-    )
-    rows = Path("new.csv").read_text().replace("joint4", "wrist")
-    Path("other.csv").write_text(rows)
-    words = "calibrate other.urdf other.csv --setup setup.yaml -o other --quiet"
-    assert run(words).status == 0
-    refuses(
-        "compare done/calibration.json other/calibration.json",
-        file="other/calibration.json",
-        reason=("wrist", "joint4"),
-    )

@@ -10,7 +10,6 @@ import pytest
 import yaml
 
 from calib_pin.io.results import read_calibration
-from calib_pin.io.urdf import load_chain
 from tests.cli.files import document, numbers, table, write
 
 DONE = "compensate done/calibration.json"
@@ -60,20 +59,6 @@ def test_positions(model, positions, run, here, listing):
     assert listing(here) == before
 
 
-def test_the_real_robot_gets_there(model, positions, run):
-    assert run(RUN).status == 0
-    q = numbers("commands.csv")[:, :4]
-    true = load_chain("truth.urdf")
-    base, tool = model.error.base.homogeneous, model.error.tool.homogeneous
-    errors = [
-        np.linalg.norm((base @ chain.poses(at) @ tool)[:, :3, 3] - positions, axis=1)
-        for chain, at in ((true, q), (load_chain("arm.urdf"), q))
-    ]
-    # Measured with 0.1 mm of noise; the errors of the joints are 2 and 3 mrad.
-    assert errors[0].max() < 2e-4
-    assert errors[1].min() > 5e-4
-
-
 @pytest.mark.parametrize(
     ("unit", "turn", "zero"), [("deg", 360.0, 0.0), ("steps/4096@100", 4096.0, 100.0)]
 )
@@ -121,23 +106,6 @@ def test_poses_in_all_ways_to_write_them(model, run):
     assert (result.status, result.err) == (0, "")
 
 
-def test_frames_and_points(model, run):
-    F = model.error.tip_poses(Q, model.theta)
-    tool = F @ model.error.tool.homogeneous
-    base = model.error.base.homogeneous
-    for options, T in {
-        "--frame base": tool,
-        "--frame base --point tip": F,
-        "--point tip": base @ F,
-        "--frame measuring --point tool": base @ tool,
-    }.items():
-        rows = np.hstack([Q, T[:, :3, 3]])
-        write("targets.csv", ",".join([*JOINTS, "x", "y", "z"]), rows)
-        assert run(f"{RUN} --force {options}").status == 0
-        found = numbers("commands.csv")[:, :4]
-        np.testing.assert_allclose(found, Q, atol=1e-6)
-
-
 def test_what_cannot_be_reached_is_listed(model, positions, run):
     positions[1] *= 5.0
     positions[3, 2] += 4.0
@@ -154,11 +122,6 @@ def test_what_cannot_be_reached_is_listed(model, positions, run):
     result = run(f"{RUN} --force --quiet")
     assert (result.status, result.out) == (2, "")
     assert "targets.csv, lines 4, 6\n" in result.err
-
-
-def test_where_nothing_can_be_reached_nothing_is_written(positions, withholds):
-    write("targets.csv", "x,y,z", positions + 5.0)
-    withholds(RUN)
 
 
 def test_a_joint_at_its_limit_is_told(model, run):

@@ -25,7 +25,7 @@ from calib_pin.io.setup import prior_document
 from calib_pin.io.trials import read_trials
 from calib_pin.setup import PopulationPrior
 from calib_pin.validation.robot_state import robot_evidence
-from tests.cli.files import document, planned_uncertainty
+from tests.cli.files import document
 
 JOBS = """\
 robot,measurements,serial_number,date,setup
@@ -282,14 +282,6 @@ def test_priors_of_others(bench, fleet, fails) -> None:
     fails(CALIBRATE, "fleet.json", "'space6'", "axis")
 
 
-def test_a_plan_knows_it(bench, run) -> None:
-    words = "plan space6 --model position --count 12 -o plan.csv"
-    words += " --method greedy --candidates 200"
-    plain = planned_uncertainty(run(words).out)
-    told = planned_uncertainty(run(f"{words} --setup setup.yaml --force").out)
-    assert told < 0.95 * plain
-
-
 # --- workers, scheduler and command are killed ------------------------------------
 
 
@@ -319,7 +311,7 @@ def start(folder: str, words: str = "") -> subprocess.Popen[str]:
     """Begin a fleet."""
     options = f"fleet many.csv -o {folder} --no-pages --quiet {words}"
     return subprocess.Popen(
-        [sys.executable, "-m", "calib_pin.cli", *options.split()],
+        [sys.executable, "-m", "calib_pin", *options.split()],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

@@ -142,19 +142,6 @@ def days() -> None:
             parquet.write_table(csv.read_csv(file), f"day{number}.parquet")
 
 
-def estimated(folder: str) -> list[object]:
-    return [document(folder)[key] for key in ("parameters", "errors", "statistics")]
-
-
-@pytest.mark.needs("parquet")
-def test_files_of_either_kind_are_one_calibration(here, run):
-    days()
-    files = "day0.parquet day1.parquet day2.csv"
-    assert run(CALIBRATE.format(files, "mixed")).status == 0
-    assert run(CALIBRATE.format("rows.csv", "plain")).status == 0
-    assert estimated("mixed") == estimated("plain")
-
-
 @pytest.mark.needs("parquet")
 def test_a_bad_file_costs_a_line(here, refuses):
     days()
@@ -177,15 +164,6 @@ def test_a_table_is_written(here, run):
     told = "calib-pin: note: dh holds no base and tool frames: see 'tf'\n"
     assert result.err == told
     assert "standard,base,frame" in Path("dh.csv").read_text()
-
-
-def test_remarks_are_told(here, run):
-    words = "calibrate arm.urdf rows.csv --setup setup.yaml -o out --quiet"
-    assert run(f"{words} --parameters placement").status == 0
-    words = "export out/calibration.json --format joint-offsets -o o.csv"
-    result = run(words)
-    assert result.status == 0 and result.err.startswith("calib-pin: note: ")
-    assert run(f"{words} --force --quiet").err == ""
 
 
 def test_an_untrusted_calibration_is_not_exported(here, fails):

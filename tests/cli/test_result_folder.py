@@ -75,16 +75,6 @@ def test_the_id_is_that_of_the_result(here, run):
     assert re.fullmatch("[0-9a-f]{16}", document("done")["run"])
 
 
-def test_a_robot_called_nominal(here, run):
-    name = "Nominal"
-    text = Path("arm.urdf").read_text()
-    Path("arm.urdf").write_text(text.replace('name="arm"', f'name="{name}"'))
-    assert run(f"{POSITION} -o out").status == 0
-    assert names("out") == {*FILES - {"arm.urdf"}, f"{name}-corrected.urdf"}
-    assert_one_run("out")
-    assert run(EVALUATE.format("out")).status == 0
-
-
 # --- where it goes -----------------------------------------------------------------
 
 
@@ -241,21 +231,6 @@ def test_a_page_that_cannot_be_made(here, run, listing, monkeypatch):
 def process(words: str, **more: Any) -> subprocess.CompletedProcess[str]:
     program = f"{sys.executable} -m calib_pin {words}"
     return subprocess.run(program, shell=True, capture_output=True, text=True, **more)
-
-
-@pytest.mark.slow
-def test_a_full_standard_output(here, listing):
-    Path("targets.csv").write_text("x,y,z\n0.6,0.2,0.7\n")
-    before = listing(here)
-    for words in (
-        f"{POSITION} -o out",
-        f"{POSITION} -o done --force",
-        "compensate done/calibration.json targets.csv -o c.csv",
-    ):
-        result = process(f"{words} > /dev/full")
-        assert result.returncode == 1, words
-        assert result.stderr.count("\n") == 1
-        assert listing(here) == before
 
 
 @pytest.mark.slow

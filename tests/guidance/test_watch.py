@@ -64,7 +64,7 @@ class Job:
 
     def proposing(self, plan: Path | None = None) -> Proposals:
         """From now on it proposes configurations."""
-        self.watch.proposals = Proposals(None, plan, None, (), False)
+        self.watch.proposals = Proposals(None, plan, None, ())
         return self.watch.proposals
 
     def read(self) -> tuple[Chains, Setup, Observations]:

@@ -21,6 +21,7 @@ ANSWERS = [
 ]
 
 
+@pytest.mark.needs("mujoco")
 @pytest.mark.parametrize(("program", "said"), ANSWERS)
 def test_no_urdf(tmp_path, monkeypatch, program, said):
     script, file = tmp_path / "script.py", tmp_path / "arm.xml"

@@ -74,14 +74,6 @@ def test_links_joined_by_a_joint_are_not_checked(loaded: Callable[..., Any]) -> 
     assert notices == []
 
 
-def test_links_that_always_touch_are_not_checked(loaded: Callable[..., Any]) -> None:
-    # Links two joints apart are at most 0.6 m away from each other.
-    collisions, (notice,) = loaded([sphere(0.31)] * 6)
-    assert ("link_0", "link_3") in collisions.pairs
-    assert ("link_1", "link_3") not in collisions.pairs
-    assert "4 pairs (link_0 and link_2; link_1 and link_3;" in notice
-
-
 @pytest.mark.parametrize("with_srdf", [False, True])
 def test_links_that_are_always_close_are_kept_from_touching(loaded, write, with_srdf):
     neighbors = "".join(

@@ -220,23 +220,6 @@ def test_each_layout_is_tested():
     assert WRITERS.keys() == {*READINGS, *JOINTS, *WHOLE}
 
 
-def test_objects_side_by_side(table):
-    """Angles of a segment are left out; a number is blamed on its line."""
-    found = table(
-        "Segments\n100\n,,Arm:Tool,,,,,,Arm:Hand\n"
-        "Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ,RX,RY,RZ,TX,TY,TZ\n"
-        ",,deg,deg,deg,mm,mm,mm,deg,deg,deg,mm,mm,mm\n"
-        "3,0,10,20,30,1,2,3,40,50,60,4,5,6\n4,0,10,20,30,9999999,2,3,,,,,,\n"
-    )
-    assert [*found.columns] == ["time", "Frame", "Sub Frame", *"xyz", "tool"]
-    assert list(found.texts(["tool"])["tool"]) == ["Arm:Tool", "Arm:Hand"] * 2
-    x = found.columns["x"]
-    assert x.missing().tolist() == [False] * 3 + [True] and x.text(3) == ""
-    seen = found.rows(np.arange(3))
-    with refused(InputError, "wrong unit", line=7, column="x", value="9999999"):
-        found.check("x", seen.numbers("x", LENGTH), LENGTH)
-
-
 @pytest.mark.parametrize(
     ("text", "names", "unit"),
     [

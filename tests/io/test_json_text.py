@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -15,9 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib_pin.io.json_text import encode, merged, plain, typed
+from calib_pin.io.json_text import encode, plain, typed
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.setup import FrameSetup
 
 
 class Color(Enum):
@@ -55,11 +53,6 @@ class Everything:
     beside: str = field(metadata={"key": "outer.word"})
     hidden: object = field(default=None, metadata={"key": None})
     free: Any = None
-
-
-@dataclass(frozen=True)
-class Named:
-    entries: tuple[Entry, ...] = field(metadata={"by": "name"})
 
 
 words = st.text(st.characters(codec="utf-8"), max_size=5)
@@ -107,13 +100,6 @@ def test_numbers_that_json_does_not_know() -> None:
     assert json.loads(encode({"x": "\udcff"})) == {"x": "\udcff"}
 
 
-def test_documents_in_one() -> None:
-    assert merged({"a": {"b": 1, "c": 1}}, {"a": {"c": 2}, "d": 3}) == {
-        "a": {"b": 1, "c": 2},
-        "d": 3,
-    }
-
-
 @pytest.mark.parametrize(
     ("kind", "value"),
     [
@@ -127,21 +113,3 @@ def test_documents_in_one() -> None:
 def test_what_is_not_as_declared_is_refused(kind: Any, value: Any) -> None:
     with pytest.raises((ValueError, KeyError, TypeError, AttributeError)):
         typed(kind, value)
-
-
-@pytest.mark.parametrize(
-    ("entries", "wrong"),
-    [
-        ({"a": {"sizes": [1.0, "x"]}}, "entries.a.sizes[1]"),
-        ({"a": {}}, "entries.a.sizes"),
-        ({"a": 7}, "entries.a"),
-        ([], "entries"),
-    ],
-)
-def test_what_is_wrong_is_told_by_its_keys(entries: Any, wrong: str) -> None:
-    with pytest.raises(ValueError, match=f"'{re.escape(wrong)}'"):
-        typed(Named, {"entries": entries})
-
-
-def test_limits_of_what_a_user_states_do_not_bind_what_was_fitted() -> None:
-    assert typed(FrameSetup, {"xyz": [500.0, 0, 0]}).xyz == (500.0, 0.0, 0.0)

@@ -10,7 +10,6 @@ import numpy as np
 
 import calib_pin
 from calib_pin.io.measurements import encode_configurations, read_configurations
-from calib_pin.io.table import read_table
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.setup import JointMap
 from tests.shared import chain_of, urdf_of
@@ -22,18 +21,6 @@ Q = CHAIN.random_configurations(7, np.random.default_rng(0))
 def write_configurations(path: Path, *about: Any, **more: Any) -> list[str]:
     path.write_bytes(encode_configurations(*about, **more))
     return path.read_text().splitlines()
-
-
-def test_files_read_back_bit_by_bit(tmp_path: Path) -> None:
-    file, names = tmp_path / "plan.csv", ("wall", 'floor, "left"', "ä", *[""] * 4)
-    lines = write_configurations(file, CHAIN, Q, comments=["one\ntwo", ""])
-    assert lines[:4] == ["# one", "# two", "#", ",".join(CHAIN.joints)]
-    assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
-    assert "target" not in read_table(file)
-    assert lines[3:] == write_configurations(file, CHAIN, Q, [""] * 7)
-    write_configurations(file, CHAIN, Q, names)
-    assert read_table(file).labels("target") == names
-    assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
 
 
 def test_joint_maps_are_undone(tmp_path: Path) -> None:

@@ -87,20 +87,6 @@ def test_every_file_is_a_station(write, tree):
         read_measurements(file, tree.named(("left_hand",)), station_per_file=True)
 
 
-def test_blocks_state_their_own_sigmas_and_starts(write, tree):
-    text = """torso,left,station,model,distance,sigma,target
-0.1,0,a,relative-distance,0,,t
-0.2,0,b,relative-distance,0,1,t
-0.3,0,a,relative-distance,0.1,,t
-0.4,0,b,relative-distance,0.2,0.5,t
-"""
-    data = read_measurements(write(text), tree.named(("left_hand",)))
-    a, b = data.blocks
-    assert (a.sigma, b.sigma.tolist()) == (None, [[0.5]])
-    assert (a.start.tolist(), b.start.tolist()) == ([[0.1, 0]], [[0.2, 0]])
-    assert (a.values.tolist(), b.values.tolist()) == ([[0.1]], [[0.2]])
-
-
 def test_sockets_of_a_station_are_those_of_all_tools_and_chains(write, tree):
     text = "torso,left,right,slide,chain,station,tool,target\n"
     text += "0,0,,,left_hand,a,t,s\n0,,0.5,0,,a,u,s\n"

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from calib_pin.errors import CalibPinError, InputError, OptionError, OutputError
+from calib_pin.errors import InputError, OptionError, OutputError
 from calib_pin.io.measurements import (
     read_configurations,
     read_held,
@@ -315,7 +315,7 @@ def same(data, again):
     return True
 
 
-@settings(max_examples=15, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=8, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(drawn=st.data(), comments=st.lists(TEXT, max_size=3))
 def test_written_files_read_back_bit_by_bit(tmp_path, tree, drawn, comments):
     data, file = drawn.draw(mixtures(tree)), tmp_path / "written.csv"
@@ -390,9 +390,7 @@ REFUSED = [
     (f'{R}0.5,"1,5",0,1\n', 3, "elbow", "1,5", "decimal"),
     # Columns that are missing, doubled or have a wrong unit.
     ("lift,elbow_joint,wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'elbow_joint'"),
-    ("lift,elbow (deg),distance\n0,0,1\n", 1, "elbow", None, "'elbow (deg)'"),
     (f"{J},x,x [mm],y,z\n0,0,0,0,1,0,0\n", 1, "x", None, "'x [mm]'"),
-    ("lift,elbow [mm],wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'mm'"),
     (f"{J},x,y,z,qx [m],qy,qz,qw\n0,0,0,0,0,0,0,0,0,1", 1, "qx", None),
     (f"{STEPS}0,9,0,1\n0,4097,0,1\n", 3, "elbow", "4097", "turn"),
     ("lift,elbow,wrist,distance\n0,2917,9,1\n", 2, "elbow", "2917", "[steps/4096]"),
@@ -401,10 +399,8 @@ REFUSED = [
     (f"{J},distance,target [m]\n0,0,0,1,1\n", 1, "target", None),
     # Which model?
     (f"{J},note\n0,0,0,a\n", 1, None, None, "x, y, z"),
-    (f"{J},target\n0,0,0,a\n", 1, None, None, "--model"),
     (f"{J},x,y,z,distance\n0,0,0,1,2,3,4\n", 1, None, None, "--model"),
     (f"{J},u\n0,0,0,1\n", 1, "v", None, "'camera'"),
-    (f"{J},x,z\n0,0,0,1,2\n", 1, "y", None, "'position'"),
     (f"{J},x,y,z,qx,qy,qz\n0,0,0,1,2,3,0,0,0\n", 1, "qw", None),
     (f"{VECTOR},yaw\n0,0,0,1,2,3,0,0,0,0\n", 1, "yaw", None, "rz and yaw"),
     # Quaternions.
@@ -423,13 +419,9 @@ REFUSED = [
     # Sets.
     (f"{J},distance,set\n0,0,0,1,train\n0,0,0,1,test\n", 3, "set", "test"),
     # Angles in degrees; within four half turns, but neither in the limits nor near.
-    (f"{J},distance\n0,1,0,1\n0,90,0,1\n0,45,0,1\n", 3, "elbow", "90", "'elbow [deg]'"),
     (f"{R}0,-9,0,1\n", 3, "elbow", "-9", "'elbow [deg]'"),
-    ("lift,elbow [deg],wrist,distance\n0,2000,0,1\n", 2, "elbow", "2000", "[mrad]'"),
     # Lengths in millimeters.
-    (f"{J},distance\n15,0,0,1\n", 2, "lift", "15", "'lift [mm]'"),
     (f"{J},distance\n1,0,0,1\n27,0,0,1\n", 3, "lift", "27", "gear: 0.0174532925"),
-    (f"{J},x,y,z\n0,0,0,900000,1,2\n", 2, "x", "900000", "'x [um]'"),
     (f"{J},x,y,z\n0,0,0,1,1,2\n0,0,0,1,2,2\n0,0,0,1,30,2\n", 4, "y", "30", "'y [mm]'"),
 ]
 REFUSED = [(None, *case) for case in REFUSED]
@@ -439,12 +431,10 @@ BOTH = "distance,target,model\n0,0,0,"
 
 # The same after the model that is asked for, without the columns of the joints.
 REFUSED_BY_MODEL = [
-    ("position", "distance\n0,0,0,1\n", 1, "x", None, "'position'"),
     ("pose", "x,y,z\n0,0,0,1,2,3\n", 1, None, None, "'pose'"),
     # What rows have to name.
     ("fixed-point", "n\n0,0,0,1\n", 2, "target", None, "socket"),
     ("camera", "u,v,target\n0,0,0,1,2,m\n0,0,0,1,2,\n", 3, "target", None),
-    ("fixed-point", "target\n0,0,0,a\n0.1,0,0,ball@\n", 3, "target", None),
     ("point-distance", "distance,target\n0,0,0,1,\n0,0,0,1,a\n", 2, "target", None),
     # A ball that is in a socket once tells nothing.
     ("fixed-point", "target\n0,0,0,a\n0,0,0,b\n0.1,0,0,a\n", 3, "target", None, "'b'"),
@@ -452,9 +442,7 @@ REFUSED_BY_MODEL = [
     # Numbers that cannot be.
     ("camera", "u,v,target\n0,0,0,1,-2e5,m\n", 2, "v", "-2e5"),
     ("camera", "u,v,target,sigma\n0,0,0,1,1,m,1e-10\n", 2, "sigma", "1e-10"),
-    ("camera", "u,v,target,sigma [mm]\n0,0,0,1,1,m,1\n", 1, "sigma", None, "'mm'"),
     ("plane-contact", "sigma_x,sigma_y,sigma_z\n0,0,0,1,1,1\n", 1, "sigma_x", None),
-    ("fixed-point", "target,sigma_x\n0,0,0,a,1\n0.1,0,0,a,1\n", 1, "sigma_y", None),
     # Gauges.
     ("plane-contact", "dial\n0,0,0,0.5\n", 2, "dial", "0.5", "mm"),
     ("plane-contact", "dial,deviation\n0,0,0,0,0\n", 1, "dial", None, "once"),
@@ -474,11 +462,8 @@ REFUSED_BY_MODEL = [
     ),
     # Several models in a file.
     (None, "distance,model\n0,0,0,1,posee\n", 2, "model", "posee", "'pose'"),
-    (None, "distance,model\n0,0,0,1,\n", 2, "model", ""),
     (None, f"x,y,z,{BOTH},,,1,,{FAR}1,2,3,4,,position", 3, "distance", "4"),
-    (None, f"u,v,sigma_u,{BOTH},,0.5,1,,{FAR}1,1,2,,m,camera", 2, "sigma_u", "0.5"),
     (None, f"u,v,{BOTH},,,,{FAR}1,,,m,camera", 3, "v", ""),
-    (None, f"u,v,sigma,{BOTH}1,1,1,,m,camera\n0,0,0,1,1,,,m,camera", 3, "sigma", ""),
 ]
 REFUSED_BY_MODEL = [(m, f"{J},{text}", *rest) for m, text, *rest in REFUSED_BY_MODEL]
 
@@ -600,21 +585,6 @@ def test_columns_of_models(write, chain, model, text, values, sigma):
         np.testing.assert_allclose(data.sigma, expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("columns", "model"),
-    [
-        ("u,v,target", "camera"),
-        ("u,x,y,z", "position"),
-        ("v,distance", "plane-distance"),
-        ("x,y,z,rx,ry,rz,target", "pose"),
-    ],
-)
-def test_models_are_inferred(write, chain, columns, model):
-    row = ",".join("a" if name == "target" else "0" for name in columns.split(","))
-    data = read(write(f"{J},{columns}\n0,0,0,{row}\n"), chain)
-    assert data.model == model
-
-
 # --- conditions --------------------------------------------------------------------
 
 
@@ -691,37 +661,12 @@ def relative(**changes):
 
 
 @pytest.mark.parametrize(
-    ("target", "names"),
-    [
-        ("a", ("a", "a/2", "a/4")),
-        ("", ("", "start/2", "start/3")),
-        ("ball@", ("ball@", "ball@start/2", "ball@start/3")),
-    ],
-)
-def test_starts_of_one_target_are_told_apart(tmp_path, chain, target, names):
-    """As in rows that are joined from several files, or each have their own start."""
-    start = 0.01 * np.arange(3)[:, None] + np.zeros(3)
-    data = relative(target=(target,) * 3, start=start)
-    if target == "a":
-        # A name that others have is not taken.
-        data = Measurements.concatenate(
-            [data, relative(target=("a/3",) * 3, start=np.full((3, 3), 0.05))]
-        )
-        names += ("a/3",) * 3
-    file = tmp_path / "out.csv"
-    write_measurements(file, data)
-    again = read(file, chain, model="relative-distance")
-    assert again.target == names
-    assert again.start.tobytes() == data.start.tobytes()
-    assert again.values.tobytes() == data.values.tobytes()
-
-
-@pytest.mark.parametrize(
     ("changes", "row"),
     [
         ({"start": np.zeros((0, 0))}, 0),
         ({"values": np.array([[1.0], [0.0], [1.0]])}, 1),
         ({"q": np.eye(3) - np.eye(3)[1]}, 1),
+        ({"start": 0.01 * np.arange(3)[:, None] + np.zeros(3)}, 1),
     ],
 )
 def test_relative_distances_that_would_not_read_back(tmp_path, changes, row):
@@ -863,43 +808,6 @@ def test_joints_with_reserved_names(write, name, arm):
     assert data.q[0, 0] == 0.1
 
 
-@settings(max_examples=100, derandomize=True, suppress_health_check=list(HealthCheck))
-@given(
-    text=st.sampled_from([MIXED, f"{QUATERNION}0,1,0,0\n", "J;K (mm)\n0,5;1\n"]),
-    places=st.lists(st.integers(0, len(MIXED)), min_size=1, max_size=3),
-    damage=st.lists(st.integers(0, 255), max_size=3).map(bytes),
-    width=st.integers(0, 3),
-)
-def test_damage_ends_in_a_line_or_in_measurements(
-    tmp_path, chain, text, places, damage, width
-):
-    data = text.encode()
-    for at in (place % (len(data) + 1) for place in places):
-        data = data[:at] + damage + data[at + width :]
-    file = tmp_path / "m.csv"
-    file.write_bytes(data)
-    try:
-        read_measurements(file, chain)
-    except CalibPinError as error:
-        assert "\n" not in str(error)
-        assert error.file == str(file)
-
-
-# --- size ----------------------------------------------------------------
-
-
-def test_many_rows(write, bad, chain):
-    """Of a file that is read in several stretches every row stands where it stood."""
-    rows = np.random.default_rng(3).uniform(0.0, 0.4, (4_000, 9))
-    text = f"{J},x,y,z,rx,ry,rz\n"
-    text += "\n".join(",".join(map(repr, row)) for row in rows.tolist())
-    data = read(write(text), chain)
-    assert data.q.tobytes() == rows[:, :3].tobytes()
-    assert data.values[:, :3].tobytes() == rows[:, 3:6].tobytes()
-    assert data.lines.tolist() == list(range(2, 4_002))
-    bad(text + "\n" + "0," * 8 + "x", line=4_002, column="rz", value="x")
-
-
 # --- real files --------------------------------------------------------------------
 
 
@@ -928,17 +836,3 @@ def test_real_files(tmp_path, data_folder, name, tip, folder, model, counts, ign
     write_measurements(again, data)
     assert same(data, read(again, chain, model=model))
     assert read_configurations(files[0], chain).shape == (counts[0], len(chain.joints))
-
-
-def test_progress_of_reading_and_writing(tmp_path):
-    """It grows to all, in parts of thousands of lines, and changes no byte."""
-    q = np.random.default_rng(0).uniform(0.5, 1.0, (12_000, 1))
-    rows, file = Measurements(("lift",), q, "plane-distance", q), tmp_path / "a.csv"
-    written, seen = list[float](), list[float]()
-    write_measurements(file, rows, progress=written.append)
-    first = file.read_bytes()
-    write_measurements(file, rows, force=True)
-    assert file.read_bytes() == first
-    assert written == sorted(written) and len(written) == 3 and written[0] >= 0.0
-    read_table(file, seen.append)
-    assert seen == sorted(seen) and len(seen) == 2 and seen[-1] == 1.0

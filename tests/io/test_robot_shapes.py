@@ -10,15 +10,14 @@ from typing import Any
 from zipfile import ZipFile
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from calib_pin.errors import InputError
 from calib_pin.io.robot_shapes import read_mesh, robot_shapes
-from calib_pin.io.urdf import load_robot, locate_robot
+from calib_pin.io.urdf import load_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.stand_ins import JOINT
-from tests.shared import TETRAHEDRON, joint, refused, urdf_of
+from tests.shared import TETRAHEDRON, collada, joint, refused, urdf_of
 
 RED = '<material name="red"><color rgba="1 0 0 1"/></material>'
 
@@ -115,21 +114,7 @@ def ply(face: str = "0 1 2") -> bytes:
 
 
 def dae(face: str = "0 1 2") -> str:
-    axes = "".join(f'<param name="{axis}" type="float"/>' for axis in "XYZ")
-    points = " ".join(map(str, np.ravel(CORNERS)))
-    return (
-        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" '
-        'version="1.4.1"><asset><up_axis>Z_UP</up_axis></asset><library_geometries>'
-        '<geometry id="g"><mesh><source id="s">'
-        f'<float_array id="a" count="9">{points}</float_array><technique_common>'
-        f'<accessor source="#a" count="3" stride="3">{axes}</accessor>'
-        '</technique_common></source><vertices id="v"><input semantic="POSITION" '
-        'source="#s"/></vertices><triangles count="1"><input semantic="VERTEX" '
-        f'source="#v" offset="0"/><p>{face}</p></triangles></mesh></geometry>'
-        '</library_geometries><library_visual_scenes><visual_scene id="w"><node>'
-        '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
-        '<scene><instance_visual_scene url="#w"/></scene></COLLADA>'
-    )
+    return collada(CORNERS, face)
 
 
 def stored(folder: Path, name: str, content: str | bytes) -> Path:
@@ -148,19 +133,6 @@ def test_a_triangle(tmp_path: Path) -> None:
         triangles = surface.vertices[surface.triangles].tolist()
         assert triangles in ([corners], [corners] * 2)
         assert len(surface.vertices) == 3
-
-
-def test_binary_stl_is_what_pinocchio_reads() -> None:
-    """The file comes from a package that is trusted."""
-    robot = locate_robot("example:ur10_robot").resolve()
-    file = robot.parents[1] / "meshes/ur10/collision/forearm.stl"
-    surface = pin.coal.MeshLoader().load(str(file), np.ones(3))
-    found = read_mesh(file, ROBOT)
-    assert len(found.vertices) == len(surface.vertices())
-    corners = map(surface.tri_indices, range(surface.num_tris))
-    expected = surface.vertices()[[[t[k] for k in range(3)] for t in corners]]
-    triangles = found.vertices[found.triangles]
-    assert sorted(triangles.tolist()) == sorted(expected.tolist())
 
 
 def test_parts_and_materials(tmp_path: Path) -> None:

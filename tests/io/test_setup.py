@@ -307,7 +307,7 @@ def test_the_keys_of_a_setup_and_of_its_file() -> None:
 # --- what is written reads back ----------------------------------------------------
 
 
-@settings(max_examples=80, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(
     places=st.lists(st.integers(0, len(FULL.encode())), min_size=1, max_size=3),
     damage=st.lists(st.integers(0, 255), max_size=3).map(bytes),

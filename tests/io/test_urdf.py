@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from calib_pin.errors import CalibPinError, OutputError, RobotError
 from calib_pin.io import urdf
-from calib_pin.io.urdf import is_source, load_robot, locate_robot
+from calib_pin.io.urdf import load_robot
 from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import Mimic
@@ -509,19 +509,6 @@ def test_limits(bad: Callable[..., None]) -> None:
 
 
 # Writing.
-
-
-def test_never_over_the_source(tmp_path, monkeypatch):
-    source, link = tmp_path / "arm.urdf", tmp_path / "link.urdf"
-    source.write_bytes(ARM)
-    link.symlink_to(source)
-    monkeypatch.chdir(tmp_path)
-    example = "example:panda"
-    places = [(source, "arm.urdf"), (link, "arm.urdf")]
-    places.append((tmp_path / ".." / tmp_path.name / "arm.urdf", "arm.urdf"))
-    for path, name in [*places, (locate_robot(example), example)]:
-        assert is_source(path, load_robot(name))
-    assert not is_source(tmp_path / "other.urdf", load_robot("arm.urdf"))
 
 
 @pytest.mark.parametrize("mark", [b"\t", b"\n", b"\r\n"])

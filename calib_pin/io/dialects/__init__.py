@@ -27,17 +27,7 @@ __all__ = ["DIALECTS", "Dialect", "Heading", "Reading", "side_by_side"]
 
 MEMBERS = (
     *(Motive, Vicon, Ndi, Points, Tum),  # Their headers are no line of names.
-    *(
-        Rostopic,
-        PlotJuggler,
-        Rtde,
-        Franka,
-        LeRobot,
-        Pandas,
-        Matrices,
-        Stamps,
-        Joined,
-    ),
+    *(Rostopic, PlotJuggler, Rtde, Franka, LeRobot, Pandas, Matrices, Stamps, Joined),
 )
 
 

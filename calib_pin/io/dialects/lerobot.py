@@ -63,8 +63,7 @@ class LeRobot(base.Dialect):
             remark = f"parts of the ranges in {name}; are they degrees, move it away"
             joints = {n: base.computed(n, numbers[n] * half[n]) for n in joints}
         elif largest == 100.0:
-            reason = f"the joints are in -100 to 100 of their ranges: {BESIDE}, or "
-            reason += "state their unit in 'columns' of the setup"
+            reason = f"the joints are in -100 to 100 of their ranges: {BESIDE}"
             raise InputError(reason, file=file)
         elif unit and largest < 100.0:
             remark += f"; are they in -100 to 100 of a range, {BESIDE}"

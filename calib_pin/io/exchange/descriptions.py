@@ -222,8 +222,7 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     about = escape(exported.robot.name).replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',
-        f"<!-- joint origins of {about}, calibrated: "
-        "include it, and take them as "
+        f"<!-- joint origins of {about}, calibrated: include it, and take them as "
         '<origin xyz="${NAME_xyz}" rpy="${NAME_rpy}"/> -->',
         '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
     ]
@@ -287,9 +286,8 @@ def camera_info(exported: Exported, _: Path | None) -> Encoded:
     if unknown := [p for p in exported.result.unknown if p.startswith(f"{name}.")]:
         raise exported.error(f"{enumerated(unknown)} unknown; {REMEDY}")
     if camera.size is None:
-        hint = "state 'size: [width, height]' [px] under 'camera' in the setup file"
-        reason = f"the size of the images is unknown; {hint}, and calibrate again"
-        raise exported.error(reason)
+        hint = "state 'size: [width, height]' [px] of 'camera', and calibrate again"
+        raise exported.error(f"the size of the images is unknown; {hint}")
     (fx, fy), (cx, cy) = camera.focal, camera.center
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     matrices = {

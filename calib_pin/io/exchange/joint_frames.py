@@ -66,9 +66,8 @@ Denavit-Hartenberg tables of the corrected chain.
     modified   A_i = Tx(a) Rx(alpha) Ry(beta) Rz(theta_i) Tz(d)
 
 (Denavit and Hartenberg, 1955; Craig, 1986) with `theta_i = theta + q_i`, or `d + q_i`
-of a prismatic joint. Between axes that are parallel or nearly so the common normal is
-anywhere, and `d` would be meters; there it is zero and beta tilts the next axis (Hayati
-and Mirmirani, 1985). Elsewhere beta is zero.
+of a prismatic joint. Between nearly parallel axes d is zero and beta tilts the next one
+(Hayati and Mirmirani, 1985).
 base and tip: the frames before the first and behind the last joint
 """
 
@@ -148,11 +147,9 @@ def _vendor(exported: Exported, template: Path | None, names: Sequence[str]) -> 
     if max(moved, turned) >= EXACT:
         unit, factor = DISPLAY["m"]
         six = zip(ORIGIN, origin_of(flange), strict=True)
-        remarks.append(
-            f"the flange is off by {factor * moved:.3g} {unit} and {1e3 * turned:.3g} "
-            "mrad from where this format has it; put that into the tool of the "
-            f"controller: {', '.join(f'{name} {value:.9g}' for name, value in six)}"
-        )
+        far = f"{factor * moved:.3g} {unit} and {1e3 * turned:.3g} mrad from its place"
+        tool = ", ".join(f"{name} {value:.9g}" for name, value in six)
+        remarks.append(f"the flange is {far}; into the tool of the controller: {tool}")
     if (kept := tree.data[ROOT].get("hash")) is not None:
         remarks.append(f"the hash of {template} is kept: {kept}")
     text = yaml.safe_dump(tree.data, sort_keys=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import yaml
@@ -111,23 +110,13 @@ def urscript(
     v = float(speed_limits(chain, part).min())
     lines = [f"# {line}" for line in comments] + ["def commands():"]
     for k, row in enumerate(columns.values(q)):
-        numbers = ", ".join(map(_fixed, row))
-        pace = f"a={ACCELERATION}, v={_fixed(v, 6)}"
+        # Without an exponent, which URScript does not promise to read.
+        numbers = ", ".join(f"{number:.9f}" for number in row)
+        pace = f"a={ACCELERATION}, v={v:.6f}"
         if times is not None and k:
-            pace = f"t={_fixed(times[k] - times[k - 1], 6)}"
+            pace = f"t={times[k] - times[k - 1]:.6f}"
         lines.append(f"  movej([{numbers}], {pace})")
     return "\n".join([*lines, "end", "commands()", ""]).encode()
-
-
-def _fixed(number: float, digits: int | None = None) -> str:
-    """A number without an exponent, which URScript does not promise to read.
-
-    Args:
-        number: The number.
-        digits: How many it has; default all.
-    """
-    about: dict[str, Any] = {"precision": digits, "fractional": digits is None}
-    return np.format_float_positional(number, trim="-", **about)
 
 
 def joint_trajectory(

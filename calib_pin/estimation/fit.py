@@ -430,7 +430,7 @@ def training_rows(
         by_tip=partial(linearize, "tip"),
         values=layout.width,
         some=some,
-        shift=Shifts.free(directions.shape[1]) if known is None else known,
+        shift=Shifts(np.zeros(directions.shape[1])) if known is None else known,
     )
 
 

@@ -280,9 +280,8 @@ class Fit:
     @cached_property
     def posterior(self) -> Posterior:
         """Deviations of the parameters about the references of the problem."""
-        return posterior_with(
-            self, None if self.evidence is None else self.evidence.sizes
-        )
+        sizes = None if self.evidence is None else self.evidence.sizes
+        return posterior_with(self, sizes)
 
     @cached_property
     def likely_posteriors(self) -> tuple[Posterior, ...]:
@@ -450,28 +449,26 @@ def bounded(problem: Problem, solver: Solver) -> Fit:
     """
     problem, before = register(problem, np.zeros(len(problem.parameters)))
     lower, upper = problem.parameters.bounds
-    released: set[int] = set()
-    fitted = fit_in_stages(problem, before, solver)
+    released = set[int]()
     while True:
-        held, x = fitted.problem, fitted.theta
-        excess = np.maximum(lower - x, x - upper) / held.parameters.scales
-        excess[~held.parameters.free] = 0.0
+        fitted = fit_in_stages(problem, before, solver)
+        held, x = dict(problem.held_at), fitted.theta
+        excess = np.maximum(lower - x, x - upper) / problem.parameters.scales
+        excess[~problem.parameters.free] = 0.0
         if excess.max(initial=0.0) > 0.0:
             # The worst ones together: the others may come back inside without them.
-            worst = np.flatnonzero(excess > 0.5 * excess.max())
             bounds = np.clip(x, lower, upper)
-            more = {int(k): float(bounds[k]) for k in worst}
-            held = replace(held, held_at={**held.held_at, **more})
-            fitted = fit_in_stages(held, before, solver)
-            continue
-        pulls = _pulls(fitted)
-        sides = {k: 1.0 if v == upper[k] else -1.0 for k, v in held.held_at.items()}
-        inward = {k for k, side in sides.items() if side * pulls[k] > STANDS} - released
-        if not inward:
-            return fitted
-        released |= inward
-        kept = {k: v for k, v in held.held_at.items() if k not in inward}
-        fitted = fit_in_stages(replace(held, held_at=kept), before, solver)
+            for k in np.flatnonzero(excess > 0.5 * excess.max()).tolist():
+                held[k] = float(bounds[k])
+        else:
+            pulls = _pulls(fitted)
+            sides = {k: 1.0 if v == upper[k] else -1.0 for k, v in held.items()}
+            inward = {k for k, s in sides.items() if s * pulls[k] > STANDS} - released
+            if not inward:
+                return fitted
+            released |= inward
+            held = {k: v for k, v in held.items() if k not in inward}
+        problem = replace(problem, held_at=held)
 
 
 def _pulls(fitted: Fit) -> dict[int, float]:

@@ -72,7 +72,6 @@ def require_conditions(
             if of_robot or data.conditions.direction.size:
                 continue
         reason = f"the parameters '{name}' need the {condition} of every measurement"
-        reason += ", and here it is not stated"
         other = f"a column '{column}', or parameters without '{name}'"
         for block in data.blocks:
             if len(block) and not len(getattr(block.conditions, condition)):
@@ -217,12 +216,9 @@ def require_known(
             hint = nearest(lost[0], every)
             why = f"names '{lost[0]}', which no measurement does{hint}"
         if why:
-            raise OptionError(
-                f"'distances' {why}",
-                file=setup.file or None,
-                value=list(known.between),
-                allowed=", ".join(sorted(filter(None, every))) or None,
-            )
+            reason, value = f"'distances' {why}", list(known.between)
+            file, allowed = setup.file or None, ", ".join(sorted(filter(None, every)))
+            raise OptionError(reason, file=file, value=value, allowed=allowed or None)
 
 
 def make_terms(
@@ -287,13 +283,9 @@ def _require_own_loads(chains: Chains, setup: Setup) -> None:
     shared = [joint for joint, count in counts.items() if count > 1]
     loaded = [n for n in setup.parameters if "payloads" in required_keys([n])]
     if shared and loaded:
-        raise OptionError(
-            f"joint '{shared[0]}' is part of several chains: its torque depends on all "
-            "of them",
-            file=setup.file or None,
-            value=loaded[0],
-            allowed="other parameters, or one chain",
-        )
+        reason = f"joint '{shared[0]}' is part of several chains, and all load it"
+        file, allowed = setup.file or None, "other parameters, or one chain"
+        raise OptionError(reason, file=file, value=loaded[0], allowed=allowed)
 
 
 def nominal_problem(
@@ -324,9 +316,8 @@ def nominal_problem(
     for key, names in named.items():
         model = measurement_model(key.model, setup, names)
         if model.missing:
-            raise OptionError(
-                f"a {key.model} study without measurements: {model.missing}"
-            )
+            reason = f"a {key.model} study without measurements: {model.missing}"
+            raise OptionError(reason)
         targets = tuple(names or model.targets) or ("",)
         count = len(targets) * len(payloads)
         zeros = np.zeros((count, len(chains.joints)))
@@ -387,21 +378,15 @@ def _with_prior(chains: Chains, given: ParameterSet, setup: Setup) -> Setup:
         return setup
     difference = prior.robot.difference(robot_type(chains))
     if difference:
-        raise OptionError(
-            f"a prior of other robots, '{prior.robot.name}': {difference}",
-            file=prior.file or None,
-            value=chains.robot.name,
-        )
+        reason = f"a prior of other robots, '{prior.robot.name}': {difference}"
+        raise OptionError(reason, file=prior.file or None, value=chains.robot.name)
     known = set(prior.names)
     robot = given.with_fixed(setup.fixed)
     lacking = [p.name for p in robot if p.free and not p.nuisance | (p.name in known)]
     if lacking:
-        raise OptionError(
-            f"the prior does not have the parameters {enumerated(lacking)}",
-            file=prior.file or None,
-            value=list(setup.parameters),
-            allowed="the parameters that it was made from",
-        )
+        reason = f"the prior does not have the parameters {enumerated(lacking)}"
+        kinds, allowed = list(setup.parameters), "the parameters that it was made from"
+        raise OptionError(reason, file=prior.file or None, value=kinds, allowed=allowed)
     return replace(setup, noise={**prior.noise, **setup.noise})
 
 

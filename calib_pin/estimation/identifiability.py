@@ -30,7 +30,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.chain import Chain
@@ -115,25 +114,16 @@ class Structure:
         own = [parameters[k] for k in order.tolist()]
         # The scale of a frame is that of an unknown stand, not of an error.
         sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in own]
-        rows = C / parameters.scales[order]
-        return tuple(self._readable(row, order, np.array(sizes)) for row in rows)
-
-    def _readable(
-        self, coefficients: Floats, order: NDArray[np.int64], sizes: Floats
-    ) -> Combination:
-        """A sum whose first term that matters has coefficient 1.
-
-        Args:
-            coefficients: Of the free parameters in the order of elimination, (K,).
-            order: Positions of these parameters, shape (K,).
-            sizes: Their expected sizes, shape (K,).
-        """
-        weights = np.abs(coefficients) * sizes
-        kept = np.flatnonzero(weights > CRUMB * weights.max())
-        lead = int(kept[0])
-        values = (coefficients[kept] / coefficients[lead]).tolist()
-        terms = tuple(zip(order[kept].tolist(), values, strict=True))
-        return Combination(terms, self.parameters[int(order[lead])].unit)
+        found = []
+        for row in C / parameters.scales[order]:
+            weights = np.abs(row) * sizes
+            kept = np.flatnonzero(weights > CRUMB * weights.max())
+            # The first term that matters has the coefficient 1.
+            lead = int(kept[0])
+            values = (row[kept] / row[lead]).tolist()
+            terms = tuple(zip(order[kept].tolist(), values, strict=True))
+            found.append(Combination(terms, own[lead].unit))
+        return tuple(found)
 
     @cached_property
     def unidentifiable(self) -> tuple[int, ...]:
@@ -326,9 +316,8 @@ def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
         turns = dict(zip(chain.joints, chain.revolute, strict=True))
         together = defaultdict[tuple[int, str], list[tuple[int, Screw]]](list)
         inner = slice(FRAME, len(term.error.screws) - FRAME)
-        for position, screw in zip(
-            term.index[inner].tolist(), term.error.screws[inner], strict=True
-        ):
+        positions = term.index[inner].tolist()
+        for position, screw in zip(positions, term.error.screws[inner], strict=True):
             stem = screw.parameter.name.rpartition(".")[0]
             own = parameters[position]
             if own.free and not own.nuisance and position not in labels:
@@ -482,17 +471,6 @@ class Directions:
     def count(self) -> int:
         """Number of directions that are moved."""
         return int(self.nuisances.shape[1] + self.robot.shape[1])
-
-    def weak_part(self, row: Floats, parameters: ParameterSet) -> float:
-        """Part of a sum of robot parameters that lies in directions held at nominal.
-
-        Args:
-            row: Coefficients of the sum, shape (P,).
-            parameters: The parameters.
-        """
-        scaled = np.where(parameters.nuisance, 0.0, row * parameters.scales)
-        length = float(np.linalg.norm(scaled))
-        return float(np.linalg.norm(self.weak.T @ scaled)) / length if length else 0.0
 
 
 def nuisance_basis(parameters: ParameterSet) -> Floats:

@@ -154,10 +154,8 @@ def structure_at(
     alike = _omitted(problem, [some.key for some in at])
     shown = problem.parameters.without(alike)
     if not np.isfinite(J).all():
-        raise InputError(
-            "the measured values have no derivative, as a distance of zero has none; "
-            "check the base and tip links"
-        )
+        reason = "the measured values have no derivative, like a distance of zero"
+        raise InputError(f"{reason}; check the base and tip links")
     found = structure(J[: len(J) - len(problem.further.priors)], shown, count)
     known = scale_deviation(problem, theta, at, J) < UNKNOWN
     scaled = known or not _has_lengths(problem, theta, at)
@@ -259,12 +257,10 @@ def _has_lengths(problem: Problem, theta: Floats, at: Sequence[Measurements]) ->
     Two axes that meet have none: as they grow, base and tool stand elsewhere.
     """
     # A tool in a socket stays there: joints that move apart take it away.
-    apart = [
-        replace(
-            some, q=np.column_stack([np.roll(x, k) for k, x in enumerate(some.q.T)])
-        )
-        for some in at
-    ]
+    apart = []
+    for some in at:
+        q = np.column_stack([np.roll(x, k) for k, x in enumerate(some.q.T)])
+        apart.append(replace(some, q=q))
     _, displaced, b = _growing(problem, theta, apart)
     Q = column_space(displaced)
     own = float(np.linalg.norm(b - Q @ (Q.T @ b))) / np.sqrt(len(b) / 6)
@@ -369,9 +365,8 @@ def asked(
     if not conditions.direction.size:
         conditions = replace(conditions, direction=approached(q), source="order")
     for name in ("temperature", "time"):
-        known = [
-            getattr(b.conditions, name) for b in problem.data.blocks if b.key == key
-        ]
+        held = (b.conditions for b in problem.data.blocks if b.key == key)
+        known = [getattr(own, name) for own in held]
         if known and len(known[0]) and not len(getattr(conditions, name)):
             rows = np.linspace(0.0, len(known[0]) - 1.0, len(q)).astype(np.intp)
             conditions = replace(conditions, **{name: known[0][rows]})
@@ -430,7 +425,7 @@ def observable_configurations(
     loads = tuple(payload) or payloads_in_turn(problem, key, count)
     declared = problem.terms[key].measurement.declaration
     q_found: Floats = np.empty((count, len(problem.chains.joints)))
-    left, tries, drawn = np.arange(count), 0, 0
+    left, tries = np.arange(count), 0
     while len(left) and tries < DRAWS:
         tries += 1
         if tries > PATIENCE:
@@ -438,7 +433,6 @@ def observable_configurations(
             for i in left:
                 target[i] = names[(i + tries) % len(names)]
         some = np.resize(left, max(count, AT_ONCE * len(left)) if tries > 1 else count)
-        drawn += len(some)
         q = problem.chains.random_configurations(len(some), rng)
         looked, carried = [target[i] for i in some], [loads[i] for i in some]
         at = asked(problem, key, q, looked, Conditions(Labels.of(carried)))
@@ -451,17 +445,11 @@ def observable_configurations(
         q_found[found] = q[seen][first]
         left = np.setdiff1d(left, found)
     if len(left):
-        what = "brought into contact" if declared.contact else "measured"
-        few = (
-            f"only {count - len(left)} of {count} configurations that can be {what} "
-            f"were found among {drawn} random ones within the joint limits "
-            f"({key.model})"
-        )
+        few = f"only {count - len(left)} of {count} configurations that can be measured"
+        few += f" ({key.model}) were found within the joint limits"
         lacking = lacking_frames(problem, (key,))
-        raise InputError(
-            f"give {lacking}: without, {few}" if lacking else few,
-            file=problem.setup.file or None,
-        )
+        reason = f"give {lacking}: without, {few}" if lacking else few
+        raise InputError(reason, file=problem.setup.file or None)
     return asked(problem, key, q_found, target, Conditions(Labels.of(loads)))
 
 
@@ -667,11 +655,9 @@ def _require_loose(problem: Problem) -> None:
         start = f"{name}.{reference.kind}."
         own = [k for k, n in enumerate(parameters.names) if n.startswith(start)]
         if tied[own].any():
-            raise OptionError(
-                "fixed, bounds or prior on a part of an unknown instrument: give "
-                f"its '{section}' in a setup file (--setup)",
-                file=problem.setup.file or None,
-            )
+            reason = "fixed, bounds or prior on a part of an unknown instrument: give "
+            reason += f"its '{section}' in a setup file (--setup)"
+            raise OptionError(reason, file=problem.setup.file or None)
 
 
 def _given(
@@ -760,14 +746,11 @@ def _elsewhere(problem: Problem, block: Measurements) -> Term:
     external = term.measurement.declaration.external
     free = external if base.estimate is None else base.estimate
     screws = *frame_screws("base", 0, free=free), *term.error.screws[FRAME:]
-    stands = replace(term.frames, station=f"{owner}.station", outer=f"{owner}/")
-    return replace(
-        term,
-        key=key,
-        frames=replace(stands, base=base),
-        error=replace(term.error, screws=screws),
-        measurement=measurement_model(key.model, setup, block.target.distinct),
-    )
+    measurement = measurement_model(key.model, setup, block.target.distinct)
+    station, outer = f"{owner}.station", f"{owner}/"
+    frames = replace(term.frames, station=station, outer=outer, base=base)
+    error = replace(term.error, screws=screws)
+    return replace(term, key=key, frames=frames, error=error, measurement=measurement)
 
 
 def _of_terms(

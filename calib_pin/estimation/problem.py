@@ -23,13 +23,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import stated_in
 from calib_pin.estimation.identifiability import RANK
 from calib_pin.estimation.row_blocks import Further, KnownDistances, Priors
-from calib_pin.estimation.terms import (
-    Block,
-    RowByRow,
-    Term,
-    Terms,
-    compilable,
-)
+from calib_pin.estimation.terms import Block, RowByRow, Term, Terms, compilable
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import BlockKey, Indices, Measurements, Observations
@@ -270,7 +264,7 @@ class Shared:
         held = data.conditions.direction
         if held.size and "direction" in needed_conditions(self.setup.parameters):
             sides = np.unique(held, axis=0, return_inverse=True)[1].reshape(-1)
-        for codes in (data.things(), data.payload.codes, sides):
+        for codes in (data.things, data.payload.codes, sides):
             count = int(codes.max(initial=0)) + 1
             if count > 1:
                 labels = numbered(labels * count + codes)[1]
@@ -344,8 +338,6 @@ class Problem(Terms):
         sigma, weight = self.given_sigma, self.data.weight
         if len(self.units):
             sigma = sigma * self.units[self.layout.component]
-        if (weight == 1.0).all():
-            return sigma
         with np.errstate(divide="ignore"):
             return np.asarray(sigma / np.sqrt(weight)[self.layout.row])
 
@@ -363,10 +355,17 @@ class Problem(Terms):
     @cached_property
     def further(self) -> Further:
         """The residual rows behind those of the measurements."""
-        known = KnownDistances.of(
-            self.setup.distances, self.references, self.given.names
-        )
-        return Further(known, self.expected, self._priors)
+        places = self.references, self.given.names
+        known = KnownDistances.of(self.setup.distances, *places)
+        prior, parameters = self.setup.prior, self.parameters
+        alone = np.where(parameters.free, parameters.priors, np.inf)
+        priors = Priors.alone(alone)
+        if isinstance(prior, JointPrior):
+            # What robots have says nothing of how an instrument drifts.
+            own = Priors.alone(np.where(parameters.nuisance, alone, np.inf))
+            together = Priors.together(prior, parameters)
+            priors = Priors(np.vstack([together.rows, own.rows]), together.mean)
+        return Further(known, self.expected, priors)
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (M,)."""
@@ -376,9 +375,8 @@ class Problem(Terms):
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual: measurements, then `further`."""
         r = self.errors(theta)
-        aside = np.isinf(self.sigma)
-        if aside.any():  # They may be so wrong that they cannot be predicted.
-            r[aside] = 0.0
+        # They may be so wrong that nothing predicts them.
+        r[np.isinf(self.sigma)] = 0.0
         r /= self.sigma
         further = self.further.residual(theta)
         return np.concatenate([r, further]) if len(further) else r
@@ -511,28 +509,13 @@ class Problem(Terms):
         """The last elimination, by the parameter values at which it was made."""
         return {}
 
-    @cached_property
-    def _priors(self) -> Priors:
-        prior, parameters = self.setup.prior, self.parameters
-        alone = np.where(parameters.free, parameters.priors, np.inf)
-        if not isinstance(prior, JointPrior):
-            return Priors.alone(alone)
-        # What robots have says nothing of how an instrument drifts.
-        own = Priors.alone(np.where(parameters.nuisance, alone, np.inf))
-        together = Priors.together(prior, parameters)
-        return Priors(np.vstack([together.rows, own.rows]), together.mean)
-
     def _whole(
         self, theta: Floats, parts: list[tuple[Floats, Floats]]
     ) -> tuple[Floats, Floats]:
         """Residual and Jacobian by all parameters, part after part, and `further`."""
-        if len(self.further):
-            further = self.further.residual(theta), self.further.jacobian(theta)
-            parts = [*parts, further]
-        if len(parts) == 1:
-            return parts[0]
-        r, J = zip(*parts, strict=True)
-        return np.concatenate(r), np.concatenate(J)
+        further = self.further.residual(theta), self.further.jacobian(theta)
+        r, J = map(np.concatenate, zip(*parts, further, strict=True))
+        return r, J
 
 
 def current_units(problem: Problem) -> Floats:

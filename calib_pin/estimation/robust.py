@@ -545,7 +545,7 @@ def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
     images = all(b.term.measurement.declaration.separable for b in problem.blocks)
     count = OPTIONS.corners if images else OPTIONS.looked_at
     few = replace(problem, data=problem.data.sample(count))
-    things, labels = few.data.things(), few.data.groups()
+    things, labels = few.data.things, few.data.groups()
     targets = [np.flatnonzero(things == k) for k in dict.fromkeys(things.tolist())]
     # Of each target one row more than what is unknown needs.
     parameters, values = few.parameters, measured_count(few) / max(len(few.data), 1)

@@ -209,9 +209,8 @@ class KnownDistances:
         # Points in one place have no direction to part in.
         weights = np.where(lengths > 0.0, lengths, np.inf) * self._sigma
         result = np.zeros((len(self), len(theta) + 1))
-        for row, slope, (one, other) in zip(
-            result, apart / weights[:, None], self.columns, strict=True
-        ):
+        slopes = apart / weights[:, None]
+        for row, slope, (one, other) in zip(result, slopes, self.columns, strict=True):
             row[one], row[other] = -slope, slope
         return result[:, :-1]
 

@@ -28,13 +28,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models import Linearization, MeasurementModel, declared
 from calib_pin.measurement_models.references import ReferenceObject
-from calib_pin.observations import (
-    BlockKey,
-    Indices,
-    Labels,
-    Measurements,
-    Targets,
-)
+from calib_pin.observations import BlockKey, Indices, Labels, Measurements, Targets
 from calib_pin.observations.measurements import with_joints
 from calib_pin.parameterizations import frame_pose
 from calib_pin.parameterizations.error_model import ErrorModel, flexures, varying
@@ -149,10 +143,8 @@ class Term:
             result[k] = replace(result[k], name=name)
         for reference in self.measurement.references:
             name, length = self.frames.reference(reference), len(reference.name)
-            result += [
-                replace(parameter, name=name + parameter.name[length:])
-                for parameter in reference.parameters
-            ]
+            for parameter in reference.parameters:
+                result.append(replace(parameter, name=name + parameter.name[length:]))
         return tuple(result)
 
     @property
@@ -277,10 +269,8 @@ class RowByRow:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
         term, (T, poses, start) = self._term, self.linear_poses(theta)
         linear = term.measurement.linearize(T, term.values(theta)[1], self._data)
-        r, J_pose, J_instrument = (
-            whitened(values, self._sigma)
-            for values in (linear.residual, linear.J_pose, linear.J_instrument)
-        )
+        parts = linear.residual, linear.J_pose, linear.J_instrument
+        r, J_pose, J_instrument = (whitened(values, self._sigma) for values in parts)
         J_error = poses.derivative(J_pose)
         if start is not None:
             # The twist of T_0^-1 T is that of T without that of T_0, transformed by the
@@ -456,11 +446,9 @@ def assembled(terms: Sequence[Term]) -> tuple[dict[BlockKey, Term], ParameterSet
             own = joint in term.error.chain.mimics or screw.basis is not None
             other = twists.setdefault((name, joint if own else ""), screw.twist)
             if np.abs(screw.twist - other).max() > 1e-9:
-                raise OptionError(
-                    f"'{name}' is another motion in the chain '{term.key.chain}' than "
-                    "in one before it",
-                    allowed="parameters such as 'placement', which no chain changes",
-                )
+                reason = f"'{name}' is another motion in the chain '{term.key.chain}'"
+                allowed = "parameters such as 'placement', which no chain changes"
+                raise OptionError(reason, allowed=allowed)
     given = ParameterSet(tuple(p for group in found for p in group.values()))
     position = {name: k for k, name in enumerate(given.names)}
     result = {}

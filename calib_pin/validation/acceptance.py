@@ -73,9 +73,6 @@ LEAST = 3
 RESOLUTION = 1e-6
 """Scatter of visits that no instrument resolves [m]."""
 
-MEASURED = 0.01
-"""Joint positions of visits that differ by less were measured [rad, m]."""
-
 DEGREES = (2, 4)
 """Degrees of the drift beside which a move is sought, and of that which it beats."""
 
@@ -568,6 +565,7 @@ def tested(
         at = places[np.flatnonzero(good)[moved]]
         doubts += [f"the instrument was moved before {at}; test both parts alone"]
     frames, fitted, how, more = _frames(robot, visits, others, setup, registration)
+    doubts, elsewhere, shaken = [*doubts, *more], ELSEWHERE in more, moved is not None
     tests = {}
     for name, fit in frames.items():
         there = model_errors.registered(fit.problem, fit.theta, visits)
@@ -575,12 +573,8 @@ def tested(
         effects = _derivatives(there.problem, there.theta) @ fit.known
         off = FrameErrors(effects, fit.dof or np.inf, fitted)
         test = acceptance(x, deviations, number[good], cycle[good], off)
-        tests[name] = replace(
-            test,
-            doubts=(*doubts, *more),
-            moved=moved is not None,
-            elsewhere=ELSEWHERE in more,
-        )
+        said = tuple(doubts)
+        tests[name] = replace(test, doubts=said, moved=shaken, elsewhere=elsewhere)
     name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
     visited = f"{counted(len(x), 'visit')} of {counted(len(test.poses), 'pose')}"
     about = f"{name}: {visited}; {how}."
@@ -671,11 +665,8 @@ def _named(
             first, there = seen.setdefault((column, *key), (int(value), row))
             if first != value:
                 reason = f"{said} in line {visits.lines[there]}"
-                apart = float(np.abs(visits.q[row] - visits.q[there]).max())
-                if 0.0 < apart < MEASURED:
-                    reason += "; state commanded joint positions, which are the same "
-                    reason += "at every visit"
-                raise visits.error(row, reason, column=column)
+                allowed = "commanded joint positions, the same at every visit of a pose"
+                raise visits.error(row, reason, column=column, allowed=allowed)
     if len({*zip(group, cycle, strict=True)}) < len(cycle):
         # Every file counts its own cycles.
         cycle = cycle + visits.files.codes * int(cycle.max())

@@ -147,15 +147,9 @@ def estimates(
         weak |= set() if told else {number}
         for position, _ in combination.terms:
             member[position].append(number)
-        group = CoupledGroup(
-            number,
-            combination.expression(names),
-            combination.unit,
-            value,
-            sigma,
-            terms=tuple(Coefficient(names[k], c) for k, c in combination.terms),
-        )
-        groups.append(group)
+        terms = tuple(Coefficient(names[k], c) for k, c in combination.terms)
+        text, unit = combination.expression(names), combination.unit
+        groups.append(CoupledGroup(number, text, unit, value, sigma, terms))
     for k, other in structure.alike.items():
         if fitted is not None and sigmas.get(other) is not None:
             sigmas[k] = float(fitted.covariance[k, k] ** 0.5)
@@ -194,7 +188,9 @@ def _estimate(
     if fitted is None:
         return 0.0, None, True
     row = combination.row(len(parameters))
-    told = fitted.directions.weak_part(row, parameters) <= WEAK_PART
+    scaled = np.where(parameters.nuisance, 0.0, row * parameters.scales)
+    weak = float(np.linalg.norm(fitted.directions.weak.T @ scaled))
+    told = weak <= WEAK_PART * float(np.linalg.norm(scaled))
     sigma = float(np.sqrt(max(float(row @ fitted.covariance @ row), 0.0)))
     known = told and np.isfinite(sigma)
     return float(row @ fitted.theta), sigma if known else None, told
@@ -222,9 +218,8 @@ def _told(fitted: Fit) -> Floats:
     fun, jac = fitted.result.fun[:count], fitted.result.jac[:count]
     robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
     unit = fitted.unit if np.isfinite(fitted.unit) else 0.0
-    told = practical_directions(
-        jac, fun, known_count(problem) - absorbed(problem), parameters, robot, unit
-    )
+    values = known_count(problem) - absorbed(problem)
+    told = practical_directions(jac, fun, values, parameters, robot, unit)
     return robot_singular_values(told, jac, parameters)
 
 
@@ -294,9 +289,8 @@ def robot_errors(
     found += _absorbed(leads, C, columns, parameters)
     ranks = {name: k for k, name in enumerate((*KINDS, *system.chains.joints))}
     last = len(ranks)
-    return tuple(
-        sorted(found, key=lambda e: [ranks.get(n, last) for n in (e.kind, e.of[0])])
-    )
+    found.sort(key=lambda e: [ranks.get(n, last) for n in (e.kind, e.of[0])])
+    return tuple(found)
 
 
 def _error(

@@ -332,7 +332,5 @@ def _free(record: CalibrationResult, term: Term) -> list[bool]:
     own = term.parameters[len(term.error.screws) :]
     ends = [p.outer for p, of in zip(own, free[term.of_instrument], strict=False) if of]
     frames = (free[index].any() for _, index in frames_of(term))
-    return [
-        bool(frame) or outer in ends
-        for frame, outer in zip(frames, (True, False), strict=True)
-    ]
+    pairs = zip(frames, (True, False), strict=True)
+    return [bool(frame) or outer in ends for frame, outer in pairs]

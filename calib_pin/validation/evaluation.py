@@ -25,13 +25,7 @@ from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.findings import explained, find
-from calib_pin.validation.findings.case import (
-    CHANCE,
-    Case,
-    Others,
-    by_chance,
-    some_of,
-)
+from calib_pin.validation.findings.case import CHANCE, Case, Others, by_chance, some_of
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.findings.sentences import told as finding
 from calib_pin.validation.judgement import CHECK, most_left, told, too_large

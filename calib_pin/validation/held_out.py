@@ -322,10 +322,9 @@ def gains(
         rows, scale = here.any(axis=1), whole if name == ALL else 1.0
         if not rows.any():
             continue
-        old, new = (
-            np.linalg.norm(np.where(here, (e / scale)[:, columns], 0.0), axis=1)[rows]
-            for e in (joined.before, joined.after)
-        )
+        errors = ((e / scale)[rows, columns] for e in (joined.before, joined.after))
+        kept = (np.where(here[rows], e, 0.0) for e in errors)
+        old, new = (np.linalg.norm(e, axis=1) for e in kept)
         square, predicted = (float(np.sum(s[:, columns][here])) for s in squares)
         # Where it predicts nothing, all values were needed to fit.
         ratio = float(np.sqrt(square / predicted)) if predicted > 0.0 else float("nan")

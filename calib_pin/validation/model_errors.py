@@ -31,7 +31,6 @@ from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Indices, Observations
 from calib_pin.setup import DistanceSetup
 from calib_pin.solvers import LeastSquaresResult
-from calib_pin.solvers.status import Status
 from calib_pin.validation.result import Accuracy, FoundDistance, QuantityErrors
 
 ARRAYS = ("positions", "before", "after", "variance")
@@ -213,10 +212,7 @@ def located_names(problem: Problem) -> tuple[str, ...]:
 
 
 def found_distances(
-    before: Registered,
-    after: Registered,
-    stated: Sequence[DistanceSetup],
-    fitted: bool,
+    before: Registered, after: Registered, stated: Sequence[DistanceSetup], fitted: bool
 ) -> tuple[FoundDistance, ...]:
     """Known distances beside those that the nominal and the fitted robot find.
 
@@ -356,14 +352,10 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
         problem: The problem whose nuisances were fitted.
         result: Outcome of the fit.
     """
-    if result.status is Status.NOT_FINITE:
-        return result.status.advice
     values, rank = distinct_values(problem), _used_up(problem, result)
     if rank and values <= rank:
-        return (
-            f"{values} measured values are used up by the {rank} unknowns of base, "
-            "tool and instrument; measure more configurations"
-        )
+        said = f"{values} measured values are used up by the {rank} unknowns of base, "
+        return f"{said}tool and instrument; measure more configurations"
     return "" if result.status.success else result.status.advice
 
 
@@ -390,14 +382,12 @@ def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> 
         if distinct_values(seen) > np.linalg.matrix_rank(A):
             continue
         name, _, kind = owner.rpartition(".")
-        reason = (
-            f"the measurements of '{name}', which was not fitted, say no more than "
-            "where it is; measure it in more configurations"
-        )
+        reason = f"the measurements of '{name}', which was not fitted, say no more "
+        reason += "than where it is; measure it in more configurations"
         column = "station" if kind == "station" else "target"
         if len(rows):
             raise problem.data.error(int(rows[0]), reason, column=column)
-        raise InputError(reason, column=column)
+        raise InputError(reason, column=column)  # Of what is set aside.
 
 
 @serial_blas

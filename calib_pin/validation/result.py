@@ -198,10 +198,8 @@ class MeasurementErrors:
             found.update(zip(map(form.format, names), values.T, strict=True))
 
         width = max(block.values.shape[1] for block in rows.blocks)
-        start, values, stated = (
-            np.full((len(self), columns), np.nan)
-            for columns in (len(rows.joints), width, self.sigma.shape[1])
-        )
+        widths = len(rows.joints), width, self.sigma.shape[1]
+        start, values, stated = (np.full((len(self), n), np.nan) for n in widths)
         for block, part in zip(rows.blocks, rows.slices, strict=True):
             values[part, : block.values.shape[1]] = block.values
             if block.start.size:
@@ -232,10 +230,8 @@ class MeasurementErrors:
 
         NaN for rows that do not have it.
         """
-        before, after = (
-            np.linalg.norm(errors[:, quantity.columns], axis=1)
-            for errors in (self.before, self.after)
-        )
+        parts = (errors[:, quantity.columns] for errors in (self.before, self.after))
+        before, after = (np.linalg.norm(part, axis=1) for part in parts)
         return before, after
 
 

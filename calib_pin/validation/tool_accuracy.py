@@ -65,9 +65,8 @@ def tool_accuracy(
     if blocks := tuple(b for b in data.blocks if b.chain == term.key.chain):
         kept = Observations(blocks).sample(MEASURED).q[:, term.columns]
         measured = ToolErrors.of(expecting, term, kept).expected(rng)
-    return ToolAccuracy(
-        tip, measured, ToolErrors.of(expecting, term, spread).expected(rng)
-    )
+    everywhere = ToolErrors.of(expecting, term, spread).expected(rng)
+    return ToolAccuracy(tip, measured, everywhere)
 
 
 @dataclass(frozen=True)
@@ -198,11 +197,8 @@ def _better(mean: Floats, J: Floats, effects: Floats, C: Floats) -> tuple[float,
     C)` with all C equally likely, effects `g ~ N(0, I)`.
     """
     moved = J @ mean
-    parts = (
-        np.sum(moved**2, axis=1),
-        np.einsum("nd,ndi->ni", moved, J),
-        np.einsum("nd,ndi->ni", moved, effects),
-    )
+    slopes = (np.einsum("nd,ndi->ni", moved, of) for of in (J, effects))
+    parts = np.sum(moved**2, axis=1), *slopes
     # The last one is the whole.
     gain, along, beside = (np.concatenate([p, p.mean(axis=0)[None]]) for p in parts)
     variances = np.sum((along @ C) * along, axis=2) + np.sum(beside**2, axis=1)

@@ -16,15 +16,13 @@ from calib_pin.estimation.fitted import (
     Fit,
     Posterior,
     expected_sizes,
-    posterior_with,
 )
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.variance_components import Systematic
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import BlockKey, Observations
+from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.model_errors import predicted_variance
 
 SETUP = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1)))
 MORE = ("placement", "transmission", "compliance")
@@ -121,69 +119,7 @@ def test_predicted_errors_of_the_tool_are_the_true_ones(times: float) -> None:
     assert 0.6 < np.sqrt(np.mean(ratios)) < 1.5
 
 
-def test_new_rows_are_missed_by_what_is_predicted(found: Job) -> None:
-    rng = np.random.default_rng(3)
-    rows = calib_pin.simulate(found.true, found.theta, rng, count=300, noise=2e-5)
-    data = Observations.of(replace(rows.only, sigma=None))
-    there = replace(found.fitted.problem, data=data)
-    missed = there.errors(found.fitted.theta) / there.sigma
-    fitted = found.fitted
-    new = replace(fitted.problem, data=there.data)
-    predicted = predicted_variance(fitted, new, fitted.theta) / there.sigma**2
-    assert np.sqrt(np.sum(missed**2) / np.sum(predicted)) == pytest.approx(1.0, abs=0.3)
-
-
-def test_without_effects_it_is_the_covariance_of_the_fit() -> None:
-    """Under the expected size of errors that the fit has found."""
-    one = job(0, 0.0)
-    assert one.effects is None
-    by_noise, fitted = one.posterior.by_noise, one.fitted
-    np.testing.assert_allclose(by_noise @ by_noise.T, one.posterior.covariance)
-    assert fitted.evidence is not None
-    sizes = fitted.evidence.sizes
-    plain = replace(fitted, evidence=None, noise=(), unit=1.0)
-    again = posterior_with(plain, sizes)
-    deviations = np.sqrt(np.diag(fitted.covariance))
-    deviations[deviations == 0.0] = 1.0
-    unit = np.outer(deviations, deviations)
-    expected = fitted.covariance / unit
-    np.testing.assert_allclose(again.covariance / unit, expected, atol=1e-6)
-
-
 # Several blocks.
-
-
-def test_the_covariance_is_that_of_all_blocks_together() -> None:
-    """By the residual rows of all, stacked; frames of stations are correlated."""
-    chain = calib_pin.load_chain("space6")
-    places = {
-        "one": FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True),
-        "two": FrameSetup((-0.8, 1.2, 0.1), (-0.1, 0.3, -1.0), estimate=True),
-    }
-    # What frames absorb is as uncertain as it was before.
-    fixed = "joint_1.*", "joint_6.*"
-    setup = Setup(stations=places, parameters=("joint-offset",), fixed=fixed)
-    keys = [
-        BlockKey(model, station=station, tool="ball")
-        for station, model in zip(places, ("position", "pose"), strict=True)
-    ]
-    problem = nominal_problem(chain, keys, setup)
-    rng = np.random.default_rng(0)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=80, noise=5e-5)
-    fitted = fit(replace(problem, data=rows), rng)
-    held, _, moved = fitted.held
-    _, J = held.linearize_rows(fitted.theta)
-    scaled = held.parameters.scales[:, None] * moved
-    expected = scaled @ np.linalg.pinv(J @ scaled)
-    np.testing.assert_allclose(
-        fitted.covariance, expected @ expected.T, rtol=1e-6, atol=1e-16
-    )
-    names = fitted.problem.parameters.names
-    first, second = (
-        [names.index(f"{name}.station.{c}") for c in "xyz"] for name in places
-    )
-    assert np.abs(fitted.covariance[np.ix_(first, second)]).max() > 1e-12
 
 
 SIZES = np.array([0.5, 5.0])
@@ -240,13 +176,6 @@ def test_kinds_of_errors_have_sizes_of_their_own() -> None:
     best = evidence(sizes)
     for factors in product((0.9, 1.0, 1.1), repeat=2):
         assert factors == (1.0, 1.0) or evidence(sizes * factors) < best
-
-
-def test_nothing_measured_is_expected_as_stated() -> None:
-    none = np.zeros(0)
-    sizes, parts = expected_sizes(none, none, np.zeros((0, 6)), kinds(np.zeros((0, 6))))
-    np.testing.assert_allclose(sizes, 1.0)
-    assert (parts[:, 0] < 1.0).all() and (parts[:, -1] > 1.0).all()
 
 
 def test_exact_estimates_beside_large_errors_of_another_kind() -> None:

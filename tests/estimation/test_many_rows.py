@@ -427,28 +427,6 @@ def test_what_no_kernel_knows_is_evaluated_in_a_loop() -> None:
     assert_costs(bending, members(bending, 2), "loop")
 
 
-@pytest.mark.parametrize("model", ["pose", "camera"])
-def test_the_number_of_threads_changes_no_cost(
-    model: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("calib_pin.estimation.solve.WORTHWHILE", 1)
-    problem = measured(load_chain("space6"), model, ["placement"], 301)
-    theta = members(problem, 7)
-    one, *others = (PopulationCost(problem, k)(theta).tobytes() for k in (1, 2, 3))
-    assert others == [one, one]
-
-
-def test_a_member_costs_the_same_in_any_company() -> None:
-    problem = measured(load_chain("space6"), "pose", ["placement"], 50)
-    theta = members(problem, 4)
-    costs = PopulationCost(problem)
-    together = costs(theta)
-    for k in range(4):
-        assert costs(theta[k : k + 1])[0] == together[k]
-    np.testing.assert_array_equal(costs(theta[::-1]), together[::-1])
-    assert costs(theta[:0]).shape == (0,)
-
-
 @pytest.mark.parametrize("offset", [-1.0, 0.0])
 def test_a_beam_along_the_plane(offset: float) -> None:
     """The distance is infinite, or 0/0 in the plane: no exception, no warning."""

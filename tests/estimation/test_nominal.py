@@ -17,7 +17,6 @@ from calib_pin.estimation.nominal import (
     TOUCHING,
     asked,
     brought_to_contact,
-    extended,
     jacobian_at,
     observable_configurations,
     registered,
@@ -25,8 +24,7 @@ from calib_pin.estimation.nominal import (
 )
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import BlockKey, Measurements, Observations
-from calib_pin.parameterizations import frame_pose
+from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -36,7 +34,6 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
     SphereSetup,
-    ToolSetup,
 )
 from calib_pin.simulation import exact_at
 from tests.shared import chain_of, refused, simulated, urdf_of
@@ -219,13 +216,6 @@ def test_a_distance_is_as_good_as_its_sigma(sigma: float) -> None:
     assert found.identifiability.scale_observable == (sigma < 0.01)
 
 
-def test_a_prior_is_as_good_as_its_deviation() -> None:
-    priors = (1e-4, 1e-2)
-    found = [deviation(prior={"joint_3.placement.x": sigma}) for sigma in priors]
-    ratios = np.array(found) / priors
-    np.testing.assert_allclose(ratios, ratios[0], rtol=1e-3)
-
-
 def test_nothing_to_grow_and_nothing_to_tell() -> None:
     known = replace(TOOL, estimate=False)
     assert deviation(parameters=("joint-offset",), tool_frame=known) == 0.0
@@ -278,30 +268,6 @@ def test_contacts_are_closed(model: str) -> None:
     # They are not alike.
     assert len(np.unique(q.round(3), axis=0)) == 30
     assert q.std(axis=0).min() > 0.3
-
-
-def test_each_block_has_its_own() -> None:
-    """Of several instruments on chains of one tree, joints of others move as well."""
-    keys = [BlockKey("position"), BlockKey("plane-contact")]
-    problem = nominal_problem(ARM, keys, SETUP)
-    none, rng = zero(problem), np.random.default_rng(0)
-    at = [observable_configurations(problem, key, none, 11, rng) for key in keys]
-    assert [some.key for some in at] == keys
-    assert set(at[0].target) == {"a", "b"}
-    assert set(at[1].target) == {"a@table", "b@table", "a@wall", "b@wall"}
-    assert np.abs(exact_at(problem, none, *at).errors(none)).max() < 1e-12
-
-
-def test_a_gap_that_is_left() -> None:
-    """How exact a contact is: the tool stops short of it, or presses."""
-    problem = problem_of("plane-contact")
-    none, rng = zero(problem), np.random.default_rng(0)
-    at = drawn(problem, none, 12)
-    gap = 1e-3 * rng.normal(size=(12, 1))
-    moved, touches = brought_to_contact(problem, none, at, gap)
-    assert touches.all() and np.abs(moved - at.q).max() < 0.05
-    found = exact_at(problem, none, replace(at, q=moved)).errors(none)
-    np.testing.assert_allclose(found, gap[:, 0], rtol=0, atol=1e-12)
 
 
 def test_places_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -405,53 +371,3 @@ def test_frames_come_first_and_sites_after(order: int) -> None:
     for term in found.terms.values():
         np.testing.assert_allclose(term.error.base.translation, BASE.xyz, atol=1e-9)
         np.testing.assert_allclose(term.error.tool.translation, TOOL.xyz, atol=1e-9)
-
-
-@pytest.mark.parametrize("estimate", [True, False])
-def test_a_tool_on_another(estimate: bool) -> None:
-    """What is stated is the pose of the other one; its errors are shared."""
-    setup = Setup(
-        base_frame=BASE,
-        tools={
-            "ball": ToolSetup(TOOL.xyz, TOOL.rpy, estimate),
-            "tip": ToolSetup((0.03, -0.05, 0.08), (0.1, 0.2, -0.2), on="ball"),
-        },
-    )
-    keys = [BlockKey("pose", tool="tip"), BlockKey("pose", tool="ball")]
-    problem = nominal_problem(ARM, keys, setup)
-    problem_of_rows = make_problem(ARM, exact(problem, 20), setup)
-    found = registered(problem_of_rows, zero(problem))
-    for key, term in found.terms.items():
-        assert term.error.tool.isApprox(problem.terms[key].error.tool, 1e-11)
-    assert largest(found) < 1e-9
-
-
-def test_new_stations_are_located_by_their_measurements() -> None:
-    """What was fitted stays as it is; the frame of the new station is the only news."""
-    keys = [BlockKey("position", station=name, tool="ball") for name in PLACES]
-    truth = nominal_problem(ARM, keys, Setup(stations=PLACES))
-    rng = np.random.default_rng(0)
-    theta = calib_pin.draw_errors(truth.parameters, rng)
-    rows = calib_pin.simulate(truth, theta, rng, count=60, noise=0.0)
-    few = make_problem(ARM, rows.rows(np.arange(40)), Setup(stations={}))
-    values = dict(zip(truth.parameters.names, theta, strict=True))
-    robot = few.parameters.vector({k: v for k, v in values.items() if v})
-    few = registered(few, robot)
-    wider, values = extended(few, robot, rows)
-    assert len(values) == len(few.parameters) + 6
-    new = wider.given.names[12:18]
-    assert all(name.startswith("three.station.") for name in new)
-    assert largest(wider, values) < 1e-9
-    base = wider.terms[keys[2]].error.base
-    np.testing.assert_allclose(
-        base.homogeneous, frame_pose(PLACES["three"]).homogeneous, atol=1e-9
-    )
-
-
-def test_measurements_of_what_was_not_fitted_are_refused() -> None:
-    keys = [BlockKey("position", tool=name) for name in ("a", "b")]
-    truth = nominal_problem(ARM, keys, Setup())
-    rows = exact(truth, 40)
-    few = make_problem(ARM, Observations(rows.blocks[:1]), Setup())
-    with refused(InputError, reason="'b'"):
-        extended(few, zero(few), rows)

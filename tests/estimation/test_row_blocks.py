@@ -11,7 +11,6 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import OptionError
-from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import distinct_values, known_count, known_values
 from calib_pin.estimation.row_blocks import KnownDistances, Priors, expected_places
@@ -84,17 +83,6 @@ def test_those_whose_ends_are_known() -> None:
     assert none.jacobian(zero).shape == (0, len(zero))
 
 
-def test_derivatives_of_distances() -> None:
-    """Of one vector as of many, by central differences."""
-    found, zero = known()
-    theta = 0.1 * np.random.default_rng(0).normal(size=len(zero))
-    step = 1e-6 * np.eye(len(theta))
-    slopes = (found.residual(theta + step) - found.residual(theta - step)) / 2e-6
-    J = found.jacobian(theta)
-    np.testing.assert_allclose(J.T, slopes, atol=1e-7 * np.abs(J).max())
-    assert J.any(axis=1).all()
-
-
 def test_a_distance_of_planes_is_that_of_known_planes() -> None:
     """In a frame of their own; distances are between points."""
     tool = FrameSetup((0.05, 0.08, 0.12), estimate=True)
@@ -159,24 +147,6 @@ def test_nothing_that_is_known_is_ignored(known: DistanceSetup, said: str) -> No
     else:
         found = calib_pin.identify(ARM, "fixed-point", setup)
         assert found.identifiability.scale_observable
-
-
-@pytest.mark.parametrize(("sigma", "left"), [(1e-6, 1e-6), (0.01, 1e-3)])
-def test_a_distance_weighs_by_its_sigma(sigma: float, left: float) -> None:
-    """Rows with known lengths find another distance; the smaller sigma wins."""
-    setup = Setup(sockets=SOCKETS, tool_frame=TOOL, parameters=("joint-offset",))
-    problem = nominal_problem(ARM, "fixed-point", setup)
-    zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
-    rows = calib_pin.simulate(problem, zero, rng, count=40, noise=1e-4)
-    apart = float(np.linalg.norm([0.1, 0.5, -0.2]))
-    wrong = (DistanceSetup(("s/0", "s/1"), apart + 1e-3, sigma),)
-    told = replace(setup, distances=wrong)
-    fitted = fit(make_problem(ARM, rows, told), rng)
-    moved, _ = fitted.problem.rebased(fitted.theta)
-    places = moved.only.measurement.sites
-    found = float(np.linalg.norm(places[0].xyz - places[1].xyz))
-    assert abs(found - apart - 1e-3) <= 1.1 * left
-    assert (abs(found - apart) < 2e-4) == (sigma == 0.01)
 
 
 def prior_of(names: Sequence[str]) -> PopulationPrior:

@@ -79,14 +79,7 @@ def test_all_solvers_agree_on_errors_of_expected_size() -> None:
     # The search does not wander in directions that nothing sees.
     sigma = np.sqrt(np.diag(plain.covariance))
     assert (np.abs(search.theta - plain.theta) <= 0.5 * sigma + 1e-9).all()
-    # What was done is in the fit.
-    for found, name, evaluator in (
-        (plain, "gauss-newton", "pinocchio"),
-        (search, "de", "kernel"),
-    ):
-        assert found.problem.setup.solver.name == name
-        assert found.result.evaluator == evaluator
-    assert plain.result.evolution is None
+    assert (plain.result.evaluator, search.result.evaluator) == ("pinocchio", "kernel")
 
 
 def test_two_steps_by_turns_reach_the_joint_solution() -> None:

@@ -12,8 +12,7 @@ import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import asked, named_targets, registered
-from calib_pin.estimation.problem import Problem, known_count, measured_count
-from calib_pin.estimation.solve import PopulationCost
+from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.terms import frames_of_blocks
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chains import Chains
@@ -131,18 +130,6 @@ def test_each_instrument_at_each_station_has_noise_of_its_own(
     assert [component.name for component in layout.components] == names
 
 
-def test_rebased_parts_measure_the_same(several: tuple[Problem, Floats]) -> None:
-    problem, theta = several
-    moved, about = problem.rebased(theta)
-    assert not about[problem.given.nuisance].any()
-    np.testing.assert_array_equal(
-        about[~problem.given.nuisance], theta[~problem.given.nuisance]
-    )
-    np.testing.assert_allclose(
-        moved.errors(about), problem.errors(theta), rtol=1e-9, atol=1e-9
-    )
-
-
 # Residuals.
 
 
@@ -169,22 +156,6 @@ def test_residuals_are_those_of_each_block_alone(
         assert not J[block.values][:, others].any()
     assert stop == len(errors) == len(r) - 1
     np.testing.assert_allclose(r[:-1], errors / sigma, rtol=1e-12, atol=1e-9)
-
-
-def test_the_cost_is_the_sum_over_blocks(several: tuple[Problem, Floats]) -> None:
-    problem, theta = several
-    assert measured_count(problem) == len(problem.sigma)
-    assert known_count(problem) == measured_count(problem) + 1  # A known distance.
-    sigma = {"position": 1e-4, "orientation": 1e-4, "contact": 1e-4, "pixel": 0.5}
-    errors = problem.errors(theta)
-    cost = 0.5 * float(problem.residual(theta)[-1] ** 2)
-    for block in problem.blocks:
-        for quantity in block.term.measurement.quantities:
-            own = block.table(errors)[:, quantity.columns]
-            cost += 0.5 * float(np.sum((own / sigma[quantity.name]) ** 2))
-    assert problem.cost(theta) == pytest.approx(cost, rel=1e-10)
-    (other,) = PopulationCost(problem)(theta[None])
-    assert other == pytest.approx(cost, rel=1e-10)
 
 
 # Fits.

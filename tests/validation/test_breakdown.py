@@ -57,16 +57,6 @@ def test_frames_are_the_true_ones_within_their_deviations(result, job) -> None:
     assert all(np.isnan(frame.sigma[3:]).all() for frame in result.tools)
 
 
-def test_what_is_known_has_no_deviation(job) -> None:
-    block = job.named.blocks[0]
-    known = replace(job.truth.stations["s0"], estimate=False)
-    setup = Setup(stations={"s0": known})
-    result = calib_pin.calibrate(job.chain, replace(block, tool=""), setup)
-    (station,), (tool,) = result.stations, result.tools
-    assert not station.estimated and station.sigma == (0.0,) * 6
-    assert tool.estimated and tool.name == "tool"
-
-
 def test_a_tool_on_another_has_its_own_place(moved_job) -> None:
     job = moved_job((), (45,))
     first, second = (frame_pose(job.truth.tools[name]) for name in ("t0", "t1"))

@@ -79,7 +79,7 @@ def test_what_few_rows_tell_of_a_frame_is_no_move(job, count) -> None:
         assert finding.code == "frames-moved"
 
 
-@pytest.mark.parametrize("moved", [0, 1])
+@pytest.mark.parametrize("moved", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_one_of_two_instruments_has_moved(moved) -> None:
     """Whichever comes first in the file."""
     chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(2)

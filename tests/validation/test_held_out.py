@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -28,12 +27,10 @@ from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
 from calib_pin.simulation import exact_problem
 from calib_pin.validation.held_out import (
     HeldOut,
-    Linear,
     check,
     cross_validate,
     gains,
     left_out,
-    press,
     press_check,
 )
 from calib_pin.validation.model_errors import (
@@ -225,67 +222,6 @@ def test_very_many_are_left_out_by_sums(monkeypatch: pytest.MonkeyPatch) -> None
     # All of them know the parameters better than three quarters of them do.
     assert (many.variance < few.variance).all()
     np.testing.assert_allclose(many.variance, few.variance, rtol=0.4)
-
-
-@dataclass(frozen=True)
-class Points:
-    """Measured values y at x, shape (N,) each, of standard deviation 0.5."""
-
-    x: Floats
-    y: Floats
-
-    def __len__(self) -> int:
-        return len(self.x)
-
-
-@dataclass(frozen=True)
-class Line:
-    """What PRESS asks of a problem, for a line through points."""
-
-    data: Points
-
-    @property
-    def layout(self) -> Line:
-        return self
-
-    @property
-    def row(self) -> NDArray[np.int64]:
-        return np.arange(len(self.data))
-
-    @property
-    def sigma(self) -> Floats:
-        return np.full(len(self.data), 0.5)
-
-    def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
-        J = np.column_stack([np.ones(len(self.data)), self.data.x]) / 0.5
-        return J @ theta - self.data.y / 0.5, J
-
-
-def test_press_is_exact_where_the_problem_is_linear() -> None:
-    """Of a line through points, with a prior on its slope."""
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=9)
-    line = Line(Points(x, 1.0 + 2.0 * x + 0.1 * rng.normal(size=9)))
-    r, J = line.linearize_rows(np.zeros(2))
-    prior = np.array([[0.0, 1.0 / 0.3]])
-
-    def solved(kept: Any) -> tuple[Floats, Floats]:
-        A = np.concatenate([J[kept], prior])
-        C = np.linalg.inv(A.T @ A)
-        return -C @ J[kept].T @ r[kept], C
-
-    theta, C = solved(slice(None))
-    labels = np.array([0, 0, 1, 1, 1, 2, 3, 3, 3])
-    F, fun = np.linalg.cholesky(C), line.linearize_rows(theta)[0]
-    every = Linear(cast(Problem, line), theta, fun, F, J @ F, 1.0)
-    errors, variance = press(every, labels)
-    for label in range(4):
-        left = labels == label
-        theta, C = solved(~left)
-        expected = 0.5 * line.linearize_rows(theta)[0][left]
-        np.testing.assert_allclose(errors[left], expected, rtol=1e-9)
-        expected = 0.25 * (1.0 + np.sum(J[left] @ C * J[left], axis=1))
-        np.testing.assert_allclose(variance[left], expected, rtol=1e-9)
 
 
 # Where something was learned.

@@ -185,24 +185,6 @@ def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
     ]
 
 
-@pytest.mark.slow
-def test_calibrating_with_the_ladder(chain: Chain) -> None:
-    """The result is that of the kept rung, cross-validated already."""
-    rows = simulated(chain, ["placement", "transmission"], Setup(), count=24)
-    result = calib_pin.calibrate(chain, rows, ladder=True)
-    assert result.model_selection is not None
-    rung = result.model_selection.candidates[result.model_selection.chosen]
-    assert rung.name == "+ transmission"
-    assert result.model.setup.parameters == rung.parameters
-    plain = calib_pin.calibrate(chain, rows, Setup(parameters=rung.parameters))
-    assert plain.model_selection is None
-    np.testing.assert_array_equal(result.model.theta, plain.model.theta)
-    assert result.errors == plain.errors
-    assert (result.verdict, result.validation.method) == ("good", "5-fold")
-    assert result.errors[0].validation_after is not None
-    assert rung.errors[0][2] == result.errors[0].validation_after.mean
-
-
 # What cannot be tried.
 
 
@@ -279,7 +261,7 @@ class Trainer:
             raise OptionError("it has no mind to learn")
         if progress is not None:
             progress(0.5)
-        return Wave(self.size, np.zeros(rows.shifts))
+        return Wave(self.size, np.zeros(len(rows.shift)))
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import calib_pin
@@ -280,22 +279,6 @@ def test_changes_that_nothing_separates(bench, changes, tool, kind, others) -> N
     (finding,) = [f for f in result.findings if f.code.startswith("old-calibration")]
     assert others in finding.message
     assert holds or f"a {others} that moved" in finding.remedy
-
-
-def test_a_known_base_tells_the_first_joint(bench) -> None:
-    """It holds in millimeters, or not: the older one did not know joint and base."""
-    base = bench.first.model.of().error.base
-    pose = FrameSetup(
-        tuple(base.translation), tuple(pin.rpy.matrixToRpy(base.rotation))
-    )
-    setup = Setup(base_frame=replace(pose, estimate=False))
-    data = bench.measured(4, changes=FIRST_JOINT)
-    result = again(bench, data, setup=setup, validate=False)
-    (jump,) = result.recalibration.last.jumps
-    assert (jump.name, jump.kind) == ("shoulder_pan_joint", "offset")
-    assert jump.instead == ()
-    assert jump.change == pytest.approx(5e-3, abs=4.0 * jump.sigma)
-    assert "old-calibration-no-longer-holds" in codes(result)
 
 
 def test_two_changes_are_told_apart(bench) -> None:

@@ -90,14 +90,6 @@ def test_repetitions_stay_together(repeats: int, seed: int) -> None:
     assert sorted(len(left) for left, _ in configurations) == [8, 8, 9, 9, 9]
 
 
-def test_folds_are_drawn_by_the_seed() -> None:
-    chain, rows = measured_rows()
-    fitted = fit_model(chain, rows, SETUP, 0).fit
-    first, again, other = (np.array(folds(rows, fitted, seed)) for seed in (3, 3, 4))
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
-
-
 def test_few_configurations_have_no_folds() -> None:
     """What is fitted without a part must still determine the robot."""
     chain, rows = measured_rows()
@@ -351,9 +343,3 @@ def test_repetitions_stay_together_and_still_joints_have_no_part(q: Floats) -> N
 def test_few_configurations_have_no_regions(q: Floats) -> None:
     assert regions(grouping(q[:4]), 0) == []
     assert regions(grouping(np.tile(q[:1], (50, 1))), 0) == []
-
-
-def test_the_seed_moves_clusters_alone(q: Floats) -> None:
-    first, again, other = (regions(grouping(q), seed) for seed in (0, 0, 1))
-    np.testing.assert_array_equal(first, again)
-    np.testing.assert_array_equal(first[:3], other[:3])

@@ -7,7 +7,6 @@ where all of it is looked at in numbers.
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +20,6 @@ from calib_pin.estimation.evidence import ExpectedAccuracy, PoseErrors
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import AnchorSetup, Setup
-from calib_pin.validation import judgement
 from calib_pin.validation.judgement import Judgement
 from calib_pin.validation.result import ToolAccuracy
 
@@ -52,13 +50,6 @@ def test_a_perfect_robot_has_nothing_to_gain() -> None:
 
 
 # 5: `good` for five poses that were repeated 30 times each.
-
-
-def test_an_exact_fit_that_nothing_checks_leaves_doubt() -> None:
-    """As many values as parameters, when the others were set aside as outliers."""
-    exact = SimpleNamespace(evidence=None)
-    grounds = Judgement(exact, (), (), (), {}, 0.0, ())  # type: ignore[arg-type]
-    assert judgement._chance(grounds) == 0.0
 
 
 def test_five_poses_many_times_are_unchecked() -> None:
@@ -102,21 +93,6 @@ def test_a_gain_in_a_region_that_may_be_none_elsewhere_is_not_good(unsought) -> 
     outcome = away.run(8800088)
     assert outcome.actual > outcome.nominal
     assert outcome.verdict == "no-gain" and "of only 90 %" in outcome.reason
-
-
-def test_noise_is_known_where_instruments_are_mixed(unsought) -> None:
-    """Each has its own, and the poses measure positions, too."""
-    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(4)
-    keys = BlockKey("position"), BlockKey("pose")
-    problem = nominal_problem(chain, keys, Setup(parameters=("placement",)))
-    truth = 6.0 * calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=26, noise=1e-4)
-    result = calib_pin.calibrate(chain, rows, Setup(parameters=("joint-offset",)))
-    assert [errors.name for errors in result.errors][:2] == [
-        "position",
-        "position (pose)",
-    ]
-    assert "are noise" not in result.reason and "times the noise" in result.reason
 
 
 @pytest.mark.parametrize(

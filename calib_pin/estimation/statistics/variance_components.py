@@ -352,10 +352,8 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
     if few.all():
         return found, np.sqrt(groups.current)
     tail = 0.5 * REJECTED / stations
-    above = [
-        chi_square_tail(v * f, f) if f >= FEW else 0.5
-        for v, f in zip(found.values, found.dof, strict=True)
-    ]
+    pairs = zip(found.values, found.dof, strict=True)
+    above = [chi_square_tail(v * f, f) if f >= FEW else 0.5 for v, f in pairs]
     stands = np.abs(np.array(above) - 0.5) <= 0.5 - tail
     # Each is estimated beside what stands, or shares a variance with the largest.
     labels = np.arange(len(few))

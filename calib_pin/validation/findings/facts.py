@@ -244,7 +244,7 @@ def gauge_readings(case: Case) -> Explanation | None:
     if not case.informed:
         return None
     # A place that is wrong as a whole has been set aside.
-    data, things = case.fit.problem.data, case.fit.problem.data.things()
+    data, things = case.fit.problem.data, case.fit.problem.data.things
     share = np.bincount(things, data.weight > 0.0) / np.bincount(things).clip(1)
     data = data.weighted(np.where(share[things] < 0.5, 1.0, data.weight))
     problem = replace(case.fit.problem, data=data)
@@ -401,7 +401,7 @@ def _by_chance(case: Case, pairs: int) -> bool:
 
 def _things_there(data: Observations) -> Indices:
     """Label of the measurements of one thing at one configuration, shape (N,)."""
-    labels = data.groups() * (data.things().max() + 1) + data.things()
+    labels = data.groups() * (data.things.max() + 1) + data.things
     return numbered(labels)[1]
 
 

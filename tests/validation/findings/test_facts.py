@@ -240,19 +240,6 @@ def test_coarse_orientations(told) -> None:
     assert "orientations" in found.message
 
 
-def test_a_grid_repeats_values_by_chance(moved_job) -> None:
-    """Readings of one configuration, alike to the millimeter, are no copies."""
-    job = moved_job((), (), 60)
-    rows = job.plain.only.rows(np.append(np.arange(60), np.arange(20)))
-    rows = replace(rows, values=np.round(rows.values, 3), sigma=None)
-    result = calib_pin.calibrate(job.chain, rows, validate=False)
-    (found,) = result.findings
-    assert found.code == "coarse-steps"
-    # What is left is what the result shows, but for what unknowns use up.
-    left = result.errors[0].after.rms
-    assert found.evidence["left"] == pytest.approx(left, rel=0.3)
-
-
 def test_fine_steps_of_a_robot_that_bends_are_no_copies() -> None:
     """Readings repeat on a grid of 1 um, beside 0.3 mm that no fit explains."""
     chain = calib_pin.load_chain("space6")

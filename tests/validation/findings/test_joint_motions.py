@@ -13,7 +13,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.findings.alternatives import explain, read_so, setup_lines
+from calib_pin.validation.findings.alternatives import explain, setup_lines
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.joint_motions import (
     approach,
@@ -67,25 +67,6 @@ def lines_of(case, part="joints"):
     return setup_lines(case, cause(case).faults)[part]
 
 
-def test_a_coupling(rows) -> None:
-    wrong = changed(rows, 2, lambda q: q[:, 2] - 0.01 * q[:, 1])
-    coupled = lines_of(case_of(wrong))[ARM.joints[2]]["coupled"]
-    assert coupled[ARM.joints[1]] == pytest.approx(0.01, abs=2e-4)
-
-
-def test_a_lag_of_all_joints(rows) -> None:
-    """What is read if the joints have still a part of their last motion before them."""
-    q = rows.q.copy()
-    for k in range(1, len(q)):
-        q[k] = (rows.q[k] - 0.004 * q[k - 1]) / (1.0 - 0.004)
-    wrong = replace(rows, q=q)
-    case = case_of(wrong)
-    lag = lines_of(case, "reading")["lag"]
-    assert lag == dict.fromkeys(ARM.joints, pytest.approx(0.004, abs=2e-4))
-    read = read_so(Observations.of(wrong), joint_motion(case).faults)
-    np.testing.assert_allclose(read.q, rows.q, atol=5e-4)
-
-
 def test_starts_of_relative_distances_have_the_gear(measured) -> None:
     rows = measured("relative-distance", 80)
     q, start = rows.q.copy(), rows.start.copy()
@@ -99,15 +80,6 @@ def test_a_gear_that_the_fit_has_is_no_fault(rows) -> None:
     wrong = changed(rows, 2, lambda q: q[:, 2] / 1.01)
     setup = replace(SETUP, parameters=("placement", "transmission"))
     assert joint_motion(case_of(wrong, setup)) is None
-
-
-def test_an_offset_that_the_fit_has_found_is_a_round_angle(rows) -> None:
-    wrong = changed(rows, 2, lambda q: q[:, 2] - np.radians(5.0))
-    # The rest is an error of the robot.
-    offset = lines_of(case_of(wrong))[ARM.joints[2]]["offset"]
-    assert offset == pytest.approx(np.radians(5.0))
-    small = changed(rows, 2, lambda q: q[:, 2] - np.radians(2.0))
-    assert cause(case_of(small)) is None
 
 
 @pytest.mark.parametrize("each", [False, True])

@@ -357,7 +357,8 @@ MISHAPS = [
 ]
 
 
-LIKE = {"axes-negated", "joints-exchanged", "lines-reversed", "pose-inverted"}
+LIKE = {"axes-negated", "joints-exchanged", "left-handed-frame", "lines-reversed"}
+LIKE |= {"pose-inverted", "unit"}
 """Mishaps of the slow tier: another member of their family is in the quick one."""
 
 

@@ -131,6 +131,27 @@ f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
 """An OBJ file: its edges are of 0.2 m, in the positive octant."""
 
 
+def collada(corners: Sequence[Sequence[float]], faces: str) -> str:
+    """A DAE file of triangles: `collada(corners, "0 1 2 0 2 3")`."""
+
+    axes = "".join(f'<param name="{axis}" type="float"/>' for axis in "XYZ")
+    points = " ".join(map(str, np.ravel(corners)))
+    return (
+        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" '
+        'version="1.4.1"><asset><up_axis>Z_UP</up_axis></asset><library_geometries>'
+        '<geometry id="g"><mesh><source id="s">'
+        f'<float_array id="a" count="{np.size(corners)}">{points}</float_array>'
+        f'<technique_common><accessor source="#a" count="{len(corners)}" stride="3">'
+        f'{axes}</accessor></technique_common></source><vertices id="v"><input '
+        'semantic="POSITION" source="#s"/></vertices>'
+        f'<triangles count="{len(faces.split()) // 3}"><input semantic="VERTEX" '
+        f'source="#v" offset="0"/><p>{faces}</p></triangles></mesh></geometry>'
+        '</library_geometries><library_visual_scenes><visual_scene id="w"><node>'
+        '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
+        '<scene><instance_visual_scene url="#w"/></scene></COLLADA>'
+    )
+
+
 def joint(
     name: str,
     ends: str,

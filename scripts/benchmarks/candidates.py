@@ -102,7 +102,7 @@ def values(job: Job) -> list[tuple[float, ...]]:
     _, rows, known = identification(problem, workspace.aims, every)
     criterion: Criterion = CRITERIA["condition"]
     if job.criterion == "prediction":
-        criterion = Prediction(TipTests.of(rows, {"": every.q[:SAMPLES]}).position)
+        criterion = Prediction(TipTests.of(rows, every).position)
     result = []
     for size in job.sizes:
         first = Candidates(every.q[:size], every.aim[:size], every.drawn[:size])

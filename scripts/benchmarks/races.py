@@ -260,7 +260,7 @@ def help_page() -> Race:
         subprocess.run([sys.executable, *words], check=True, capture_output=True)
 
     return Race(
-        partial(run, "-m", "calib_pin.cli", "--help"),
+        partial(run, "-m", "calib_pin", "--help"),
         partial(run, "-c", "import pinocchio"),
     )
 

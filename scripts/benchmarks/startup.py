@@ -58,7 +58,7 @@ def main() -> None:
 def _measure(folder: Path) -> None:
     robot, rows, tip = _rows(folder)
     run, given = (
-        ["-m", "calib_pin.cli"],
+        ["-m", "calib_pin"],
         [robot, str(rows), *["--tip", tip][: 2 * bool(tip)]],
     )
     calibrate = [*run, "calibrate", *given]

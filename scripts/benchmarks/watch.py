@@ -63,7 +63,7 @@ class Trial:
         """Begin with no rows."""
         self.chains, self.setup = Chains.of(job.chain), job.setup
         self.rows, self.file, self.looks = rows, folder / "rows", 0
-        anywhere = Proposals(None, None, None, (), False)
+        anywhere = Proposals(None, None, None, ())
         self.watch = Watch(self.read, [self.file], anywhere)
 
     def read(self) -> tuple[Chains, Setup, Observations]:

@@ -41,7 +41,7 @@ def picture(page: Page, name: str) -> None:
 def main() -> None:
     """Go the whole way of the how-to, with a bundled robot under other names."""
     source = bundled_robots()["pa10"]
-    words = [sys.executable, "-u", "-m", "calib_pin.cli", "app", "--port", "0"]
+    words = [sys.executable, "-u", "-m", "calib_pin", "app", "--port", "0"]
     with (
         tempfile.TemporaryDirectory() as folder,
         subprocess.Popen(words, cwd=folder, text=True, stdout=-1) as process,

@@ -168,7 +168,5 @@ def measure(
         conditions=Conditions(
             Labels.of(tuple(load for load in states for _ in POINTS) * len(q))
         ),
-        noise=noise,
-        repeats=repeats,
-        average=True,
+        noise=noise / np.sqrt(repeats),
     ).only

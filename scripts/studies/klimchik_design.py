@@ -72,7 +72,7 @@ class Design:
         spread = workspace.candidates(STRUCTURE, rng)
         _, rows, known = identification(problem, workspace.aims, spread)
         tests = task_poses(settings.tests, rng)
-        criterion = Prediction(TipTests.of(rows, {"": tests}).position)
+        criterion = Prediction(TipTests.of(rows, spread, tests).position)
         return Design(rows, tests, criterion, workspace, known)
 
     def predicted(self, q: Floats) -> float:

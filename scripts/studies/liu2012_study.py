@@ -218,10 +218,12 @@ def study(settings: Settings, seed: int) -> Seed:
     tried = 0
     while True:
         truth = _truth(nominal, settings, rng)
-        measure = partial(calib_pin.simulate, nominal, truth, rng, average=True)
+        measure = partial(calib_pin.simulate, nominal, truth, rng)
         problems = {}
         for count in settings.counts:
-            rows = measure(count=count, noise=settings.noise, repeats=settings.repeats)
+            # The mean of independent readings, drawn at once.
+            noise = settings.noise / np.sqrt(settings.repeats)
+            rows = measure(count=count, noise=noise)
             problems[count] = make_problem(chain, rows, setup)
         zero = np.zeros(len(truth))
         starts = [np.abs(p.errors(zero)).max() for p in problems.values()]

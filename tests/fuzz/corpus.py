@@ -3,71 +3,61 @@
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib_pin.cli import main
+import trimesh
 
-ARM = """<?xml version="1.0"?>
-<robot name="arm">
-  <link name="base_link">
-    <collision><origin xyz="0 0 -0.1"/><geometry><box size="0.2 0.2 0.1"/></geometry>
-    </collision>
-  </link>
-  <link name="link1"><!-- a comment -->
-    <inertial>
-      <origin xyz="0 0 0.1" rpy="0 0 0"/><mass value="8.0"/>
-      <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.05"/>
-    </inertial>
-  </link>
-  <link name="link2">
-    <inertial>
-      <origin xyz="0.25 0 0"/><mass value="6.5"/>
-      <inertia ixx="0.02" ixy="1e-3" ixz="0" iyy="0.2" iyz="0" izz="0.2"/>
-    </inertial>
-    <visual><geometry><sphere radius="0.05"/></geometry></visual>
-    <collision><origin xyz="0.25 0 0" rpy="0 1.5708 0"/>
-      <geometry><cylinder radius="0.04" length="0.4"/></geometry></collision>
-  </link>
-  <link name="link3">
-    <inertial><origin xyz="0.2 0 0"/><mass value="3"/>
-      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>
-    <collision><geometry><sphere radius="0.05"/></geometry></collision>
-  </link>
-  <link name="link4"/><link name="tool"/><link name="finger"/>
-  <joint name="joint1" type="revolute">
-    <origin xyz="0 0 0.4"/>
-    <parent link="base_link"/><child link="link1"/><axis xyz="0 0 1"/>
-    <limit lower="-2.5" upper="2.5" effort="150" velocity="3.1"/>
-  </joint>
-  <joint name="joint2" type="revolute">
-    <origin xyz="0.1 0 0" rpy="0.1 0 0"/>
-    <parent link="link1"/><child link="link2"/><axis xyz="0 1 0"/>
-    <limit lower="-2" upper="2" effort="150" velocity="3.1"/>
-    <dynamics damping="0.1" friction="0.0"/>
-  </joint>
-  <joint name="joint3" type="revolute">
-    <origin xyz="0.5 0 0.05"/>
-    <parent link="link2"/><child link="link3"/><axis xyz="0 1 0"/>
-    <limit lower="-2.5" upper="2.5" effort="80" velocity="3.1"/>
-  </joint>
-  <joint name="joint4" type="continuous">
-    <origin xyz="0.4 0 0"/>
-    <parent link="link3"/><child link="link4"/><axis xyz="0 0 1"/>
-  </joint>
-  <joint name="tool_joint" type="fixed">
-    <origin xyz="0.1 0.02 0.05" rpy="0 1.4 0"/>
-    <parent link="link4"/><child link="tool"/>
-  </joint>
-  <joint name="finger_joint" type="prismatic">
-    <parent link="link4"/><child link="finger"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="0.05" effort="5" velocity="0.1"/>
-    <mimic joint="joint4" multiplier="0.01" offset="0.02"/>
-  </joint>
-</robot>
-"""
+from calib_pin.cli import main
+from tests.shared import collada, joint, urdf_of
+
+BALL = '<geometry><sphere radius="0.05"/></geometry>'
+ROD = '<geometry><cylinder radius="0.04" length="0.4"/></geometry>'
+PLATE = '<geometry><box size="0.2 0.2 0.1"/></geometry>'
+ALONG = '<origin xyz="0.25 0 0" rpy="0 1.5708 0"/>'
+
+ARM = urdf_of(
+    joint(
+        "joint1",
+        "base_link link1",
+        "0 0 0.4",
+        limits="-2.5 2.5",
+        mass=(8.0, (0, 0, 0.1)),
+        inside="<!-- a comment -->",
+    ),
+    joint(
+        "joint2",
+        "link1 link2",
+        "0.1 0 0;0.1 0 0",
+        "0 1 0",
+        limits="-2 2",
+        more='<dynamics damping="0.1" friction="0.0"/>',
+        mass=(6.5, (0.25, 0, 0)),
+        inside=f"<visual>{BALL}</visual><collision>{ALONG}{ROD}</collision>",
+    ),
+    joint(
+        "joint3",
+        "link2 link3",
+        "0.5 0 0.05",
+        "0 1 0",
+        limits="-2.5 2.5",
+        mass=(3, (0.2, 0, 0)),
+        inside=f"<collision>{BALL}</collision>",
+    ),
+    joint("joint4", "link3 link4", "0.4 0 0", kind="continuous"),
+    joint("tool_joint", "link4 tool", "0.1 0.02 0.05;0 1.4 0", kind="fixed"),
+    joint(
+        "finger_joint",
+        "link4 finger",
+        axis="1 0 0",
+        kind="prismatic",
+        limits="0 0.05",
+        more='<mimic joint="joint4" multiplier="0.01" offset="0.02"/>',
+    ),
+    name="arm",
+    inside=f'<collision><origin xyz="0 0 -0.1"/>{PLATE}</collision>',
+)
 
 SHAPES = {
     '<box size="0.2 0.2 0.1"/>': '<mesh filename="block.stl" scale="0.1 0.1 0.1"/>',
@@ -86,38 +76,14 @@ FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
 
 def meshes() -> dict[str, bytes]:
     """The tetrahedron in every format."""
-    points = [" ".join(map(str, corner)) for corner in CORNERS]
-    faces = [" ".join(map(str, face)) for face in FACES]
-    stl = bytes(80) + struct.pack("<I", len(FACES))
-    for face in FACES:
-        stl += struct.pack("<12fH", 0, 0, 0, *sum((CORNERS[k] for k in face), ()), 0)
-    obj = [f"v {point}" for point in points]
-    obj += ["f " + " ".join(str(k + 1) for k in face) for face in FACES]
-    ply = [
-        *("ply", "format ascii 1.0", f"element vertex {len(points)}"),
-        *(f"property float {axis}" for axis in "xyz"),
-        *(f"element face {len(faces)}", "property list uchar int vertex_indices"),
-        *("end_header", *points, *(f"3 {face}" for face in faces), ""),
-    ]
-    dae = f"""<?xml version="1.0"?>
-<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
-<asset><unit name="meter" meter="1"/><up_axis>Z_UP</up_axis></asset>
-<library_geometries><geometry id="g" name="g"><mesh>
-<source id="s"><float_array id="a" count="12">{" ".join(points)}</float_array>
-<technique_common><accessor source="#a" count="4" stride="3"><param name="X"
- type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor>
-</technique_common></source>
-<vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
-<triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/>
-<p>{" ".join(faces)}</p></triangles></mesh></geometry></library_geometries>
-<library_visual_scenes><visual_scene id="w"><node id="n">
-<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
-<scene><instance_visual_scene url="#w"/></scene>
-</COLLADA>
-"""
-    texts = {"block.obj": "\n".join([*obj, ""]), "block.ply": "\n".join(ply)}
-    texts["block.dae"] = dae
-    return {"block.stl": stl, **{name: text.encode() for name, text in texts.items()}}
+    solid = trimesh.Trimesh(CORNERS, FACES, process=False)
+    faces = " ".join(str(k) for face in FACES for k in face)
+    return {
+        "block.stl": solid.export(file_type="stl"),
+        "block.obj": solid.export(file_type="obj").encode(),
+        "block.ply": solid.export(file_type="ply", encoding="ascii"),
+        "block.dae": collada(CORNERS, faces).encode(),
+    }
 
 
 HEAD = "tip: tool\nparameters: [joint-offset]\n"

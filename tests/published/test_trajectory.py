@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from studies.trajectory import Trajectory, trapezoidal
-
-START = np.radians([10.0, -100.0, 80.0, 100.0, -80.0, 90.0, 5.0])
-GOAL = np.radians([60.0, 30.0, 20.0, 20.0, 30.0, 75.0, 15.0])
 
 angle = st.floats(-3.2, 3.2)
 limit = st.floats(0.01, 100.0)
@@ -35,19 +31,6 @@ def check_limits(
     changed = np.abs(np.diff(motion.velocity, axis=0)) / step
     rounding = 1e-12 * np.max(velocity) / step
     assert (changed <= acceleration * (1 + 1e-9) + rounding).all()
-
-
-def test_the_published_motion() -> None:
-    motion = trapezoidal(START, GOAL, 0.5, 0.5, 0.02)
-    check_limits(motion, 0.5, 0.5)
-    # Joint 2 turns by 130 degrees.
-    assert motion.duration == pytest.approx(np.radians(130.0) / 0.5 + 1.0)
-    assert motion.q[0].tolist() == START.tolist()
-    assert motion.q[-1].tolist() == GOAL.tolist()
-    # A straight line: all joints have covered the same part.
-    part = (motion.q - START) / (GOAL - START)
-    assert np.ptp(part, axis=1).max() < 1e-12
-    assert (np.diff(part[:, 0]) > 0.0).all()
 
 
 @given(joints, st.integers(1, 300))
@@ -93,23 +76,3 @@ def test_no_motion_is_faster(given: tuple[list[float], ...]) -> None:
         steepest = np.abs(fine.velocity[1]) / (fine.time[1] * acceleration)
         fastest = np.abs(fine.velocity).max(axis=0) / velocity
         assert max(steepest.max(), fastest.max()) > 1 - 1e-2
-
-
-def test_the_last_interval_may_be_shorter() -> None:
-    motion = trapezoidal([0.0], [3.0], 1.0, 2.0, 1.0)
-    assert motion.time.tolist() == [0.0, 1.0, 2.0, 3.0, 3.5]
-    assert motion.q[-1, 0] == 3.0
-
-
-@pytest.mark.parametrize("place", [[0.25], [1.0, -2.0], []])
-def test_no_way_is_one_sample(place: list[float]) -> None:
-    motion = trapezoidal(place, place, 1.0, 1.0, 0.1)
-    assert motion.time.tolist() == [0.0] and motion.duration == 0.0
-    assert motion.q.tolist() == [place]
-    assert motion.velocity.shape == (1, len(place)) and not motion.velocity.any()
-
-
-@pytest.mark.parametrize("way", [5e-324, 1e-310, 1e-160])
-def test_hardly_a_way(way: float) -> None:
-    motion = trapezoidal([0.0], [way], 1e3, 1e3, 1.0)
-    assert motion.q[-1, 0] == way and np.isfinite(motion.velocity).all()

@@ -338,6 +338,8 @@ class Problem(Terms):
         sigma, weight = self.given_sigma, self.data.weight
         if len(self.units):
             sigma = sigma * self.units[self.layout.component]
+        if (weight == 1.0).all():
+            return sigma
         with np.errstate(divide="ignore"):
             return np.asarray(sigma / np.sqrt(weight)[self.layout.row])
 
@@ -355,8 +357,8 @@ class Problem(Terms):
     @cached_property
     def further(self) -> Further:
         """The residual rows behind those of the measurements."""
-        places = self.references, self.given.names
-        known = KnownDistances.of(self.setup.distances, *places)
+        distances, names = self.setup.distances, self.given.names
+        known = KnownDistances.of(distances, self.references, names)
         prior, parameters = self.setup.prior, self.parameters
         alone = np.where(parameters.free, parameters.priors, np.inf)
         priors = Priors.alone(alone)
@@ -513,8 +515,12 @@ class Problem(Terms):
         self, theta: Floats, parts: list[tuple[Floats, Floats]]
     ) -> tuple[Floats, Floats]:
         """Residual and Jacobian by all parameters, part after part, and `further`."""
-        further = self.further.residual(theta), self.further.jacobian(theta)
-        r, J = map(np.concatenate, zip(*parts, further, strict=True))
+        if len(self.further):
+            further = self.further.residual(theta), self.further.jacobian(theta)
+            parts = [*parts, further]
+        if len(parts) == 1:  # Nothing is copied.
+            return parts[0]
+        r, J = map(np.concatenate, zip(*parts, strict=True))
         return r, J
 
 

@@ -542,13 +542,14 @@ class Cells:
                 are not as CSV has them; names the line.
         """
         above = lines[: max(self.heading.line + 1 - first, 0)]
-        self.head |= {line.lstrip("\ufeff") for line in above}
+        bare = {line.lstrip("\ufeff") for line in above}
+        self.head |= bare | {f"\ufeff{line}" for line in bare}
         numbers = [
             number
             for number, line in enumerate(lines, first)
             if line[0] not in OTHER or not (line.isspace() or _is_comment(line))
             if number > self.heading.line
-            if line.lstrip("\ufeff") not in self.head  # Of files behind each other.
+            if line not in self.head  # Of files behind each other.
         ]
         lines = [lines[number - first] for number in numbers]
         later, comma = bool(self.lines), self.heading.separator == ","

@@ -272,9 +272,9 @@ class Measurements(Brief, SourcedRows):
         label = np.zeros(len(firsts), np.int64)
         if 1 < len(self.target.distinct) <= count // 20:
             label = np.unique(codes[firsts], return_inverse=True)[1]
+        order, sizes = np.argsort(label, kind="stable"), np.bincount(label)
         kept = np.zeros(len(firsts), bool)
-        for k in range(label.max() + 1):
-            (images,) = np.nonzero(label == k)
+        for images in np.split(order, np.cumsum(sizes)[:-1]):
             few = min(len(images), 20, count)
             share = max(len(images) * count // len(firsts), few)
             kept[images[np.linspace(0, len(images) - 1, share).astype(np.int64)]] = True

@@ -102,6 +102,10 @@ def complaint(error: Exception) -> str:
         return str(error)
     if isinstance(error, OSError):
         return f"{error.filename or 'output'}: {error.strerror or error}"
+    if isinstance(error, ImportError) and not (error.path or ".py").endswith(".py"):
+        # A compiled package, as Pinocchio in a container without OpenMP.
+        with_apt = " (Debian, Ubuntu: apt install libgomp1)" * ("libgomp" in str(error))
+        return f"{error.name} needs a library of the system{with_apt}: {error}"
     reason = f"{type(error).__name__}: {error}"
     return f"internal error, please report it with --debug: {reason}"
 

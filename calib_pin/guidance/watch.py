@@ -163,7 +163,7 @@ class Watch:
         """Fit the rows that are used, now and then robustly."""
         known = self._fitted is not None and self._fitted.model is not None
         found = replace(job, rows=job.rows.rows(used))
-        robust = robust or used.sum() >= AGAIN * self._reviewed
+        robust |= bool(used.sum() >= AGAIN * self._reviewed)
         if robust:
             self._reviewed = max(int(used.sum()), 2 * FEW)
         found = found.fit(known, robust) if used.any() else found

@@ -109,6 +109,23 @@ def test_a_defect_of_ours_is_one_line_too(here, run, monkeypatch):
     assert "--debug" in result.err and "ZeroDivisionError" in result.err
 
 
+def test_a_library_that_the_system_lacks_is_no_defect_of_ours(here, run, monkeypatch):
+    """Pinocchio without OpenMP, as in the containers `python:3.12-slim`."""
+    reason = "libgomp.so.1: cannot open shared object file: No such file or directory"
+    lacking = ImportError(reason, name="pinocchio_pywrap_default", path="pywrap.so")
+
+    def fail(*_: object, **__: object) -> None:
+        raise lacking
+
+    monkeypatch.setattr("calib_pin.calibration.calibrate", fail)
+    result = run(POSITION)
+    assert result.status == 1
+    assert result.err == (
+        "calib-pin: pinocchio_pywrap_default needs a library of the system (Debian, "
+        f"Ubuntu: apt install libgomp1): {reason}\n"
+    )
+
+
 # --- calibrate ---------------------------------------------------------------------
 
 FORMS = yaml.safe_load(Path(__file__).with_name("contract.yaml").read_text())

@@ -481,15 +481,16 @@ def design(case: Case) -> Iterator[Finding]:
         narrow = elsewhere or part[worst[0]] < NARROW
         numbers = {chains.joints[j]: part[j] for j in worst}
         yield _alike("small-range", said, numbers, info=not narrow)
-    if moved.sum() < 2 or len(q) <= moved.sum():
+    several = int(moved.sum())
+    if several < 2 or len(q) <= several:
         return
     squares = np.linalg.eigvalsh(np.corrcoef(q[:, moved].T))
     directions = int((squares > ALONE**2 * squares[-1]).sum())
     # So many configurations move in one direction less at most.
-    if directions < min(moved.sum(), count - 1):
-        said = f"the {moved.sum()} joints that move do so in few independent directions"
+    if directions < min(several, count - 1):
+        said = f"the {several} joints that move do so in few independent directions"
         said += f" ({directions}); errors that cancel along them show elsewhere"
-        numbers = {"directions": directions, "joints": moved.sum()}
+        numbers = {"directions": directions, "joints": several}
         yield _alike("joints-move-together", said, numbers, info=directions > FEW)
 
 

@@ -498,7 +498,7 @@ def _corrections(case: Case, fitted: Fit) -> Iterator[Finding]:
         numbers["errors_without"] = factor
         remedy = "measure more configurations, or estimate fewer parameters"
         remedy += "; check the frames that the setup states" if at_frame else ""
-        error = sizes.max() > IMPLAUSIBLE
+        error = bool(sizes.max() > IMPLAUSIBLE)
         yield told("implausible-correction", said, numbers, remedy, error=error)
         return
     remedy = "check this origin in the URDF, and how the joint is mounted"

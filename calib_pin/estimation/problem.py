@@ -511,6 +511,15 @@ class Problem(Terms):
         """The last elimination, by the parameter values at which it was made."""
         return {}
 
+    @cached_property
+    def _distinct(self) -> int:
+        """See `distinct_values`."""
+        rows = np.flatnonzero(self.data.weight > 0.0)
+        counted = np.zeros(len(self.data), bool)
+        counted[rows[firsts(repeated(self)[rows])]] = True
+        used = counted[self.layout.row] & np.isfinite(self.sigma)
+        return int(used.sum()) + len(self.further.distances)
+
     def _whole(
         self, theta: Floats, parts: list[tuple[Floats, Floats]]
     ) -> tuple[Floats, Floats]:
@@ -609,11 +618,7 @@ def repeated(problem: Problem) -> Indices:
 
 def distinct_values(problem: Problem) -> int:
     """Measured values and distances, repetitions of a configuration left out."""
-    rows = np.flatnonzero(problem.data.weight > 0.0)
-    counted = np.zeros(len(problem.data), bool)
-    counted[rows[firsts(repeated(problem)[rows])]] = True
-    used = counted[problem.layout.row] & np.isfinite(problem.sigma)
-    return int(used.sum()) + len(problem.further.distances)
+    return problem._distinct
 
 
 def known_values(problem: Problem) -> int:

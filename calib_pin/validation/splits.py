@@ -186,7 +186,7 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     needed = fitted.rank if held else fitted.structure.rank
     aside = int((rows.weight == 0.0).sum())
     for mask in masks:
-        seen = (len(np.unique(rows.groups()[one & ~mask])) for one in sought)
+        seen = (len(numbered(rows.groups()[one & ~mask])[0]) for one in sought)
         if any(0 < number < FEWEST for number in seen):
             return []
         # Every group that is left is a configuration or more.

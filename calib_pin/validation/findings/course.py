@@ -374,7 +374,8 @@ class Trial(QuickFit):
         change, others = self.changes[k], [*self.changes[:k], *self.changes[k + 1 :]]
         ranks = [c.rank for c in others if c.what == change.what]
         first = max((at for at in ranks if at <= change.rank), default=0)
-        last = min((at for at in ranks if at > change.rank), default=int(rank.max()) + 1)
+        end = int(rank.max()) + 1
+        last = min((at for at in ranks if at > change.rank), default=end)
         squares = np.zeros((2, len(rank)))
         for side, at in enumerate((last, first)):
             there, index = changed(data, rank, [*others, change._replace(rank=at)])

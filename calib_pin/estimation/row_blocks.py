@@ -134,6 +134,12 @@ class Further:
         return self.distances, *expected, self.priors
 
 
+LARGE = 4.0
+"""Way from the first axis to the tip [m] up to which errors of lengths have one size.
+
+The largest industrial arms reach 3 m.
+"""
+
 PLACES = (Point, Sphere, Anchor)
 """Reference objects between which distances may be known."""
 
@@ -271,12 +277,17 @@ def feet(chain: Chain) -> Floats:
     perpendicular from the tip, and from there at that on the axis before, back to the
     base: places that the axes alone tell, and that stay within the robot where axes are
     nearly parallel.
+
+    Lengths of a crane are off by more than those of an arm, while its angles are not:
+    beyond `LARGE` translations grow with the way from place to place.
     """
-    frames, zero = chain.joint_frames(), np.zeros((1, len(chain.joints)))
+    frames, zero, way = chain.joint_frames(), np.zeros((1, len(chain.joints))), 0.0
     point, result = chain.poses(zero)[0, :3, 3], np.tile(np.eye(6), (len(frames), 1, 1))
     for k in reversed(range(len(frames))):
         turn, origin, axis = frames[k, :3, :3], frames[k, :3, 3], chain.axes[k]
         place = ((point - origin) @ turn @ axis) * axis
         result[k, :3, 3:] = skew(place)
-        point = origin + turn @ place
+        point, last = origin + turn @ place, point
+        way += float(np.linalg.norm(last - point))
+    result[:, :3, :3] *= max(1.0, way / LARGE)
     return result

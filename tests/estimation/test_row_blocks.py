@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,12 @@ import calib_pin
 from calib_pin.errors import OptionError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import distinct_values, known_count, known_values
-from calib_pin.estimation.row_blocks import KnownDistances, Priors, expected_places
+from calib_pin.estimation.row_blocks import (
+    KnownDistances,
+    Priors,
+    expected_places,
+    feet,
+)
 from calib_pin.estimation.statistics.population_prior import (
     RobotEvidence,
     prior_of_type,
@@ -231,3 +237,21 @@ def test_a_joint_with_a_fixed_error_has_its_frame() -> None:
     C = expected_places(problem, problem.parameters)
     np.testing.assert_array_equal(C[own], np.eye(len(own))[own])
     assert not np.array_equal(C, np.eye(len(own)))
+
+
+@pytest.mark.parametrize(("length", "factor"), [(1.0, 1.0), (3.0, 1.5)])
+def test_lengths_of_a_crane_are_expected_to_be_off_by_more(
+    tmp_path: Path, length: float, factor: float
+) -> None:
+    """Its angles are not. Where its frames stand on their axes is no matter."""
+    place = f'<origin xyz="{length} 5 0"/>'
+    joints = [
+        f'<joint name="j{k}" type="continuous"><parent link="l{k}"/>'
+        f'<child link="l{k + 1}"/>{place}<axis xyz="0 1 0"/></joint>'
+        for k in range(3)
+    ]
+    links = [f'<link name="l{k}"/>' for k in range(4)]
+    file = tmp_path / "crane.urdf"
+    file.write_text(f'<robot name="crane">{"".join(links + joints)}</robot>')
+    for block in feet(calib_pin.load_chain(file)):
+        np.testing.assert_allclose(np.diagonal(block), [factor] * 3 + [1.0] * 3)

@@ -63,7 +63,10 @@ def tool_accuracy(
     if not expecting.noise:
         return ToolAccuracy(tip)
     if blocks := tuple(b for b in data.blocks if b.chain == term.key.chain):
-        kept = Observations(blocks).sample(MEASURED).q[:, term.columns]
+        # Of an image, whose rows follow one another, one stands for the configuration.
+        rows = Observations(blocks)
+        again = np.append(False, (rows.q[1:] == rows.q[:-1]).all(axis=1))
+        kept = rows.rows(~again).sample(MEASURED).q[:, term.columns]
         measured = ToolErrors.of(expecting, term, kept).expected(rng)
     everywhere = ToolErrors.of(expecting, term, spread).expected(rng)
     return ToolAccuracy(tip, measured, everywhere)

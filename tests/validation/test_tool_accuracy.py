@@ -11,7 +11,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.observations import Measurements
-from calib_pin.setup import FrameSetup, Setup
+from calib_pin.setup import BoardSetup, CameraSetup, FrameSetup, Setup
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import absorbed
 
@@ -70,3 +70,20 @@ def test_without_redundancy_nothing_is_predicted() -> None:
     *_, rows = measured(4, 5)
     assert fit(rows).accuracy.tip is None
     assert fit(replace(rows, sigma=None)).accuracy.tip is None
+
+
+def test_images_of_many_corners_count_as_one_configuration_each() -> None:
+    """A hundred corners are three images, where frames absorb all errors."""
+    camera = CameraSetup("world", (900.0, 900.0), (640.0, 480.0))
+    board = BoardSetup("chessboard", 8, 6, 0.02)
+    far = FrameSetup((0.0, 0.0, 4.0), (0.3, 0.2, 0.1))
+    setup = Setup(base_frame=far, tool_frame=TOOL, camera=camera, board=board)
+    problem = nominal_problem(CHAIN, "camera", setup)
+    errors = calib_pin.draw_errors(problem.parameters, np.random.default_rng(0))
+    options = {"count": 20, "per_configuration": True, "noise": 0.1}
+    rows = calib_pin.simulate(problem, errors, np.random.default_rng(1), **options)
+    assert rows.configurations == 20 and len(rows) > 400
+    found = fit(rows.only, setup).accuracy
+    assert found.measured is not None and found.workspace is not None
+    least = 0.2 * found.workspace.calibrated.position
+    assert found.measured.calibrated.position > least

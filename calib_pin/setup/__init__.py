@@ -824,7 +824,8 @@ class JointMap(Section):
         sign: 1 or -1.
         gear: Gear factor, not zero.
         offset: Offset in the URDF's unit [rad, m].
-        coupled: Other file columns that are added, each with its factor.
+        coupled: Other file columns that are added before sign and gear, each with its
+            factor.
     """
 
     joint: Text

@@ -7,7 +7,7 @@ of the file, of which such fits are compared (`alternatives`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -18,7 +18,7 @@ import numpy as np
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import column_space, nuisance_basis
-from calib_pin.estimation.nominal import registered
+from calib_pin.estimation.nominal import analyze_structure, registered
 from calib_pin.estimation.problem import (
     EXACT,
     Problem,
@@ -684,7 +684,28 @@ class Case:
                 # By Schwarz's criterion: two families explain more than one anyway.
                 cost = fit.left * np.log(max(left, 1e-300))
                 found.append((cost + count * np.log(fit.left), some, left))
-        return min(found)[1:] if found else ((), 1.0)
+        told = (one[1:] for one in sorted(found) if self._scaled_with(one[1]))
+        return next(told, ((), 1.0))
+
+    def _scaled_with(self, names: Sequence[str]) -> bool:
+        """Whether the scale is known with further parameters, if it is without.
+
+        Gains of prismatic joints free it, and then contacts draw a robot to a point,
+        which leaves no errors at all.
+        """
+        problem, fitted = self.fit.problem, self.fitted
+        new = [name for name in names if name in PARAMETERIZATIONS]
+        if fitted is None or not (fitted.structure.scaled and new):
+            return True
+        every = tuple(dict.fromkeys((*self.setup.parameters, *new)))
+        wider = make_problem(
+            self.chains, problem.data, replace(problem.setup, parameters=every)
+        )
+        stands = dict(zip(problem.parameters.names, fitted.before, strict=True))
+        wide = wider.parameters
+        about = np.array([stands.get(name, 0.0) for name in wide.names])
+        about[~wide.nuisance] = 0.0
+        return analyze_structure(wider, about, np.random.default_rng(0))[0].scaled
 
     @cached_property
     def beside(self) -> dict[str, Floats]:

@@ -99,6 +99,8 @@ class JointPrior:
         noise: Standard deviation of the measurements by quantity; it counts as stated
             where nobody states another one.
         file: Where it was read from, for messages.
+        unmodeled: Error of the tool that no parameter describes, by chain: of position
+            [m] and of orientation [rad].
     """
 
     robot: RobotType
@@ -106,6 +108,9 @@ class JointPrior:
     covariance: tuple[Row, ...]
     noise: Mapping[str, float] = field(default_factory=dict)
     file: str = field(default="", metadata={"key": None})
+    unmodeled: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict, metadata={"key": None}
+    )
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -129,6 +129,7 @@ class RobotState:
         still: Logarithm of the evidence that it does not drift; None where no
             calibration began with another one.
         made: File of the calibration, for messages, and when it was made.
+        unmodeled: See `JointPrior.unmodeled`.
     """
 
     system: Terms
@@ -139,6 +140,7 @@ class RobotState:
     noise: tuple[NoiseSize, ...]
     still: float | None
     made: tuple[str, str]
+    unmodeled: Mapping[str, tuple[float, float]]
 
     @staticmethod
     def of(result: CalibrationResult, process_noise: float | None) -> RobotState:
@@ -162,6 +164,11 @@ class RobotState:
             _noise(begun, result.statistics.noise),
             None if begun is None else begun.still,
             (result.provenance.file, result.provenance.created),
+            {
+                chain: one.workspace.unmodeled
+                for chain, one in result.accuracies.items()
+                if one.workspace
+            },
         )
 
     @property
@@ -241,7 +248,7 @@ class RobotState:
         means = tuple(ExpectedParameter(p.name, p.unit, value) for p, value in values)
         rows = tuple(map(tuple, (0.5 * scales * (C + C.T)).tolist()))
         of_type = robot_type(self.system.chains)
-        return JointPrior(of_type, means, rows, noise, self.made[0])
+        return JointPrior(of_type, means, rows, noise, self.made[0], self.unmodeled)
 
 
 def _frames(system: Terms) -> Mapping[Frame, tuple[pin.SE3, Indices]]:

@@ -18,6 +18,7 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
+from calib_pin.setup import JointPrior
 from calib_pin.validation.result import ToolAccuracy
 
 SAMPLES, MEASURED = 300, 100
@@ -146,9 +147,16 @@ class ToolErrors:
         mean, own_scales = (fit.theta[index] / scales)[robot], scales[robot, None]
         likely = (one.by_noise[index[robot]] for one in fit.likely_posteriors)
         C = np.array([half @ half.T for half in (by / own_scales for by in likely)])
+        prior, known = fit.problem.setup.prior, (0.0, 0.0)
+        if isinstance(prior, JointPrior):
+            known = prior.unmodeled.get(self.term.key.chain, known)
         pair = []
-        for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad")):
-            scatter = _scatter(fit, self.term, unit)
+        for k, unit, before in zip(
+            (slice(0, 3), slice(3, 6)), ("m", "rad"), known, strict=True
+        ):
+            # A few new measurements hardly show what an older calibration knows of it.
+            shown = float(np.sum(effects[:, k] ** 2)) / len(J)
+            scatter = max(_scatter(fit, self.term, unit), (before**2 - shown) / 3.0)
             pair.append(_sizes(mean, own[:, k], effects[:, k], scatter, C, rng))
         nominal, calibrated, bound, unmodeled = starmap(
             PoseErrors, zip(*pair, strict=True)

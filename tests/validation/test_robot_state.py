@@ -188,7 +188,7 @@ def bench() -> Bench:
 
 
 def again(bench, data, **options):
-    return calib_pin.calibrate(bench.chain, data, start=bench.first, **options)
+    return calib_pin.calibrate(bench.chain, data, **{"start": bench.first} | options)
 
 
 def codes(result):
@@ -234,6 +234,23 @@ def test_chance_alone_ends_no_older_calibration(bench) -> None:
     worse = replace(recalibration, steps=(replace(step, chi2=9.0 * step.dof),))
     (found,) = older_calibration(bench.first, replace(more, recalibration=worse))
     assert found.code == "old-calibration-no-longer-holds"
+
+
+def test_what_no_parameter_describes_is_carried_on(bench) -> None:
+    """Ten measurements do not show gears, and the robot has them all the same."""
+    older = bench.first.accuracies[""]
+    lacking = PoseErrors(0.2e-3, 0.3e-3)
+    known = replace(older, workspace=replace(older.workspace, unmodeled=lacking))
+    start = replace(bench.first, accuracies={"": known})
+    result = again(bench, bench.measured(2))
+    alike = again(bench, bench.measured(2), start=start)
+    then = again(bench, bench.measured(3), start=alike)
+    for one in (alike, then):
+        for there in (one.accuracy.measured, one.accuracy.workspace):
+            assert there.unmodeled == pytest.approx(lacking)
+    without = result.accuracy.workspace.calibrated
+    expected = np.hypot(without, lacking)
+    assert alike.accuracy.workspace.calibrated == pytest.approx(expected)
 
 
 JUMP = {"elbow_joint.placement.ry": 1.5e-3}

@@ -64,7 +64,7 @@ def read_mesh(
     file = locate_robot(robot.file).resolve()
     path = locate_mesh(str(written), file, package_dirs)
     if path is None:
-        hint = "a path from the folder of the URDF, or --package-dir DIR for a package"
+        hint = "a path from the URDF, --package-dir DIR for a package"
         raise InputError("does not exist", allowed=hint)
     mesh = _read(path)
     points, count = mesh.vertices, len(mesh.triangles)
@@ -189,9 +189,9 @@ def shape_of(
         return shape.tag, [read_mesh(name, robot, package_dirs, scale)]
     except InputError as error:
         owner = document.owner(element)
-        reason = f"the collision mesh '{name}' of {owner} {error.reason}"
+        reason = f"the collision mesh of {owner} {error.reason}"
         hint = error.allowed or "another mesh"
-        allowed = f"{hint}, or no check of collisions (plan --ignore-collisions)"
+        allowed = f"{hint}, or plan --ignore-collisions"
         raise document.error(shape, reason, value=name, allowed=allowed) from None
 
 

@@ -153,6 +153,13 @@ def test_meshes_that_cannot_be_used(loaded, write, tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_what_to_do_without_a_package_is_not_cut_off(loaded):
+    """However long its names are: most URDFs come without their packages."""
+    name = "package://robots_of_our_company/meshes/arm_with_six_joints/collision/a.obj"
+    with pytest.raises(RobotError, match=r"--package-dir.*plan --ignore-collisions$"):
+        loaded([sphere(0.1), mesh(name)])
+
+
 def test_meshes_stand_where_they_belong(loaded, write):
     """Those of links in the place of their own, and those of obstacles."""
     write(TETRAHEDRON, "ws/src/arm/urdf/a.obj")

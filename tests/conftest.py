@@ -392,25 +392,11 @@ class Dask:
 
 
 @pytest.fixture
-def start_dask(tmp_path: Path) -> Iterator[Callable[[], Dask]]:
-    """Starts a cluster of two workers on the loopback, again and again."""
-    started: list[Dask] = []
-
-    def start() -> Dask:
-        folder = tmp_path / f"dask{len(started)}"
-        folder.mkdir()
-        started.append(Dask(folder))
-        return started[-1].met()
-
-    yield start
-    for cluster in started:
-        cluster.stop()
-
-
-@pytest.fixture
-def dask(start_dask: Callable[[], Dask]) -> Dask:
+def dask(tmp_path: Path) -> Iterator[Dask]:
     """A cluster of two workers on the loopback."""
-    return start_dask()
+    cluster = Dask(tmp_path)
+    yield cluster.met()
+    cluster.stop()
 
 
 @dataclass(frozen=True)

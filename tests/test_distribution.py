@@ -62,9 +62,7 @@ def test_the_wheel_holds_what_the_package_needs(distributions: dict[str, Path]):
 
 
 @pytest.mark.slow
-def test_the_source_distribution_holds_the_sources_alone(
-    distributions: dict[str, Path],
-):
+def test_the_source_distribution_holds_the_sources_alone(distributions):
     with tarfile.open(distributions[".gz"]) as archive:
         names = archive.getnames()
     tops = {name.split("/")[1] for name in names if "/" in name}

@@ -36,9 +36,7 @@ from tests.shared import refused
         ({"allowed": "b,\n  c"}, "no good; allowed: b, c"),
     ],
 )
-def test_a_message_is_one_line_of_all_fields(
-    fields: dict[str, Any], message: str
-) -> None:
+def test_a_message_is_one_line_of_all_fields(fields, message):
     error = InputError("no good", **fields)
     assert str(error) == message
     empty = dict.fromkeys(("file", "line", "column", "value", "allowed"))
@@ -59,9 +57,7 @@ def test_a_message_is_one_line_of_all_fields(
         (f"the robot's {'word ' * 20}of others' sort", {}, None),
     ],
 )
-def test_values_in_messages_are_short_and_harmless(
-    reason: str, fields: dict[str, Any], message: str | None
-) -> None:
+def test_values_in_messages_are_short_and_harmless(reason, fields, message):
     place = f"{fields['file']}: " if message is None and fields else ""
     assert str(InputError(reason, **fields)) == (message or f"{place}{reason}")
 

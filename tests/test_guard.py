@@ -22,12 +22,7 @@ def test_every_race_has_a_recorded_ratio() -> None:
 
 
 @pytest.mark.parametrize(("units", "slow"), [(10, False), (80, True)])
-def test_a_slow_path_is_named(
-    units: int,
-    slow: bool,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_slow_path_is_named(units, slow, monkeypatch, capsys):
     races = {
         "even": lambda: Race(lambda: work(10), lambda: work(10)),
         "fit": lambda: Race(lambda: work(units), lambda: work(10)),
@@ -43,9 +38,7 @@ def test_a_slow_path_is_named(
     assert capsys.readouterr().out.count("x recorded") == 2
 
 
-def test_ratios_are_recorded(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ratios_are_recorded(monkeypatch, capsys):
     race = Race(lambda: work(30), lambda: work(10))
     monkeypatch.setattr(guard, "RACES", {"fit": lambda: race})
     monkeypatch.setattr("sys.argv", ["benchmarks", "guard", guard.RECORD])

@@ -175,9 +175,7 @@ def robot_file(tmp_path: Path, robot: ET.Element) -> str:
 
 
 @pytest.mark.parametrize("family", EACH, ids="+".join)
-def test_units_order_instrument_and_base(
-    family: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_units_order_instrument_and_base(family, tmp_path):
     """All at once: where one of them mattered, the tool would not be the same."""
     setup, file = asked(family), tmp_path / "measured.csv"
     calib_pin.write_measurements(file, measured(family))

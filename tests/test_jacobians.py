@@ -52,9 +52,7 @@ def test_every_parameterization_is_compared() -> None:
     ("names", "robot"),
     [pytest.param(n, r, id="+".join((*n, *r[:1]))) for n, r in MEMBERS],
 )
-def test_jacobian_agrees_with_central_differences(
-    names: tuple[str, ...], robot: tuple[str, str | None, str | None]
-) -> None:
+def test_jacobian_agrees_with_central_differences(names, robot):
     name, base, tip = robot
     chain = calib_pin.load_chain(name, base=base, tip=tip)
     problem = equipped_problem(chain, EVERY, parameters=names, prior={"*": 0.01})

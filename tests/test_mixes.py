@@ -167,12 +167,9 @@ MIXES = {
         ),
         "pa10",
     ),
-    "three chains": Mix([LEFT, RIGHT, HEAD], BODY, ""),
     "gears of three chains": Mix(
         [LEFT, RIGHT, HEAD], replace(BODY, parameters=("placement", "transmission")), ""
     ),
-    "a head that sees a hand": Mix([LEFT, GAZE], BODY, ""),
-    "a hand that touches the other": Mix([LEFT, RIGHT, TOUCH], BODY, ""),
     "all of a body": Mix([LEFT, RIGHT, HEAD, GAZE, TOUCH, *POSTS], BODY, ""),
     "only touch": Mix([TOUCH], BODY, ""),
 }
@@ -277,9 +274,7 @@ def test_jacobians_agree_with_central_differences(name: str, body: Robot) -> Non
         "plane-distance, point-distance",
     ],
 )
-def test_very_many_measurements_have_the_same_normal_equations(
-    name: str, body: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_very_many_measurements_have_the_same_normal_equations(name, body, monkeypatch):
     """Through the kernels, where these know the model."""
     plain, theta = disturbed(problem_of(MIXES[name], body), 20)
     r, J = plain.linearize(theta)
@@ -301,14 +296,7 @@ def test_very_many_measurements_have_the_same_normal_equations(
     np.testing.assert_allclose(many.errors(theta), errors, rtol=0, atol=1e-12 * size)
 
 
-PARTS = {"three chains", "a head that sees a hand", "a hand that touches the other"}
-"""Mixes of the slow tier, which are parts of another."""
-
-
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[pytest.mark.slow] if n in PARTS else []) for n in MIXES],
-)
+@pytest.mark.parametrize("name", MIXES)
 def test_noise_free_recovery(name: str, body: Robot) -> None:
     """Of equal robots the one closest to nominal, with frames and instruments."""
     problem = problem_of(MIXES[name], body)

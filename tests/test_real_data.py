@@ -50,9 +50,7 @@ def ur10() -> tuple[calib_pin.Chain, calib_pin.CalibrationResult]:
     return chain, calib_pin.calibrate(chain, rows)
 
 
-def test_ur10_through_the_written_urdf(
-    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult], tmp_path: Path
-) -> None:
+def test_ur10_through_the_written_urdf(ur10, tmp_path):
     chain, result = ur10
     assert result.verdict == "good"
     calib_pin.write_urdf(result.model, tmp_path / "ur10.urdf")
@@ -72,9 +70,7 @@ def test_ur10_through_the_written_urdf(
 
 
 @pytest.mark.slow
-def test_ur10_with_a_network(
-    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
-) -> None:
+def test_ur10_with_a_network(ur10):
     """Another tool's Gaussian process leaves 0.169 mm of the unseen rows."""
     chain, _ = ur10
     result = calib_pin.calibrate(
@@ -93,9 +89,7 @@ def test_ur10_with_a_network(
 
 
 @pytest.mark.slow
-def test_ur10_with_fifty_rows_leaves_the_network_out(
-    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
-) -> None:
+def test_ur10_with_fifty_rows_leaves_the_network_out(ur10):
     chain, _ = ur10
     rows = read("ur10_tmac/train", chain).rows(np.arange(50))
     setup = calib_pin.Setup(learned="network")
@@ -106,9 +100,7 @@ def test_ur10_with_fifty_rows_leaves_the_network_out(
     assert ladder.candidates[ladder.chosen].learned is None
 
 
-def test_ur10_still_looks_like_a_ur10(
-    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
-) -> None:
+def test_ur10_still_looks_like_a_ur10(ur10):
     for correction in ur10[1].model.urdf_corrections().values():
         turn = np.arccos(np.clip((np.trace(correction.rotation) - 1) / 2, -1, 1))
         assert np.linalg.norm(correction.translation) < 5e-3
@@ -216,9 +208,7 @@ def panda() -> tuple[calib_pin.Chain, calib_pin.Measurements]:
 
 
 @pytest.mark.slow
-def test_panda_at_places_it_has_not_seen(
-    panda: tuple[calib_pin.Chain, calib_pin.Measurements],
-) -> None:
+def test_panda_at_places_it_has_not_seen(panda):
     """Another tool leaves 0.619 mm with 48 parameters; the robot must not shrink."""
     result = calib_pin.calibrate(*panda, calib_pin.Setup(distances=FIFTY))
     assert (result.verdict, result.validation.count) == ("good", 120)
@@ -234,9 +224,7 @@ def test_panda_at_places_it_has_not_seen(
 
 
 @pytest.mark.slow
-def test_panda_without_a_distance_has_no_scale(
-    panda: tuple[calib_pin.Chain, calib_pin.Measurements],
-) -> None:
+def test_panda_without_a_distance_has_no_scale(panda):
     result = calib_pin.calibrate(*panda)
     assert result.verdict == "untrusted"
     assert not result.identifiability.scale_observable and result.geometry is None
@@ -247,9 +235,7 @@ def test_panda_without_a_distance_has_no_scale(
 
 
 @pytest.mark.slow
-def test_panda_leaves_out_one_place_after_the_other(
-    panda: tuple[calib_pin.Chain, calib_pin.Measurements],
-) -> None:
+def test_panda_leaves_out_one_place_after_the_other(panda):
     chain, rows = panda
     everything = replace(rows, validate=np.zeros(len(rows), bool))
     result = calib_pin.calibrate(chain, everything, calib_pin.Setup(distances=FIFTY))

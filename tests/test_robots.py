@@ -149,9 +149,7 @@ def test_pinocchio_agrees_with_the_table(name: str) -> None:
         ("heavy6", 2, [180, 200, 70, 40, 15], [0.55, 1.33, 1.95, 2.38, 2.53]),
     ],
 )
-def test_gravity_torque(
-    name: str, bent: int, masses: list[float], distances: list[float]
-) -> None:
+def test_gravity_torque(name, bent, masses, distances):
     model = chain_of(name).robot.model
     q = np.zeros(model.nq)
     q[bent] = H

@@ -74,9 +74,7 @@ def test_a_series_of_the_ur10(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     ("key", "stem", "joints"),
     [("ur5", "3D_UR5_uncalibrated", 6), ("wam", "WAM/3D_WAM_uncalibrated", 7)],
 )
-def test_a_grid_with_differences(
-    tmp_path: Path, key: str, stem: str, joints: int
-) -> None:
+def test_a_grid_with_differences(tmp_path, key, stem, joints):
     names = [f"joint_{k + 1}" for k in range(joints)]
     header = ",".join(["step_order,x_t,y_t,z_t,x_dif,y_dif,z_dif", *names])
     angles = ",".join(["90.0", "-45"] + ["0"] * (joints - 2))
@@ -146,9 +144,7 @@ def test_markers(tmp_path: Path) -> None:
         (["a,b", '"1,2'], r"file.csv: it cannot be read"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_told(
-    tmp_path: Path, lines: list[str], said: str
-) -> None:
+def test_what_is_wrong_with_a_file_is_told(tmp_path, lines, said):
     file = put(tmp_path / "file.csv", *lines)
     with pytest.raises(InputError, match=said) as told:
         read_columns(file, ("a", "b"))
@@ -193,18 +189,14 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
     running.main()
 
 
-def test_a_folder_without_data(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_without_data(tmp_path, monkeypatch, capsys):
     run(monkeypatch, "--data", str(tmp_path), "--only", "panda,talos", "--workers", "1")
     lines = capsys.readouterr().out.splitlines()
     assert [line.partition(":")[0] for line in lines] == ["panda-1", "panda-2", "talos"]
     assert all("skipped" in line for line in lines)
 
 
-def test_a_damaged_repository_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_repository_is_one_line(tmp_path, monkeypatch, capsys):
     put(tmp_path / "kinematics_calibration/data/panda_1/front/hole_0.csv", "1,2,3")
     with pytest.raises(SystemExit, match="1"):
         run(monkeypatch, "--data", str(tmp_path), "--only", "panda-1", "--workers", "1")
@@ -213,12 +205,7 @@ def test_a_damaged_repository_is_one_line(
 
 
 @pytest.mark.slow
-def test_a_data_set_from_its_repository(
-    data_folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_data_set_from_its_repository(data_folder, tmp_path, monkeypatch, capsys):
     """The published layout again from our file: the same numbers as from this."""
     text = (data_folder / "talos_left_arm" / "measurements.csv").read_text()
     text = text.replace("time_s,x,y,z,", "t,x1,y1,z1,")

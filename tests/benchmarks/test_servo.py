@@ -13,9 +13,7 @@ from calib_pin.io.urdf import locate_robot
 
 
 @pytest.mark.parametrize("robot", ARMS)
-def test_kinematics_are_those_of_the_urdf(
-    robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_kinematics_are_those_of_the_urdf(robot, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     tip = ARMS[robot]
     if robot == "desk4":

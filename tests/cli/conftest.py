@@ -99,11 +99,14 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(autouse=True)
 def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages without figures, unless a test asks for `drawn`: they take the longest.
+    """What takes the longest is left out, unless a test asks for it.
 
-    Stages are not told, however slow the machine is.
+    Pages have no figures but where it asks for `drawn`, and no explanation is looked
+    for but where it asks for `sought`. Stages are not told, however slow the machine.
     """
     monkeypatch.setattr("calib_pin.cli.printing.PATIENCE", float("inf"))
+    if "sought" not in request.fixturenames:
+        request.getfixturevalue("unsought")
     # By the same patch as a test itself, which undoes the last change first.
     for place in () if "drawn" in request.fixturenames else DRAW:
         monkeypatch.setattr(place, lambda *about: [])
@@ -112,6 +115,11 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.fixture
 def drawn() -> None:
     """Pages and folders with their figures."""
+
+
+@pytest.fixture
+def sought() -> None:
+    """Explanations are looked for where measurements do not fit."""
 
 
 @pytest.fixture

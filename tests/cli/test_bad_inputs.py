@@ -277,7 +277,7 @@ def test_what_a_verdict_leaves(here, run, judged, verdict, status, first, urdf):
     assert (f"{first}: A (out/calibration.json)" in compared.out) == (status == 2)
 
 
-def test_lines_that_undo_a_fault_stand_once(here, run):
+def test_lines_that_undo_a_fault_stand_once(here, run, sought):
     chain = calib_pin.load_chain("arm.urdf", tip="tool")
     rows = calib_pin.read_measurements("rows.csv", chain).only
     signs = np.where(np.array(rows.joints) == "joint2", -1.0, 1.0)

@@ -14,7 +14,6 @@ import pytest
 
 from calib_pin.cli import main
 from calib_pin.io.results import read_calibration
-from calib_pin.viewer.scene import Scene
 from tests.cli.files import column, document, table, undrawn, write
 
 JOINT = """<link name="{child}"/>
@@ -109,9 +108,7 @@ def test_a_station_for_each_file(here: Path, run: Callable[..., Any]) -> None:
 # --- chains ------------------------------------------------------------------------
 
 
-def test_one_of_the_chains_is_evaluated(
-    two_arms: None, run: Callable[..., Any], refuses: Callable[..., None]
-) -> None:
+def test_one_of_the_chains_is_evaluated(two_arms, run, refuses):
     evaluate = "evaluate both/calibration.json arms.csv"
     counts = {}
     for option in ("", " --chain left", " --chain right"):
@@ -135,9 +132,7 @@ def test_one_of_the_chains_is_evaluated(
         assert found["errors"]["position"]["rms"] < 3e-4
 
 
-def test_commands_of_one_chain(
-    two_arms: None, run: Callable[..., Any], refuses: Callable[..., None]
-) -> None:
+def test_commands_of_one_chain(two_arms, run, refuses):
     arm = read_calibration("both/calibration.json").of("right")
     q = arm.chain.random_configurations(4, np.random.default_rng(0)) * 0.5
     positions = arm.poses(q)[:, :3, 3]
@@ -150,9 +145,7 @@ def test_commands_of_one_chain(
     np.testing.assert_allclose(arm.poses(found)[:, :3, 3], positions, atol=1e-9)
 
 
-def test_a_calibration_is_named_by_its_folder(
-    two_arms: None, run: Callable[..., Any], refuses: Callable[..., None]
-) -> None:
+def test_a_calibration_is_named_by_its_folder(two_arms, run, refuses):
     folder, file = (
         run(f"evaluate {name} arms.csv") for name in ("both", "both/calibration.json")
     )
@@ -174,9 +167,7 @@ def test_frames_of_one_chain(two_arms: None, run: Callable[..., Any]) -> None:
         } == ends
 
 
-def test_visits_of_one_chain_are_read_back(
-    two_arms: None, run: Callable[..., Any]
-) -> None:
+def test_visits_of_one_chain_are_read_back(two_arms, run):
     """The command that the schedule names takes the file, once it is filled in."""
     plan = "plan twins.urdf --setup chains.yaml --accept --cycles 3 -o visits.csv"
     result = run(f"{plan} --chain left --ignore-collisions")
@@ -190,9 +181,7 @@ def test_visits_of_one_chain_are_read_back(
     assert run(words.split("calib-pin ")[1]).status in (0, 2)
 
 
-def test_a_plan_for_one_chain_and_for_both(
-    two_arms: None, run: Callable[..., Any]
-) -> None:
+def test_a_plan_for_one_chain_and_for_both(two_arms, run):
     plan = "plan twins.urdf --model position --setup chains.yaml --count 12 "
     plan += "--method greedy --candidates 150 --ignore-collisions --force -o plan.csv"
     result = run(plan)
@@ -206,12 +195,7 @@ def test_a_plan_for_one_chain_and_for_both(
     assert column("new.csv", "chain") == ["right"] * 12
 
 
-def test_all_chains_are_shown(
-    two_arms: None,
-    run: Callable[..., Any],
-    opened: list[Scene],
-    refuses: Callable[..., None],
-) -> None:
+def test_all_chains_are_shown(two_arms, run, opened, refuses):
     view = "view both/calibration.json --port 5"
     assert run(f"{view} arms.csv --plan arms.csv").status == 0
     assert run("view true.urdf arms.csv --setup chains.yaml --port 5").status == 0

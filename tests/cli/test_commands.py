@@ -54,7 +54,7 @@ def test_a_mistake_and_help_are_fast():
     [(">&- 2>&- <&-", 0), ("> /dev/full", 1), ("| head -n 1", 0)],
 )
 def test_closed_and_full_streams_and_a_reader_that_goes_away(redirection, status):
-    program = f"{sys.executable} -m calib_pin robots"
+    program = f"{sys.executable} -m calib_pin --help"
     result = subprocess.run(
         f"{program} {redirection}", shell=True, capture_output=True, text=True
     )
@@ -445,7 +445,7 @@ def test_structure_as_json(here, run):
 # --- evaluate ----------------------------------------------------------------------
 
 
-def test_evaluation_of_a_calibration(here, run, unsought):
+def test_evaluation_of_a_calibration(here, run):
     result = run("evaluate done/calibration.json rows.csv")
     assert result.status == 0 and "note: rows.csv" in result.err
     # Configurations that were planned for it are not the same measurements.

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import csv
 import shutil
-import signal
-import subprocess
-import sys
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import calib_pin
 from calib_pin.cli.jobs import read_jobs
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import read_result
 from calib_pin.io.setup import prior_document
@@ -121,8 +114,15 @@ def test_a_folder_is_that_of_the_command_that_stands_in_it(jobs, run, inside):
 
 
 @pytest.mark.slow
-def test_any_workers_have_the_same_bytes(jobs, run, request):
-    run("fleet jobs.csv -o many --no-pages --quiet --workers 2")
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize(
+    "workers", ["local", pytest.param("dask", marks=pytest.mark.needs("cluster"))]
+)
+def test_any_workers_have_the_same_bytes(jobs, run, workers, request):
+    option = "--workers 2"
+    if workers == "dask":
+        option = f"--cluster {request.getfixturevalue('dask').file}"
+    run(f"fleet jobs.csv -o many --no-pages --quiet {option}")
     request.getfixturevalue("inside")
     run("fleet jobs.csv -o one --no-pages --quiet")
     assert contents("one") == contents("many")
@@ -280,97 +280,3 @@ def test_priors_of_others(bench, fleet, fails) -> None:
     other = replace(prior, robot=replace(prior.robot, joints=joints))
     Path("fleet.json").write_bytes(encode(prior_document(other)))
     fails(CALIBRATE, "fleet.json", "'space6'", "axis")
-
-
-# --- workers, scheduler and command are killed ------------------------------------
-
-
-MANY = 12
-
-
-@pytest.fixture
-def many(here: Path) -> Path:
-    """Tables of robots with errors of their own, two of which cannot be calibrated."""
-    chain = calib_pin.load_chain("arm.urdf", tip="tool")
-    setup = calib_pin.read_setup("setup.yaml")
-    problem = nominal_problem(chain, "position", setup)
-    lines = ["name,robot,measurements,setup"]
-    for k in range(MANY):
-        rng = np.random.default_rng([21, k])
-        theta = calib_pin.draw_errors(problem.parameters, rng)
-        rows = calib_pin.simulate(problem, theta, rng, count=25)
-        calib_pin.write_measurements(f"m{k}.csv", rows)
-        lines.append(f"robot {k:03d},arm.urdf,m{k}.csv,setup.yaml")
-    Path("m7.csv").write_text("joint1,x,y,z\n1,2,3,4\n")
-    Path("m8.csv").unlink()
-    Path("many.csv").write_text("\n".join(lines) + "\n")
-    return here
-
-
-def start(folder: str, words: str = "") -> subprocess.Popen[str]:
-    """Begin a fleet."""
-    options = f"fleet many.csv -o {folder} --no-pages --quiet {words}"
-    return subprocess.Popen(
-        [sys.executable, "-m", "calib_pin", *options.split()],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Status and complaint of a command."""
-    _, complaint = process.communicate(timeout=1200)
-    return process.returncode, complaint
-
-
-def calibrations(folder: str) -> dict[Path, int]:
-    """Calibrations that are there, with the time of their last change."""
-    files = Path(folder).glob("robot*/calibration.json")
-    return {file: file.stat().st_mtime_ns for file in files}
-
-
-def wait_for(folder: str, count: int) -> None:
-    """Wait until some calibrations are there."""
-    deadline = time.monotonic() + 300
-    while len(calibrations(folder)) < count:
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
-def finished(folder: str) -> dict[str, object]:
-    """All files but for times; every job once in the table."""
-    names = [*rows_of(folder)]
-    assert sorted(names) == [f"robot {k:03d}" for k in range(MANY)]
-    assert names[:2] == ["robot 007", "robot 008"]
-    return contents(folder)
-
-
-@pytest.mark.slow
-@pytest.mark.needs("cluster")
-@pytest.mark.filterwarnings("default")
-def test_kills_cost_time_only(many: Path, start_dask: Callable[[], Any], run, inside):
-    """Of a worker, of the scheduler, and of the command itself."""
-    assert run(f"fleet many.csv -o local {QUICKLY}").status == 2
-    expected = finished("local")
-    # Two cannot be calibrated, and one may be left unchecked.
-    assert len([name for name in expected if name.endswith("/arm.urdf")]) >= MANY - 3
-    dask = start_dask()
-    running = start("out", f"--cluster {dask.file}")
-    wait_for("out", 2)
-    dask.workers[0].send_signal(signal.SIGKILL)
-    wait_for("out", 4)
-    dask.scheduler.send_signal(signal.SIGKILL)
-    status, complaint = ended(running)
-    assert status == 1 and complaint.count("\n") == 1
-    assert not Path("out", "fleet.csv").exists()
-    before = calibrations("out")
-    dask = start_dask()
-    running = start("out", f"--cluster {dask.file} --resume")
-    wait_for("out", len(before) + 2)
-    running.send_signal(signal.SIGKILL)
-    running.communicate()
-    assert ended(start("out", "--resume"))[0] == 2
-    assert finished("out") == expected
-    # Finished calibrations are not done twice.
-    assert before.items() <= calibrations("out").items()

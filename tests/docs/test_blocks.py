@@ -16,9 +16,7 @@ DATA = Path(os.environ.get("CALIB_PIN_DATA", ROOT.parent / "shared" / "data"))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", CODE, ids=lambda page: str(page.relative_to(ROOT)))
-def test_a_page_does_what_it_says(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_page_does_what_it_says(page, tmp_path, monkeypatch):
     needed = [b.text for b in blocks(page.read_text()) if b.language == "needs"]
     missing = [name for name in needed if not (DATA / name).is_dir()]
     if missing:
@@ -74,18 +72,14 @@ def page(tmp_path: Path, text: str) -> Path:
         ("```console\n$ calib-pin robots\nnone\n```\n", "expected 'none'"),
     ],
 )
-def test_a_page_that_is_wrong_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, said: str
-):
+def test_a_page_that_is_wrong_is_told(tmp_path, monkeypatch, text, said):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(AssertionError) as error:
         Reader(page(tmp_path, text)).follow()
     assert said in str(error.value)
 
 
-def test_a_page_is_followed_in_its_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_page_is_followed_in_its_order(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = """
 <!-- run: calib-pin simulate space7 --model pose --count 3 --seed 1 -o made.csv -->

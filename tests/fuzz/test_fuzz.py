@@ -100,9 +100,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, bytes]
 
 
 @pytest.mark.slow
-def test_damaged_files(
-    files: dict[str, bytes], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_files(files, capsys):
     options = {"first": 0, "minutes": None, "jobs": 1}
     for seed, count in ((19, 50), (1900, 40)):
         asked = argparse.Namespace(seed=seed, cases=count, **options)

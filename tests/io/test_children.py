@@ -60,14 +60,14 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of memory")
 @pytest.mark.parametrize(
     ("kind", "text", "said"),
-    [("xacro", LIST, "memory"), ("MJCF", REPLICAS, "more than 3 s")],
+    [("xacro", LIST, "memory"), ("MJCF", REPLICAS, "more than 1 s")],
 )
 def test_what_needs_the_limits(tmp_path, kind, text, said):
     pytest.importorskip("mujoco" if kind == "MJCF" else "xacro")
     file = tmp_path / "arm.xml"
     file.write_text(text)
     about = {"arguments": {}, "folders": []} if kind == "xacro" else {}
-    seconds = "3" if kind == "MJCF" else "30"
+    seconds = "1" if kind == "MJCF" else "30"
     # Asked by a process of its own: this one has had children and memory of all kinds.
     command = [sys.executable, "-c", MEASURED, kind, str(file), seconds]
     done = subprocess.run(

@@ -320,9 +320,7 @@ class Extended(CalibrationResult):
     lengths: tuple[float, ...] = ()
 
 
-def test_a_field_is_written_and_read_where_it_is_declared(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_field_is_written_and_read_where_it_is_declared(monkeypatch):
     result, _ = solved(SIMPLE)
     monkeypatch.setattr("calib_pin.io.results.CalibrationResult", Extended)
     own = {part.name: getattr(result, part.name) for part in fields(result)}
@@ -351,11 +349,7 @@ def test_other_documents_than_ours() -> None:
 # --- where the robot is ------------------------------------------------------------
 
 
-def test_the_robot_is_found(
-    simple: tuple[CalibrationResult, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_robot_is_found(simple, tmp_path, monkeypatch):
     """From the working folder, from that of the file, and beside the file."""
     result, file = simple
     file.rename("calibration.json")  # Beside the URDF, as its path says.
@@ -369,9 +363,7 @@ def test_the_robot_is_found(
     assert read_calibration(file).chains.robot.name == "arm"
 
 
-def test_a_robot_that_is_another_one_is_refused(
-    simple: tuple[CalibrationResult, Path],
-) -> None:
+def test_a_robot_that_is_another_one_is_refused(simple):
     (result, file), given, beside = simple, Path("arm.urdf"), Path("out/arm.urdf")
     # Both have the same name, as the commands write them.
     write_urdf(result.model, beside)

@@ -37,12 +37,6 @@ def file(learned: CalibrationResult, tmp_path: Path) -> Path:
     return file
 
 
-def network_of(result: CalibrationResult) -> LearnedCorrection:
-    network = result.model.only.error.learned
-    assert isinstance(network, LearnedCorrection)
-    return network
-
-
 def test_it_predicts_as_before(learned: CalibrationResult, file: Path) -> None:
     model = results.read_calibration(file)
     q = model.chains.random_configurations(50, np.random.default_rng(0))

@@ -27,7 +27,6 @@ from documentation.setup_reference import json_schema
 from tests.shared import refused
 
 Keys = tuple[str | int, ...]
-Schema = dict[str, Any]
 
 
 @pytest.fixture

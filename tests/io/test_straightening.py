@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -115,11 +114,7 @@ def test_what_does_not_cancel_stays() -> None:
         assert straightened(robot) is robot
 
 
-def test_it_is_recognized_where_it_came_from(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    calibrated_robot: Callable[..., Any],
-) -> None:
+def test_it_is_recognized_where_it_came_from(tmp_path, monkeypatch, calibrated_robot):
     """By its own file, beside which its meshes are, or by the copy that was kept."""
     monkeypatch.chdir(tmp_path)
     Path("arm.urdf").write_bytes(urdf(origins(SLIDES)))

@@ -84,9 +84,7 @@ def test_rank_combinations_and_tip_error(problem: Problem, preset: np.ndarray) -
     assert np.abs(gap[:, :3, :3] - np.eye(3)).max() < 1e-9
 
 
-def test_values_agree_with_a_truth_in_the_gauge(
-    problem: Problem, preset: np.ndarray
-) -> None:
+def test_values_agree_with_a_truth_in_the_gauge(problem, preset):
     """Of equal robots the fit gives the one closest to nominal; so must the truth be.
 
     The preset is not: its 34 sums differ from the fitted ones by second-order terms.
@@ -112,14 +110,7 @@ def test_values_agree_with_a_truth_in_the_gauge(
         ("swarm", 25.2, (0.020, 0.024), (0.11, 0.13)),
     ],
 )
-def test_one_linear_step_as_published(
-    problem: Problem,
-    preset: np.ndarray,
-    name: str,
-    condition: float,
-    mean: tuple[float, float],
-    worst: tuple[float, float],
-) -> None:
+def test_one_linear_step_as_published(problem, preset, name, condition, mean, worst):
     """Spatial twists, lengths in m, residual `(T - T~) T~^-1`, 34 kept columns."""
     q = configurations(name)
     robot, _ = problem.only.values(preset)

@@ -7,7 +7,6 @@ near those of a KR 270, and the hidden errors are those that `klimchik_arm` draw
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -146,9 +145,7 @@ def test_three_points_give_the_orientation(seed: Seed) -> None:
 
 
 @pytest.mark.slow
-def test_a_plan_for_test_poses_is_better_there_than_random_sets(
-    planned: Floats, seed: Seed
-) -> None:
+def test_a_plan_for_test_poses_is_better_there_than_random_sets(planned, seed):
     design, rng = Design.create(SMALL), np.random.default_rng(0)
     assert planned.shape == (SMALL.count, 6)
     assert design.workspace.inside(planned, np.zeros(len(planned), int)).all()
@@ -161,9 +158,7 @@ def test_a_plan_for_test_poses_is_better_there_than_random_sets(
 
 
 @pytest.mark.slow
-def test_the_report_and_its_figures(
-    planned: Floats, seed: Seed, tmp_path: Path
-) -> None:
+def test_the_report_and_its_figures(planned, seed, tmp_path):
     result = report(SMALL, planned, [seed])
     text = result.text()
     assert all(len(line) <= 80 for line in text.splitlines())

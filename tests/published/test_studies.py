@@ -14,8 +14,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import calib_pin
-from calib_pin.cli import main as run_command
 from calib_pin.io.measurements import read_configurations
 from calib_pin.kinematics.spatial import Floats, adjoint
 from studies import aoyagi2010_study
@@ -84,9 +82,7 @@ def written(folder: Path, study: str, *words: str, others: int = 0) -> Any:
 
 
 @pytest.mark.slow
-def test_aoyagi2010_writes_numbers_and_figures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_aoyagi2010_writes_numbers_and_figures(tmp_path, monkeypatch):
     folder = tmp_path / "new"
     monkeypatch.setattr("studies.aoyagi2010.Settings", Few)
     document = written(folder, "aoyagi2010", "--seeds", "1", "--points", "40")
@@ -185,21 +181,6 @@ def test_liu2022_compares_with_what_is_published(planned: Path) -> None:
     step = sets["swarm"]["linear_step"]
     assert step["largest_component_m"] < 1e-3
     assert np.degrees(step["largest_component_rad"]) < 0.1
-
-
-@pytest.mark.slow
-def test_the_plan_of_liu2022_can_be_simulated(planned: Path) -> None:
-    rows = planned / "rows.csv"
-    command = ["simulate", "space7", "--model", "pose", "-o", str(rows)]
-    with pytest.MonkeyPatch.context() as it:
-        plan = str(planned / "plan.csv")
-        it.setattr(sys, "argv", ["calib-pin", *command, "--configurations", plan])
-        assert run_command() == 0
-    chain = calib_pin.load_chain("space7")
-    measured = calib_pin.read_measurements(rows, chain)
-    plan = read_configurations(planned / "plan.csv", chain)
-    np.testing.assert_array_equal(measured.q, plan)
-    rows.unlink()
 
 
 def poses(seed: int) -> Floats:

@@ -34,9 +34,7 @@ def check_limits(
 
 
 @given(joints, st.integers(1, 300))
-def test_limits_ends_and_synchronization(
-    given: tuple[list[float], ...], samples: int
-) -> None:
+def test_limits_ends_and_synchronization(given, samples):
     start, goal, velocity, acceleration = map(np.array, given)
     whole = trapezoidal(start, goal, velocity, acceleration, 1e5)
     assert len(whole.q) == 1 + (whole.duration > 0.0)

@@ -11,11 +11,11 @@ import numpy as np
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import Quantity
 from calib_pin.observations import BlockKey, Observations
+from calib_pin.report.text import format_report
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -34,25 +34,7 @@ from calib_pin.validation.result import (
     QuantityError,
     Validation,
 )
-
-ARM = """<robot name="{0}">
-  <link name="base"/><link name="a"/><link name="b"/><link name="c"/>
-  <joint name="{1}" type="revolute">
-    <origin xyz="0 0 0.4"/><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
-    <limit lower="-2.5" upper="2.5" effort="1" velocity="1"/>
-  </joint>
-  <joint name="{2}" type="revolute">
-    <origin xyz="0.1 0.3 0"/><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
-    <limit lower="-2" upper="2" effort="1" velocity="1"/>
-  </joint>
-  <joint name="{3}" type="prismatic">
-    <origin xyz="0.5 0 0.05" rpy="0.5 0.1 0"/>
-    <parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
-    <limit lower="0" upper="0.4" effort="1" velocity="1"/>
-  </joint>
-</robot>
-"""
-"""Three joints; names of the robot and of the joints as they stand in XML."""
+from tests.shared import chain_of, joint, urdf_of
 
 OFFSETS = ("joint-offset",)
 
@@ -80,9 +62,21 @@ LADDER = ModelSelection(
 )
 
 
-def arm(*names: str) -> Chain:
-    """The chain of `ARM`."""
-    return Chain(parse_robot(ARM.format(*names).encode(), "arm.urdf"))
+def arm(name: str, *joints: str) -> Chain:
+    """Three joints; names of the robot and of the joints as they stand in XML."""
+    first, second, third = joints
+    text = urdf_of(
+        joint(first, "base a", "0 0 0.4", limits="-2.5 2.5"),
+        joint(second, "a b", "0.1 0.3 0", "0 1 0", limits="-2 2"),
+        joint(third, "b c", "0.5 0 0.05;0.5 0.1 0", kind="prismatic", limits="0 0.4"),
+        name=name,
+    )
+    return chain_of(text)
+
+
+def full_report(result: CalibrationResult) -> str:
+    """The report with all details."""
+    return format_report(result, details=True)
 
 
 def solve(
@@ -92,7 +86,7 @@ def solve(
     count: int = 30,
     **options: Any,
 ) -> CalibrationResult:
-    """A calibration of `ARM`."""
+    """A calibration of an arm."""
     chain, setup = arm(*names), setup or Setup()
     problem = nominal_problem(chain, model, setup)
     rng = np.random.default_rng(1)

@@ -24,17 +24,12 @@ from calib_pin.simulation import simulate
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.evaluation import evaluate
 from calib_pin.validation.result import CalibrationResult
-from tests.report.results import LADDER, arm, changed, solve
+from tests.report.results import LADDER, arm, changed, full_report, solve
 
 
 @pytest.fixture(scope="module")
 def result() -> CalibrationResult:
     return solve(setup=Setup(fixed=("base.frame.r*",)))
-
-
-def full_report(result: CalibrationResult) -> str:
-    """The report with all details."""
-    return format_report(result, details=True)
 
 
 def section(text: str, title: str) -> list[str]:

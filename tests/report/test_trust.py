@@ -19,7 +19,7 @@ from calib_pin.report.blocks import Line
 from calib_pin.report.text import format_report
 from calib_pin.report.trust import findings
 from calib_pin.validation.result import CalibrationResult
-from tests.report.results import changed
+from tests.report.results import changed, full_report
 
 WORKSPACE = ExpectedAccuracy(
     nominal=(2.47e-3, 3.1e-3),
@@ -59,11 +59,6 @@ EVIDENCE: dict[str, Any] = {
         ),
     ),
 }
-
-
-def full_report(result: CalibrationResult) -> str:
-    """The report with all details."""
-    return format_report(result, details=True)
 
 
 @pytest.fixture(scope="module")

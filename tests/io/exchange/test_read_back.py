@@ -42,7 +42,7 @@ from calib_pin.validation.result import NamedArray, ParameterEstimate
 from tests.io.exchange.test_descriptions import of_model, transforms
 from tests.shared import joint, urdf_of
 
-COUNT = 100
+COUNT = 40
 """Random configurations."""
 
 SAME = 1e-6
@@ -573,9 +573,9 @@ def outcome(form: str, of: Exported, folder: Path) -> str:
         return "same"
     distance = 1e3 * float(np.sqrt(np.mean(np.concatenate(far) ** 2)))
     told = [re.search(r"([\d.e-]+) of [\d.e-]+ mm", r) for r in encoded.remarks]
-    # It is that of forty other configurations.
+    # It is that of as many other configurations.
     squares = np.concatenate(far) ** 2
-    scatter = float(squares.std() / squares.mean()) / 2 * np.sqrt(1 / 40 + 1 / COUNT)
+    scatter = float(squares.std() / squares.mean()) / 2 * np.sqrt(2 / COUNT)
     if any(m and abs(float(m[1]) / distance - 1) < 4 * scatter for m in told):
         return "told"
     return f"{distance:.3g} mm ({'; '.join(encoded.remarks)})"

@@ -21,13 +21,12 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import hypothesis
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from calib_pin.errors import OptionError
@@ -205,21 +204,14 @@ def scara() -> Chain:
 
     The tip link is called `tool`.
     """
-
-    def joint(k: int, x: float, z: float, **more: Any) -> dict[str, Any]:
-        placement = pin.SE3(np.eye(3), np.array([x, 0.0, z]))
-        names = {"name": f"j{k}", "parent": f"l{k - 1}", "child": f"l{k}"}
-        return {**names, "placement": placement, "limits": (-2.2, 2.2), **more}
-
-    lift = {"type": "prismatic", "limits": (-0.2, 0.0)}
-    mount = {"type": "fixed", "child": "tool"}
+    turn = partial(shared.joint, limits="-2.2 2.2")
     return shared.chain_of(
         shared.urdf_of(
-            joint(1, 0.0, 0.3),
-            joint(2, 0.3, 0.05),
-            joint(3, 0.25, 0.0, **lift),
-            joint(4, 0.0, -0.1),
-            joint(5, 0.06, -0.05, **mount),
+            turn("j1", "l0 l1", "0 0 0.3"),
+            turn("j2", "l1 l2", "0.3 0 0.05"),
+            turn("j3", "l2 l3", "0.25 0 0", kind="prismatic", limits="-0.2 0"),
+            turn("j4", "l3 l4", "0 0 -0.1"),
+            turn("j5", "l4 tool", "0.06 0 -0.05", kind="fixed"),
         )
     )
 

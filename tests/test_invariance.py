@@ -59,7 +59,14 @@ FAMILIES = tuple(
 )
 
 
-RARE = {"dh-full", "motor-ripple", "hysteresis", "cross-compliance", "thermal"}
+RARE = {
+    "link-transform",
+    "dh-full",
+    "motor-ripple",
+    "hysteresis",
+    "cross-compliance",
+    "thermal",
+}
 """Families of the slow tier: each is told like another that the quick one has."""
 
 EACH = [

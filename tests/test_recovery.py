@@ -37,7 +37,14 @@ def test_errors_are_those_that_the_covariance_tells() -> None:
 # Without noise.
 
 
-@pytest.mark.parametrize("name", CASES)
+CONTACTS = {"fixed-point", "position and fixed-point", "sphere-contact"}
+"""Cases of the slow tier; the quick one has planes to touch, and mixes of others."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if n in CONTACTS else []) for n in CASES],
+)
 def test_exact_rows_give_the_robot(name: str) -> None:
     """Of equal robots the one closest to nominal; frames and places come along."""
     study = Study(CASES[name], seed=3)

@@ -15,12 +15,7 @@ import pytest
 from calib_pin.cli import main
 from calib_pin.io.results import read_calibration
 from tests.cli.files import column, document, table, undrawn, write
-
-JOINT = """<link name="{child}"/>
-  <joint name="{name}" type="revolute"><origin xyz="{xyz}"/>
-    <parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>
-    <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
-"""
+from tests.shared import joint, urdf_of
 
 ARM = (("0.3 0.1 0.1", "0 1 0"), ("0.5 0 0.05", "0 1 0"), ("0.4 0 0", "0 0 1"))
 """Origin and axis of each joint of an arm."""
@@ -35,18 +30,13 @@ noise: {position: 1.0e-4}
 
 def twins() -> str:
     """A robot with a waist and two arms."""
-
-    def joint(name: str, parent: str, child: str, xyz: str, axis: str) -> str:
-        return JOINT.format(name=name, parent=parent, child=child, xyz=xyz, axis=axis)
-
-    text = joint("turn", "base_link", "waist", "0 0 0.4", "0 0 1")
+    joints = [joint("turn", "base_link waist", "0 0 0.4", limits="-2 2")]
     for side in ("left", "right"):
-        parent = "waist"
-        for k, place in enumerate(ARM, 1):
-            link = f"{side}_{k}"
-            text += joint(f"{side}_joint{k}", parent, link, *place)
-            parent = link
-    return f'<robot name="twins"><link name="base_link"/>{text}</robot>'
+        links = ["waist", *(f"{side}_{k}" for k in (1, 2, 3))]
+        for k, (place, axis) in enumerate(ARM):
+            name, ends = f"{side}_joint{k + 1}", f"{links[k]} {links[k + 1]}"
+            joints.append(joint(name, ends, place, axis, limits="-2 2"))
+    return urdf_of(*joints, name="twins")
 
 
 def owners(folder: str, kind: str) -> list[str]:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 import yaml
 
 from calib_pin.io.results import read_calibration
 from calib_pin.kinematics.joint_columns import JointColumns
 from tests.cli.files import numbers, table, write
-from tests.shared import chain_of, urdf_of
+from tests.shared import chain_of, joint, urdf_of
 
 RUN = "compensate done/calibration.json"
 CALIBRATE = "calibrate lift.urdf rows.csv --tip tool --parameters joint-offset -o done"
@@ -22,25 +22,18 @@ COLUMNS = ["lift", "turn", "Elbow [wrist]", "last"]
 @pytest.fixture
 def lift():
     """Two stages that follow a drive outside the chain, and three joints behind."""
-
-    def joint(name, parent, child, kind="revolute", *, at=(0.0, 0.0, 0.0), **more):
-        placement = pin.SE3(np.eye(3), np.array(at))
-        return {
-            **{"name": name, "parent": parent, "child": child, "type": kind},
-            **{"placement": placement, **more},
-        }
-
     half = '<mimic joint="lift" multiplier="0.5" offset="{}"/>'
     speed = '<limit effort="1" velocity="1"/>'
-    slide = {"kind": "prismatic", "limits": (0.0, 0.6)}
+    slide = partial(joint, kind="prismatic", limits="0 0.6")
+    turn = partial(joint, limits="-2 2")
     return urdf_of(
-        joint("lift", "base", "drive", "prismatic", limits=(0.1, 1.1)),
-        joint("low", "base", "m", **slide, more=half.format(0.01)),
-        joint("high", "m", "t", **slide, at=(0.01, 0.0, 0.2), more=half.format(0.0)),
-        joint("turn", "t", "a", "continuous", at=(0.0, 0.0, 0.3), more=speed),
-        joint("Elbow [wrist]", "a", "b", at=(0.05, 0.0, 0.2), axis=(0, 1, 0)),
-        joint("last", "b", "c", at=(0.4, 0.0, 0.0), axis=(0, 1, 0)),
-        joint("mount", "c", "tool", "fixed", at=(0.3, 0.05, 0.0)),
+        joint("lift", "base drive", kind="prismatic", limits="0.1 1.1"),
+        slide("low", "base m", more=half.format(0.01)),
+        slide("high", "m t", "0.01 0 0.2", more=half.format(0.0)),
+        joint("turn", "t a", "0 0 0.3", kind="continuous", more=speed),
+        turn("Elbow [wrist]", "a b", "0.05 0 0.2", "0 1 0"),
+        turn("last", "b c", "0.4 0 0", "0 1 0"),
+        joint("mount", "c tool", "0.3 0.05 0", kind="fixed"),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import chdir
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from calib_pin.io.measurements import read_measurements
 from calib_pin.io.setup import read_setup
 from calib_pin.kinematics.spatial import Floats
 from tests.cli.files import document, numbers, table, write
+from tests.shared import joint, urdf_of
 
 JOINTS = [f"joint_{k}" for k in range(1, 7)]
 UNITS = np.array([180.0 / np.pi] * 6 + [1e3] * 3)
@@ -194,13 +196,6 @@ def test_sockets(run, fails):
         fails(["init", "space6", "a.csv", f"--distance={length}"], "--distance")
 
 
-LIMB = """<link name="{name}"/>
-<joint name="{name}_joint" type="revolute"><origin xyz="{xyz}"/>
-<parent link="{parent}"/><child link="{name}"/><axis xyz="{axis}"/>
-<limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
-"""
-
-
 def points_of(chain: calib_pin.Chain, q: Floats, tool: Any = (0, 0, 0)) -> Floats:
     """Measured points of a tool, shape (N, 3) [m]."""
     T, rng = chain.poses(q), np.random.default_rng(1)
@@ -215,17 +210,18 @@ def twins(mirror: float) -> None:
         mirror: -1 for a right arm that is the mirror image of the left one, 1 for the
             same arm once more.
     """
-    text = '<robot name="twins"><link name="base"/>'
+    joints = []
     for side, sign, shift in (("left", 1.0, 0.4), ("right", mirror, -0.4)):
         places = [f"0.1 {shift} 0.3", f"0 {0.1 * sign} 0.2"]
         places += [f"0.4 {0.05 * sign} 0", f"0.3 {0.1 * sign} 0.05"]
-        parent = "base"
-        for k, xyz in enumerate(places):
-            axis = ("0 0 1", "1 0 0", "0 1 0", "0 0 1")[k]
-            name = f"{side}_{k}"
-            text += LIMB.format(name=name, xyz=xyz, parent=parent, axis=axis)
-            parent = name
-    Path("twins.urdf").write_text(f"{text}</robot>")
+        links = ["base", *(f"{side}_{k}" for k in range(4))]
+        axes = ("0 0 1", "1 0 0", "0 1 0", "0 0 1")
+        for (parent, link), place, axis in zip(
+            pairwise(links), places, axes, strict=True
+        ):
+            name, ends = f"{link}_joint", f"{parent} {link}"
+            joints.append(joint(name, ends, place, axis, limits="-2 2"))
+    Path("twins.urdf").write_text(urdf_of(*joints))
     chain = calib_pin.load_chain("twins.urdf", tip="left_3")
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 4))
     names = [f"{side}_{k}_joint" for side in ("left", "right") for k in range(4)]
@@ -260,10 +256,9 @@ def test_a_gripper_in_percent(run):
 
 def test_axes_that_meet_tell_no_unit_of_lengths(fails):
     """A positioner of meters fits as well in millimeters, which nothing refuses."""
-    text = LIMB.format(name="tilt", xyz="0 0 0", parent="base", axis="1 0 0")
-    text += LIMB.format(name="top", xyz="0 0 0", parent="tilt", axis="0 0 1")
-    text = f'<robot name="table"><link name="base"/>{text}</robot>'
-    Path("table.urdf").write_text(text)
+    tilt = joint("tilt_joint", "base tilt", axis="1 0 0", limits="-2 2")
+    turn = joint("top_joint", "tilt top", limits="-2 2")
+    Path("table.urdf").write_text(urdf_of(tilt, turn))
     chain = calib_pin.load_chain("table.urdf")
     q = chain.random_configurations(40, np.random.default_rng(0))
     points = points_of(chain, q, (0.4, 0.1, 0.2))
@@ -403,14 +398,14 @@ def test_thousands_that_were_read_as_the_whole_are_told(measured, run):
 )
 def test_poses_of_a_board_in_the_camera_of_the_hand(run, position, turn):
     """As OpenCV and easy_handeye state them, beside the controller's pose."""
-    assert run("simulate space6 --model pose --count 60 --seed 1 -o a.csv").status == 0
-    rows, T = numbers("a.csv"), np.tile(np.eye(4), (60, 1, 1))
+    assert run("simulate space6 --model pose --count 30 --seed 1 -o a.csv").status == 0
+    rows, T = numbers("a.csv"), np.tile(np.eye(4), (30, 1, 1))
     T[:, :3, :3] = Rotation.from_quat(rows[:, 9:13]).as_matrix()
     T[:, :3, 3] = rows[:, 6:9]
     seen = np.linalg.inv(T)
     turns = Rotation.from_matrix(seen[:, :3, :3])
     kinds = {
-        "R_target2cam_": (range(9), seen[:, :3, :3].reshape(60, 9)),
+        "R_target2cam_": (range(9), seen[:, :3, :3].reshape(30, 9)),
         "rvec_": ("xyz", turns.as_rotvec()),
     }
     ends, cells = kinds[turn]

@@ -95,7 +95,6 @@ def test_a_place_that_the_setup_does_not_state_is_named(here, fails):
     ("words", "measured"),
     [
         ("--add --count 4 --to rows.csv", 40),
-        ("--count 4 --add --to rows.csv", 40),
         ("--count 4 --add --to rows.csv --to new.csv", 65),
     ],
 )

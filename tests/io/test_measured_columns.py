@@ -12,7 +12,7 @@ import calib_pin
 from calib_pin.io.measurements import encode_configurations, read_configurations
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.setup import JointMap
-from tests.shared import chain_of, urdf_of
+from tests.shared import chain_of, joint, urdf_of
 
 CHAIN = calib_pin.load_chain("space6")
 Q = CHAIN.random_configurations(7, np.random.default_rng(0))
@@ -29,10 +29,10 @@ def test_joint_maps_are_undone(tmp_path: Path) -> None:
     signs = rng.choice([-1, 1], 6).tolist()
     gears = rng.choice([-50.0, 0.02, 1.5], 6).tolist()
     joints = dict[str, JointMap]()
-    for k, joint in enumerate(CHAIN.joints):
+    for k, name in enumerate(CHAIN.joints):
         coupled = {other: float(rng.uniform(-2.0, 2.0)) for other in names[:k]}
         offset = float(rng.uniform(-3.0, 3.0))
-        joints[names[k]] = JointMap(joint, signs[k], gears[k], offset, coupled)
+        joints[names[k]] = JointMap(name, signs[k], gears[k], offset, coupled)
     mutual = {"A5": 0.25, "track": 2.0}
     for given in (joints, joints | {"A0": replace(joints["A0"], coupled=mutual)}):
         columns, before = JointColumns.of(CHAIN, given), Q.copy()
@@ -58,9 +58,9 @@ def test_a_map_of_one_joint_leaves_the_others_bit_by_bit() -> None:
 def test_a_mimic_joint_that_stands_still_needs_no_leader() -> None:
     still = '<mimic joint="side" multiplier="0" offset="0.2"/>'
     joints = (
-        {"name": "side", "parent": "base", "child": "beside"},
-        {"name": "still", "parent": "base", "child": "link", "more": still},
-        {"name": "moves", "parent": "link", "child": "tip"},
+        joint("side", "base beside"),
+        joint("still", "base link", more=still),
+        joint("moves", "link tip"),
     )
     columns = JointColumns.of(chain_of(urdf_of(*joints), "base", "tip"))
     assert columns.names == ("moves",)

@@ -28,7 +28,7 @@ from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.model_errors import Registered
 from calib_pin.viewer.scene import bodies_of, stage_errors
 from calib_pin.viewer.stage import sight
-from tests.shared import urdf_of
+from tests.shared import joint, urdf_of
 
 MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}
 """Of the robots below; each moves like the other."""
@@ -136,15 +136,9 @@ def test_corrections_are_magnified_and_links_hang_together(panda, calibrated):
 
 
 def test_fingers_follow_those_that_they_mimic():
-    text = urdf_of(
-        {"name": "a", "parent": "base", "child": "left"},
-        {
-            "name": "b",
-            "parent": "base",
-            "child": "right",
-            "more": '<mimic joint="a" multiplier="-2" offset="0.1"/>',
-        },
-    )
+    follows = '<mimic joint="a" multiplier="-2" offset="0.1"/>'
+    left, right = joint("a", "base left"), joint("b", "base right", more=follows)
+    text = urdf_of(left, right)
     robot = parse_robot(text.encode(), "test.urdf")
     skeleton = Skeleton(robot, "base")
     assert skeleton.joints == ("a",)

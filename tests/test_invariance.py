@@ -60,12 +60,8 @@ FAMILIES = tuple(
 
 
 RARE = {
-    "link-transform",
-    "dh-full",
-    "motor-ripple",
-    "hysteresis",
-    "cross-compliance",
-    "thermal",
+    *("link-transform", "dh-full", "motor-ripple"),
+    *("hysteresis", "cross-compliance", "thermal"),
 }
 """Families of the slow tier: each is told like another that the quick one has."""
 

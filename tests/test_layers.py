@@ -12,17 +12,8 @@ from tests.shared import nodes_of, parsed
 PACKAGE = Path(__file__).parents[1] / "calib_pin"
 
 ROOMS = (
-    *(
-        "errors",
-        "plugins",
-        "units",
-        "progress",
-        "workers",
-        "setup",
-        "kinematics",
-        "compiled",
-        "parameters",
-    ),
+    *("errors", "plugins", "units", "progress", "workers", "setup", "kinematics"),
+    *("compiled", "parameters"),
     *("observations", "parameterizations", "measurement_models", "solvers"),
     *("residual_models", "estimation", "validation", "planning", "control"),
     *("simulation", "calibration", "monte_carlo", "io", "guidance"),

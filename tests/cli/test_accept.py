@@ -88,10 +88,8 @@ def test_a_calibration_is_tested_beside_the_nominal_robot(visits, run, fails):
     assert "Poses, nominal" in result.out and "Poses, calibrated" in result.out
     assert "0.5000 mm" in result.out and result.err == ""
     # Five poses hold the station, but never the tool.
-    assert "the station was fitted to these visits, 6 unknowns of 15" in " ".join(
-        result.out.split()
-    )
-    assert "the misfit of the station is " in " ".join(result.out.split())
+    assert "the station was fitted to these visits, 6 unknowns of 15" in said(result)
+    assert "the misfit of the station is " in said(result)
     changed(partial(shift, first=0, by=0.05))
     assert "--register fits it" in run(accept.replace("--register ", "")).out
 
@@ -139,7 +137,7 @@ def interval(run) -> tuple[float, float]:
     return pose["accuracy"]["low"], pose["accuracy"]["high"]
 
 
-def test_frames_to_an_uncertainty_and_of_other_poses(visits, run):
+def test_frames_to_an_uncertainty_and_of_other_poses(visits, run, without_typst):
     sharp = interval(run)
     loose = FRAMES.replace(", estimate: false", "")
     loose += "prior: {'*.frame.*': 1.0e-9, 'base.frame.?': 1.0e-4}"
@@ -191,8 +189,7 @@ def test_poses_with_any_names_are_numbered_in_their_order(visits, run):
     assert "pose 1 is 'Pose 1', 2 is 'Pose 2', 3 is 'home 3'" in result.err
 
 
-def test_positions_test_a_calibration_of_poses(tmp_path, monkeypatch, run):
-    monkeypatch.chdir(tmp_path)
+def test_positions_test_a_calibration_of_poses(alone, run, without_typst):
     simulate = "simulate space6 --model pose --seed 1 --noise 1e-4"
     assert run(f"{simulate} --count 30 -o rows.csv").status == 0
     assert run("calibrate space6 rows.csv -o c").status == 0

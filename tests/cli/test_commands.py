@@ -8,7 +8,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
 
@@ -98,10 +98,15 @@ def test_debug_shows_where_it_failed(here):
         main(["calibrate", "arm.urdf", "none.csv", "--debug"])
 
 
-def test_a_defect_of_ours_is_one_line_too(here, run, monkeypatch):
+def raising(error: Exception) -> Callable[..., None]:
     def fail(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("division\nby zero")
+        raise error
 
+    return fail
+
+
+def test_a_defect_of_ours_is_one_line_too(here, run, monkeypatch):
+    fail = raising(ZeroDivisionError("division\nby zero"))
     monkeypatch.setattr("calib_pin.calibration.calibrate", fail)
     result = run(POSITION)
     assert result.status == 1
@@ -113,11 +118,7 @@ def test_a_library_that_the_system_lacks_is_no_defect_of_ours(here, run, monkeyp
     """Pinocchio without OpenMP, as in the containers `python:3.12-slim`."""
     reason = "libgomp.so.1: cannot open shared object file: No such file or directory"
     lacking = ImportError(reason, name="pinocchio_pywrap_default", path="pywrap.so")
-
-    def fail(*_: object, **__: object) -> None:
-        raise lacking
-
-    monkeypatch.setattr("calib_pin.calibration.calibrate", fail)
+    monkeypatch.setattr("calib_pin.calibration.calibrate", raising(lacking))
     result = run(POSITION)
     assert result.status == 1
     assert result.err == (
@@ -570,17 +571,10 @@ def test_the_same_bytes_in_any_environment(tmp_path: Path) -> None:
     for k, environment in enumerate(ENVIRONMENTS):
         folder = tmp_path / f"folder{k}"
         folder.mkdir()
-        words = ["calibrate", "space7", rows, "--setup", setup, "-o", out, "--force"]
-        words += [
-            "--solver",
-            "two-step",
-            "--learned",
-            "gaussian-process",
-            "--holdout",
-            "0.2",
-        ]
+        words = f"calibrate space7 {rows} --setup {setup} -o {out} --force"
+        words += " --solver two-step --learned gaussian-process --holdout 0.2"
         subprocess.run(
-            [sys.executable, "-m", "calib_pin", *map(str, words)],
+            [sys.executable, "-m", "calib_pin", *words.split()],
             env={**os.environ, **environment},
             cwd=folder,
             capture_output=True,

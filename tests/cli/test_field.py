@@ -115,6 +115,7 @@ READ: Mapping[str, Callable[[Job], str | bytes]] = {
     "an orientation that never moves": lambda job: text(
         {OWN: job.q, XYZ: job.points, "qx qy qz qw": np.tile([0.0, 0, 0, 1], (40, 1))}
     ),
+    "a word of Excel": lambda job: "sep=;\n" + decimal_commas(job),
     "an old code page": lambda job: (
         decimal_commas(job)
         .replace("x_mm;y_mm;z_mm", "Maß x_mm;Maß y_mm;Maß z_mm")

@@ -24,11 +24,8 @@ from tests.cli.files import document
 POSITION = "calibrate arm.urdf rows.csv --setup setup.yaml"
 EVALUATE = "evaluate {}/calibration.json new.csv"
 FILES = {
-    "arm.urdf",
-    "calibration.json",
-    "measurements.csv",
-    "nominal.urdf",
-    "report.html",
+    *("arm.urdf", "calibration.json", "measurements.csv"),
+    *("nominal.urdf", "report.html"),
 }
 NEWER = "calibrate arm.urdf new.csv --setup setup.yaml -o done --force --quiet"
 BAD = "calibrate arm.urdf few.csv --setup setup.yaml -o done --force"

@@ -54,10 +54,10 @@ TOOLS = (
 )
 
 
-def table(blocks: list[Block], title: str) -> list[list[str]]:
-    """The cells of the table whose title begins so."""
+def table(blocks: list[Block], title: str) -> Table:
+    """The table whose title begins so."""
     (found,) = (b for b in blocks if isinstance(b, Table) and b.title.startswith(title))
-    return [[cell.text for cell in row] for row in found.rows]
+    return found
 
 
 def test_one_of_each_is_not_told():
@@ -71,7 +71,8 @@ def test_one_of_each_is_not_told():
 
 def test_stations_and_tools():
     blocks = list(parts(Breakdown(stations=STATIONS, tools=TOOLS)))
-    rows = table(blocks, "Stations, tools")
+    found = table(blocks, "Stations, tools")
+    rows = [[cell.text for cell in row] for row in found.rows]
     assert [row[0].split()[1] for row in rows] == ["day1", "day2", "ball", "probe"]
     assert rows[0][1:] == ["30", "position", "2.000", "0.1000", "0.0500", "mm"]
     # Two stations look at the ball, each with its own noise.

@@ -9,24 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.report.blocks import Block, Line, Table
+from calib_pin.report.blocks import Line
 from calib_pin.report.breakdown import frame_blocks
 from calib_pin.report.tables import parameter_overview
 from calib_pin.report.terminal import plain_text
 from calib_pin.setup import CameraSetup
 from calib_pin.validation.result import CalibrationResult
 from tests.report.results import SEEN
-from tests.report.test_breakdown import STATIONS, TOOLS
+from tests.report.test_breakdown import STATIONS, TOOLS, table
 
 
 @pytest.fixture(scope="module")
 def tracked(calibrated_robot: Callable[..., CalibrationResult]) -> CalibrationResult:
     return calibrated_robot("position", count=40)
-
-
-def table(blocks: list[Block], title: str) -> Table:
-    (found,) = (b for b in blocks if isinstance(b, Table) and b.title.startswith(title))
-    return found
 
 
 def test_values_with_their_deviations(tracked):

@@ -13,11 +13,7 @@ import calib_pin
 from calib_pin.report.comparison import comparison_report
 from calib_pin.report.tables import significant
 from calib_pin.report.terminal import plain_text
-from calib_pin.validation.comparison import (
-    Comparison,
-    Difference,
-    compare,
-)
+from calib_pin.validation.comparison import Comparison, Difference, compare
 from calib_pin.validation.result import Coefficient
 from tests.report.results import changed
 

@@ -21,6 +21,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations, Targets
 from calib_pin.parameterizations import frame_pose
@@ -306,21 +307,23 @@ def measured(
 
 
 def simulated(
-    model: str,
+    model: str | Sequence[BlockKey],
     setup: Setup | None = None,
     count: int = 40,
     size: float = 0.0,
     seed: int = 0,
     *,
-    robot: str | Chain = "space6",
-    noise: float = 0.0,
+    robot: str | Chain | Chains = "space6",
+    noise: float | None = 0.0,
     changes: Mapping[str, float] | None = None,
+    **how: Any,
 ) -> tuple[Problem, Floats]:
     """Measurements of a robot: `simulated(model, setup, count, size, seed, ...)`.
 
     Returns the problem with the rows, and the true errors: those of the robot have so
     many times their expected size, and changes by name come on top. The robot, space6
-    by default, is a name or a chain; without `noise` there is none.
+    by default, is a name or a chain; without `noise` there is none. Further arguments
+    are those of `simulate`.
     """
 
     rng = np.random.default_rng(seed)
@@ -329,7 +332,7 @@ def simulated(
     theta = size * draw_errors(problem.parameters, rng)
     for name, change in (changes or {}).items():
         theta[problem.parameters.index(name)] += change
-    rows = simulate(problem, theta, rng, count=count, noise=noise)
+    rows = simulate(problem, theta, rng, count=count, noise=noise, **how)
     return replace(problem, data=rows), theta
 
 

@@ -18,6 +18,7 @@ from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from tests.residual_models.corrections import Wave
+from tests.shared import simulated
 
 
 @pytest.fixture(scope="module")
@@ -122,16 +123,14 @@ def test_where_nothing_was_learned(model, q, monkeypatch):
 
 def test_the_real_robot_is_as_accurate_as_the_model() -> None:
     """Commanded targets are reached as well as unseen rows are predicted."""
-    chain = calib_pin.load_chain("pa10")
     tool = FrameSetup((0.06, 0.02, 0.1), (0.0, 0.0, 0.0))
     setup = Setup(parameters=("placement", "transmission", "compliance"))
-    real = nominal_problem(chain, "position", replace(setup, tool_frame=tool))
-    rng = np.random.default_rng(5)
-    truth = calib_pin.draw_errors(real.parameters, rng)
-    rows = calib_pin.simulate(real, truth, rng, count=80, noise=2e-5)
-    q = chain.random_configurations(200, rng)
+    true = replace(setup, tool_frame=tool)
+    real, truth = simulated("position", true, 80, 1.0, 5, robot="pa10", noise=2e-5)
+    q = real.chains.random_configurations(200, np.random.default_rng(6))
     targets = real.only.error.poses(q, truth)
-    model = calib_pin.calibrate(chain, rows, setup, validate=False).model.of()
+    result = calib_pin.calibrate(real.chains, real.data, setup, validate=False)
+    model = result.model.of()
 
     def error(poses: Floats, rows: Floats) -> float:
         return float(np.linalg.norm((poses - targets)[rows, :3, 3], axis=1).mean())

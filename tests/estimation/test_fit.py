@@ -128,13 +128,10 @@ def test_every_value_stays_within_its_bounds() -> None:
 
 def placement_problem(setup: Setup) -> tuple[Problem, np.ndarray]:
     """`space6` with placement errors, measured by position with 0.1 mm noise."""
-    rng = np.random.default_rng(1)
-    chain = calib_pin.load_chain("space6")
-    tool = FrameSetup((0.1, 0.05, 0.05))
-    free = nominal_problem(chain, "position", Setup(tool_frame=tool))
-    truth = calib_pin.draw_errors(free.parameters, rng)
-    rows = calib_pin.simulate(free, truth, rng, count=40, noise=1e-4)
-    return replace(nominal_problem(chain, "position", setup), data=rows), truth
+    free = Setup(tool_frame=FrameSetup((0.1, 0.05, 0.05)))
+    job, truth = simulated("position", free, 40, 1.0, seed=1, noise=1e-4)
+    problem = nominal_problem(job.chains, "position", setup)
+    return replace(problem, data=job.data), truth
 
 
 HOUR = 3600.0
@@ -304,15 +301,12 @@ OFFSETS_ALONE = Setup(
 
 def measured_rows(repeats: int = 1) -> tuple[Chain, Observations]:
     """Positions of `space6`; the readings of a configuration differ by noise."""
-    chain = calib_pin.load_chain("space6")
-    problem = nominal_problem(chain, "position", OFFSETS_ALONE)
-    rng = np.random.default_rng(1)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(
-        problem, truth, rng, count=40, noise=5e-5, repeats=repeats
+    problem, _ = simulated(
+        "position", OFFSETS_ALONE, 40, 1.0, 1, noise=5e-5, repeats=repeats
     )
     # Readings of one configuration need not stand side by side.
-    return chain, Observations.of(rows.only.rows(rng.permutation(len(rows))))
+    order = np.random.default_rng(1).permutation(len(problem.data))
+    return problem.chains[""], problem.data.rows(order)
 
 
 KINDS = ["placement", "transmission"]

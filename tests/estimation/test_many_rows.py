@@ -31,10 +31,10 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
 )
-from calib_pin.simulation import draw_errors, exact_problem, simulate
+from calib_pin.simulation import exact_problem
 from calib_pin.solvers import Status
 from tests.residual_models.corrections import Wave
-from tests.shared import FRAMED, chain_of, measured, urdf_of
+from tests.shared import FRAMED, chain_of, measured, simulated, urdf_of
 
 Measured = Callable[..., Problem]
 
@@ -297,11 +297,9 @@ def test_a_fit_of_very_many_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("calib_pin.estimation.many_rows.NEAR", 0.0)
     model, setup, sample = CASES[case]
     monkeypatch.setattr("calib_pin.estimation.solve.SAMPLE", sample)
-    chain, rng = load_chain("space6"), np.random.default_rng(1)
-    free = nominal_problem(chain, model, replace(setup, prior={}, bounds={}, fixed=()))
-    truth = draw_errors(free.parameters, rng)
-    rows = simulate(free, truth, rng, count=CHUNK + 70, noise=1e-4)
-    problem = replace(nominal_problem(chain, model, setup), data=rows)
+    free = replace(setup, prior={}, bounds={}, fixed=())
+    job, _ = simulated(model, free, CHUNK + 70, 1.0, seed=1, noise=1e-4)
+    problem = replace(nominal_problem(job.chains, model, setup), data=job.data)
 
     plain = fit(problem, np.random.default_rng(0))
     found = fit(through_kernels(problem, monkeypatch), np.random.default_rng(0))

@@ -9,14 +9,12 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem, absorbed, completed
-from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
-from calib_pin.simulation import draw_errors, simulate
-from tests.shared import chain_of, urdf_of
+from tests.shared import chain_of, simulated, urdf_of
 
 STATIONS = {
     name: FrameSetup((x, 1.0 - x, 0.2), (0.1, x, 2.0 * x))
@@ -34,13 +32,10 @@ KEYS = [
 
 def job(chain: Chain | None = None) -> Problem:
     """A simulated job with noise."""
-    setup = Setup(stations=STATIONS, tools=TOOLS)
-    problem = nominal_problem(chain or load_chain("space6"), KEYS, setup)
-    rng = np.random.default_rng(4)
-    truth = draw_errors(problem.parameters, rng)
-    data = simulate(problem, truth, rng, count=20 * len(KEYS), noise=1e-4)
+    setup, robot = Setup(stations=STATIONS, tools=TOOLS), chain or "space6"
+    problem, _ = simulated(KEYS, setup, 140, 1.0, 4, robot=robot, noise=1e-4)
     # Files need not have the order of stations.
-    return replace(problem, data=Observations(data.blocks[::-1]))
+    return replace(problem, data=Observations(problem.data.blocks[::-1]))
 
 
 def eliminated(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:

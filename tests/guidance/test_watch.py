@@ -13,13 +13,12 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.guidance import Event, Watch
 from calib_pin.guidance.proposals import Proposals
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import FrameSetup, LimitSetup, Setup
-from calib_pin.simulation import draw_errors, simulate
+from tests.shared import simulated
 
 NOISE = 5e-5
 PLACES = Setup(
@@ -36,12 +35,9 @@ def chains() -> Chains:
 
 @pytest.fixture(scope="module")
 def rows(chains: Chains) -> Measurements:
-    rng = np.random.default_rng(3)
     truth = replace(PLACES, parameters=OFFSETS.parameters)
-    problem = nominal_problem(chains, "position", truth)
-    theta = draw_errors(problem.parameters, rng)
-    found = simulate(problem, theta, rng, count=24, noise=NOISE).only
-    return replace(found, sigma=None)
+    problem, _ = simulated("position", truth, 24, 1.0, 3, robot=chains, noise=NOISE)
+    return replace(problem.data.only, sigma=None)
 
 
 class Silent:

@@ -23,7 +23,7 @@ from calib_pin.planning.search import METHODS
 from calib_pin.setup import FrameSetup, PlaneSetup, Region, Setup
 from calib_pin.simulation import exact_problem
 from calib_pin.solvers import Status
-from tests.shared import refused
+from tests.shared import refused, simulated
 
 COUNT = 12
 REGION = Region(box=((-0.9, -0.9, 0.0), (1.5, 1.5, 2.2)))
@@ -248,9 +248,7 @@ def test_several_planes(method: str) -> None:
 
 def test_additions_look_at_planes_that_were_not_measured() -> None:
     setup = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
-    problem = nominal_problem(CHAIN, "plane-distance", setup)
-    zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
-    rows = calib_pin.simulate(problem, zero, rng, count=40)
+    rows = simulated("plane-distance", setup, 40, noise=None)[0].data
     planes = {**setup.planes, "side": PlaneSetup((1.0, 0.3, 0.2), -1.5)}
     ranger = replace(setup.ranger, range=(0.0, 1.2))
     assert rows.only.values.max() > 1.2
@@ -258,7 +256,7 @@ def test_additions_look_at_planes_that_were_not_measured() -> None:
     plan = small(model="plane-distance", setup=more, measured=rows, candidates=1000)
     assert "side" in plan.target
     # The window is the one that the setup states, however far the rows reached.
-    zero = np.zeros(len(plan.problem.parameters))
+    zero, rng = np.zeros(len(plan.problem.parameters)), np.random.default_rng(1)
     seen = calib_pin.simulate(plan.problem, zero, rng, q=plan.q, target=plan.target)
     assert seen.only.values.max() < 1.2
 
@@ -387,11 +385,9 @@ def test_impossible_requests(
 
 
 def test_rows_that_show_no_frames_are_refused() -> None:
-    problem = nominal_problem(CHAIN, "position", SETUP)
-    zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
-    rows = calib_pin.simulate(problem, zero, rng, count=2)
+    problem, _ = simulated("position", SETUP, 2, noise=None)
     with refused(InputError, "6 measured"):
-        small(measured=rows)
+        small(measured=problem.data)
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ from calib_pin.setup import (
 )
 from calib_pin.simulation import draw_errors, simulate
 from tests.planning.test_plan import value_of
-from tests.shared import chain_of, refused, urdf_of
+from tests.shared import chain_of, refused, simulated, urdf_of
 
 PLANES = {
     "floor": PlaneSetup((0.1, 0.2, 1.0), 1.5),
@@ -443,9 +443,7 @@ def test_additions_to_two_stations(tree: Chains) -> None:
     chains = tree.named(("left", "right", "world"))
     points = {"here": FrameSetup((1, 2, 3)), "there": FrameSetup((3, 2, 1))}
     setup = replace(TREE, stations=dict(zip("ab", points.values(), strict=True)))
-    problem = nominal_problem(chains, keys, setup)
-    zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(1)
-    measured = simulate(problem, zero, rng, count=60, noise=1e-4)
+    measured = simulated(keys, setup, 60, robot=chains, noise=1e-4)[0].data
     options = {"method": "exchange", "candidates": 60}
     plan = calib_pin.plan(chains, "position", 6, setup, measured=measured, **options)
     assert plan.measured == 60 and plan.q.shape == (6, len(tree.joints))
@@ -466,9 +464,7 @@ def test_contacts_are_not_planned_but_counted(tree: Chains) -> None:
     setup = Setup(tool_frame=TOOL, sockets=sockets)
     with pytest.raises(OptionError, match="fixed-point"):
         calib_pin.plan(chain, keys, 12, setup)
-    problem = nominal_problem(chain, keys, setup)
-    zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(1)
-    both = simulate(problem, zero, rng, count=48, noise=1e-4)
+    both = simulated(keys, setup, 48, noise=1e-4)[0].data
     options = {"method": "greedy", "candidates": 60}
     values = [
         calib_pin.plan(chain, keys[:1], 6, setup, measured=rows, **options).value

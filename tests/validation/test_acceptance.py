@@ -9,7 +9,6 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
@@ -24,6 +23,7 @@ from calib_pin.validation.acceptance import (
     moved_after,
 )
 from calib_pin.validation.acceptance import tested as run
+from tests.shared import simulated
 
 X = np.array([[1.0, 0.0, 0.0], [1.2, 0.0, 0.0], [1.0, 0.3, 0.0], [1.2, 0.3, 0.4]])
 C = np.array([1.0, 0.1, 0.0])
@@ -235,11 +235,8 @@ def test_a_visit_that_is_far_away_has_all_of_the_scatter(away, count):
 @pytest.fixture(scope="module")
 def calibration() -> tuple[Problem, Floats, calib_pin.CalibrationResult]:
     """A calibration of sixty positions, and the robot that was measured."""
-    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(1)
-    problem = nominal_problem(chain, "position", Setup())
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=60, noise=1e-4)
-    return problem, truth, calib_pin.calibrate(chain, rows)
+    problem, truth = simulated("position", None, 60, 1.0, seed=1, noise=1e-4)
+    return problem, truth, calib_pin.calibrate(problem.chains, problem.data)
 
 
 @pytest.mark.parametrize(
@@ -265,13 +262,11 @@ def test_one_pose_tells_no_station_from_an_error(calibration, poses, moved, told
 
 def test_angles_hide_no_move_of_the_instrument() -> None:
     """Seven milliradians are no seven millimeters, beside which five are nothing."""
-    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(1)
     setup = Setup(noise={"position": 1e-4, "orientation": 4e-3})
-    problem = nominal_problem(chain, "pose", setup)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=60)
-    result = calib_pin.calibrate(chain, rows, setup, validate=False)
-    q = np.tile(chain.random_configurations(5, rng), (10, 1))
+    problem, truth = simulated("pose", setup, 60, 1.0, seed=1, noise=None)
+    result = calib_pin.calibrate(problem.chains, problem.data, setup, validate=False)
+    rng = np.random.default_rng(2)
+    q = np.tile(problem.chains.random_configurations(5, rng), (10, 1))
     visited = calib_pin.simulate(problem, truth, rng, q=q).only
     for moved in (0.0, 5e-3):
         there = replace(visited, values=visited.values + moved * np.eye(7)[0])

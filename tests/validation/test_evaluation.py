@@ -15,6 +15,7 @@ from calib_pin.report.accuracy import evaluated
 from calib_pin.report.terminal import plain_text
 from calib_pin.setup import BoardSetup, CameraSetup, FrameSetup, Setup
 from calib_pin.validation.model_errors import registered
+from tests.shared import simulated
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +35,12 @@ def test_as_calibrated(job) -> None:
 
 def test_a_finer_instrument_has_no_outliers_beside_a_coarse_one() -> None:
     """Poses to 50 mm fit any robot; a few positions show its errors."""
-    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(2)
-    problem = nominal_problem(chain, [BlockKey("position"), BlockKey("pose")], Setup())
-    truth = 4.0 * calib_pin.draw_errors(problem.parameters, rng)
-    fine, coarse = calib_pin.simulate(problem, truth, rng, count=150, noise=1e-4).blocks
+    keys = [BlockKey("position"), BlockKey("pose")]
+    problem, _ = simulated(keys, None, 150, 4.0, seed=2, noise=1e-4)
+    fine, coarse = problem.data.blocks
     coarse = replace(coarse, sigma=np.full_like(coarse.values[:, :6], 0.05))
     mixed = Observations((fine.rows(slice(0, 8)), coarse))
-    found = calib_pin.evaluate(chain, mixed).findings
+    found = calib_pin.evaluate(problem.chains, mixed).findings
     assert "outliers" not in {one.code for one in found}
 
 
@@ -82,12 +82,10 @@ def test_what_few_rows_tell_of_a_frame_is_no_move(job, count) -> None:
 @pytest.mark.parametrize("moved", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_one_of_two_instruments_has_moved(moved) -> None:
     """Whichever comes first in the file."""
-    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(2)
-    keys = BlockKey("position", station="a"), BlockKey("pose", station="b")
-    problem = nominal_problem(chain, keys, Setup())
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=60, noise=1e-4)
-    model = calib_pin.calibrate(chain, rows, validate=False).model
+    keys = [BlockKey("position", station="a"), BlockKey("pose", station="b")]
+    problem, truth = simulated(keys, None, 60, 1.0, seed=2, noise=1e-4)
+    result = calib_pin.calibrate(problem.chains, problem.data, validate=False)
+    model, rng = result.model, np.random.default_rng(3)
     blocks = [*calib_pin.simulate(problem, truth, rng, count=24, noise=1e-4).blocks]
     assert calib_pin.evaluate(model, Observations.of(*blocks)).findings == ()
     values = blocks[moved].values.copy()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -40,6 +39,7 @@ from calib_pin.validation.model_errors import (
 )
 from calib_pin.validation.splits import Grouping, folds
 from tests.shared import simulated
+from tests.validation.test_splits import jogged
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 LEARNED = replace(SETUP, parameters=("placement",), learned="gaussian-process")
@@ -155,10 +155,7 @@ def in_sockets() -> Observations:
         for k, xyz in enumerate(both)
     }
     setup = replace(IN_SOCKETS, sockets=sockets, tool_frame=BALL)
-    problem = nominal_problem(CHAIN, "fixed-point", setup)
-    rng = np.random.default_rng(1)
-    truth = 3.0 * calib_pin.draw_errors(problem.parameters, rng)
-    return calib_pin.simulate(problem, truth, rng, count=60, noise=5e-5)
+    return simulated("fixed-point", setup, 60, 3.0, seed=1, noise=5e-5)[0].data
 
 
 def test_sockets_of_a_place_are_where_its_rows_put_them(
@@ -266,15 +263,7 @@ def test_a_part_with_all_of_a_target_takes_a_fit() -> None:
 
 
 def measured(count: int, model: str = "pose") -> Problem:
-    problem = nominal_problem(calib_pin.load_chain("space6"), model, SETUP)
-    rows = calib_pin.simulate(
-        problem,
-        np.zeros(len(problem.parameters)),
-        np.random.default_rng(0),
-        count=count,
-        noise=1e-4,
-    )
-    return replace(problem, data=rows)
+    return simulated(model, SETUP, count, noise=1e-4)[0]
 
 
 def part(before: Floats, after: Floats, variance: float = 1e-8) -> ModelErrors:
@@ -424,21 +413,18 @@ def test_without_validation_there_is_the_hat_matrix() -> None:
     assert 0.8 < folded.ratio < 1.2 and 0.8 < pressed.ratio < 1.2
 
 
-def jogged() -> Observations:
+def along_lines() -> Observations:
     """Positions on straight lines from one random configuration to the next."""
     problem = nominal_problem(CHAIN, "position", SETUP)
     rng = np.random.default_rng(5)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    ends = rng.uniform(-2.0, 2.0, (13, 6))
-    part = np.linspace(0.0, 1.0, 10, endpoint=False)[:, None]
-    q = np.concatenate([a + part * (b - a) for a, b in pairwise(ends)])
+    truth, q = calib_pin.draw_errors(problem.parameters, rng), jogged(rng, 12)
     data = exact_problem(problem, truth, q, ("",) * len(q)).data.only
     noise = 5e-5 * rng.normal(size=data.values.shape)
     return Observations.of(replace(data, values=data.values + noise))
 
 
 def test_a_path_is_folded_by_stretch() -> None:
-    rows = jogged()
+    rows = along_lines()
     found = check(fitted_to(rows), rows, 0)
     assert found.method == "5-fold by stretch"
     for part in found.parts:

@@ -17,6 +17,7 @@ from calib_pin.parameterizations import frame_pose
 from calib_pin.report.figures import NAMES
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.validation.result import Accuracy, CalibrationResult
+from tests.shared import simulated
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
 BASE = FrameSetup((1.0, -2.0, 0.3), (0.4, -0.3, 2.0))
@@ -26,16 +27,13 @@ WALL = {"wall": PlaneSetup((0.1, 0.2, 1.0), 1.5)}
 def measured(
     model: str, count: int = 45, size: float = 1.0
 ) -> tuple[Chain, Measurements]:
-    chain = calib_pin.load_chain("space6")
     setup = Setup(
         tool_frame=TOOL,
         base_frame=BASE if model != "plane-distance" else FrameSetup(),
         planes=WALL,
     )
-    problem = nominal_problem(chain, model, setup)
-    rng = np.random.default_rng(5)
-    truth = size * calib_pin.draw_errors(problem.parameters, rng)
-    return chain, calib_pin.simulate(problem, truth, rng, count=count).only
+    problem, _ = simulated(model, setup, count, size, 5, noise=None)
+    return problem.chains[""], problem.data.only
 
 
 @pytest.fixture(scope="module")

@@ -32,6 +32,7 @@ from calib_pin.validation.splits import (
     split,
     stretches,
 )
+from tests.shared import simulated
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 
@@ -40,15 +41,12 @@ def measured_rows(
     setup: Setup = SETUP, *, count: int = 40, repeats: int = 1
 ) -> tuple[Chain, Observations]:
     """Positions of `space6`; the readings of a configuration differ by noise."""
-    chain = calib_pin.load_chain("space6")
-    problem = nominal_problem(chain, "position", setup)
-    rng = np.random.default_rng(1)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(
-        problem, truth, rng, count=count, noise=5e-5, repeats=repeats
+    problem, _ = simulated(
+        "position", setup, count, 1.0, 1, noise=5e-5, repeats=repeats
     )
     # Readings of one configuration need not stand side by side.
-    return chain, Observations.of(rows.only.rows(rng.permutation(len(rows))))
+    order = np.random.default_rng(1).permutation(len(problem.data))
+    return problem.chains[""], problem.data.rows(order)
 
 
 # Folds.
@@ -123,9 +121,9 @@ def at_stations(*counts: int, tools: Sequence[str] = ("",)) -> Observations:
 
 
 def test_every_fold_has_its_share_of_every_station() -> None:
-    chain = calib_pin.load_chain("space6")
     keys = [BlockKey("position", "", s) for s in "abc"]
     stations = {s: FrameSetup((k, 1.0, 0.3)) for k, s in enumerate("abc")}
+    chain = calib_pin.load_chain("space6")
     problem = nominal_problem(chain, keys, replace(SETUP, stations=stations))
     rng, still = np.random.default_rng(0), np.zeros(len(problem.parameters))
     rows = Observations.of(

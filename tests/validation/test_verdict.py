@@ -22,6 +22,7 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import AnchorSetup, Setup
 from calib_pin.validation.judgement import Judgement
 from calib_pin.validation.result import ToolAccuracy
+from tests.shared import simulated
 
 
 def tracked(number: int = 0, **changes: float | str | bool) -> Job:
@@ -60,13 +61,11 @@ def test_five_poses_many_times_are_unchecked() -> None:
 
 def test_a_promise_is_made_on_condition_where_errors_may_be_noise(unsought) -> None:
     """3.9 mm remain, of a coarse instrument or of what no parameter describes."""
-    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(4)
-    problem = nominal_problem(chain, "pose", Setup(parameters=("placement",)))
-    truth = 8.0 * calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=60, noise=2e-3).only
-    unknown = calib_pin.calibrate(chain, replace(rows, sigma=None))
+    problem, _ = simulated("pose", None, 60, 8.0, seed=4, noise=2e-3)
+    rows = problem.data.only
+    unknown = calib_pin.calibrate(problem.chains, replace(rows, sigma=None))
     assert "that are left are noise; state it" in unknown.reason
-    known = calib_pin.calibrate(chain, rows)
+    known = calib_pin.calibrate(problem.chains, rows)
     assert "are noise" not in known.reason
 
 
@@ -74,7 +73,7 @@ def test_joint_offsets_promise_what_the_places_of_joints_leave(unsought) -> None
     """Of links that are off nothing is fitted, and they err elsewhere as well."""
     chain, ratios = calib_pin.load_chain("space6"), []
     problem = nominal_problem(chain, "pose", Setup(parameters=("placement",)))
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         truth = calib_pin.draw_errors(problem.parameters, rng)
         q = 0.25 * chain.random_configurations(30, rng)
@@ -118,13 +117,11 @@ def test_a_second_instrument_is_judged_as_well(scatter, verdict, said, unsought)
 
 def test_copies_are_no_repetitions_that_tell_the_noise(unsought) -> None:
     """Rows of another robot, each twice to the last digit, leave 13 mm."""
-    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(4)
-    problem = nominal_problem(chain, "position", Setup(parameters=("placement",)))
-    truth = 5.0 * calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=26, noise=1e-4).only
-    twice = replace(rows, sigma=None).rows(np.repeat(np.arange(26), 2))
+    problem, _ = simulated("position", None, 26, 5.0, seed=4, noise=1e-4)
+    rows = replace(problem.data.only, sigma=None)
+    twice = rows.rows(np.repeat(np.arange(26), 2))
     setup = Setup(parameters=("joint-offset",))
-    result = calib_pin.calibrate(chain, twice, setup)
+    result = calib_pin.calibrate(problem.chains, twice, setup)
     assert "times the noise" not in result.reason
 
 

@@ -31,6 +31,7 @@ from calib_pin.setup import (
     Payload,
     Setup,
 )
+from tests.shared import simulated
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
 CHAIN = calib_pin.load_chain("space6")
@@ -46,12 +47,10 @@ def poses(
 ) -> Problem:
     """Poses of a robot with offsets, noise of position [m] and orientation [rad]."""
     sizes = dict(zip(("position", "orientation"), noise, strict=True))
-    problem = nominal_problem(CHAIN, "pose", replace(OFFSETS, noise=sizes))
-    rng = np.random.default_rng(seed)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=count).only
+    setup = replace(OFFSETS, noise=sizes)
+    problem, _ = simulated("pose", setup, count, 1.0, seed, noise=None)
     stated = None if sigma is None else np.full((count, 6), sigma)
-    data = Observations.of(replace(rows, sigma=stated))
+    data = Observations.of(replace(problem.data.only, sigma=stated))
     return replace(nominal_problem(CHAIN, "pose", OFFSETS), data=data)
 
 
@@ -84,11 +83,9 @@ def test_what_is_stated_is_tested() -> None:
 
 
 def test_one_quantity_is_fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = nominal_problem(CHAIN, "position", OFFSETS)
-    rng = np.random.default_rng(0)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=40, noise=3e-4).only
-    problem = replace(problem, data=Observations.of(replace(rows, sigma=None)))
+    problem, _ = simulated("position", OFFSETS, 40, 1.0, noise=3e-4)
+    rows = replace(problem.data.only, sigma=None)
+    problem = replace(problem, data=Observations.of(rows))
     plain = bounded(problem, Solver(problem, np.random.default_rng(0)))
     monkeypatch.setattr("calib_pin.estimation.fitted.fit_in_units", None)
     found = fitted(problem)
@@ -211,16 +208,10 @@ def test_rows_are_those_of_the_parameters(model: str) -> None:
     from benchmarks.recovery import CASES
 
     setup = CASES[model].setup
-    chain = calib_pin.load_chain("space6")
-    plain = nominal_problem(chain, model, setup)
-    more = replace(setup, parameters=("transmission",))
-    true = nominal_problem(chain, model, more)
-    rng = np.random.default_rng(0)
-    zero = np.zeros(len(true.parameters))
-    rows = calib_pin.simulate(true, zero, rng, count=12, noise=0.0)
-    effects = candidates(replace(plain, data=rows))
+    true, _ = simulated(model, replace(setup, parameters=("transmission",)), 12)
+    plain = replace(nominal_problem(CHAIN, model, setup), data=true.data)
+    effects = candidates(plain)
     assert effects is not None
-    plain, true = replace(plain, data=rows), replace(true, data=rows)
     X = effects.rows(plain, np.zeros(len(plain.parameters)))
     for k, name in enumerate(effects.names):
         moved = np.zeros(len(true.parameters))

@@ -83,14 +83,14 @@ def test_a_moved_job_is_untrusted_with_the_lines(moved_job) -> None:
     assert named.verdict == "good" and named.findings == ()
 
 
-def test_two_tools_in_turn(moved_job) -> None:
+def test_two_tools_in_turn(moved_job, unsought) -> None:
     """No single one of their changes explains much."""
     job = moved_job((), (20, 40, 60), 80, step=0.02)
     found = [(f.code, f.evidence["line"]) for f in findings(job, job.plain)]
     assert found == [("tool-remounted", line) for line in (21, 41, 61)]
 
 
-def test_a_move_within_a_station_that_is_named(moved_job) -> None:
+def test_a_move_within_a_station_that_is_named(moved_job, unsought) -> None:
     job = moved_job((20, 40), (), 60)
     blocks = [
         replace(block, station={"s0": "day1"}.get(block.station, "day2"), tool="")
@@ -100,7 +100,7 @@ def test_a_move_within_a_station_that_is_named(moved_job) -> None:
     assert finding.evidence["line"] == 41 and "'day2'" in finding.message
 
 
-def test_a_few_poses_tell_where_the_instrument_was(moved_job) -> None:
+def test_a_few_poses_tell_where_the_instrument_was(moved_job, unsought) -> None:
     """Four have twice the values that another place and another tool take together."""
     job = moved_job((4, 56), (), 60, model="pose", step=5e-3)
     found = [(f.code, f.evidence["line"]) for f in findings(job, job.plain)]
@@ -152,7 +152,7 @@ def test_a_joint_beside_more_noise_than_is_assumed(moved_job) -> None:
     assert [f.code for f in told if f.severity == "error"] == ["joint-rehomed"]
 
 
-def test_all_at_once_is_another_robot(moved_job) -> None:
+def test_all_at_once_is_another_robot(moved_job, unsought) -> None:
     job, behind = moved_job((), (), 60), np.arange(60) >= 31
     block = turned(displaced(job.plain.only, 2e-3 * behind), 2, 0.01 * behind)
     (finding,) = findings(job, block)
@@ -170,7 +170,7 @@ def test_four_things_do_not_change_in_a_day(moved_job) -> None:
     assert codes == {"outlying-stretch"}
 
 
-def test_what_comes_and_goes_at_once_is_no_change(moved_job) -> None:
+def test_what_comes_and_goes_at_once_is_no_change(moved_job, unsought) -> None:
     job = moved_job((30,), ())
     fitted = fit_model(job.chain, Observations.of(job.plain.only), Setup(), 0).fit
     case = Case.of(fitted, fitted.problem.chains)

@@ -22,6 +22,7 @@ from calib_pin.setup import AnchorSetup, DistanceSetup, FrameSetup, PointSetup, 
 from calib_pin.simulation import simulate
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.plausibility import plausibility, population
+from tests.shared import simulated
 
 ARM = calib_pin.load_chain("space6")
 BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
@@ -187,12 +188,11 @@ def test_errors_of_the_gears_move_no_joint_by_centimeters() -> None:
 
 def test_no_gear_leaves_half_a_meter(unsought) -> None:
     """Waves of gears fit into errors of any cause, and leave 0.46 of 0.73 m here."""
-    chain, setup = calib_pin.load_chain("space6"), Setup(parameters=("joint-offset",))
-    problem, rng = nominal_problem(chain, "position", setup), np.random.default_rng(0)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    block = simulate(problem, truth, rng, count=30, noise=1e-3).only
+    setup = Setup(parameters=("joint-offset",))
+    problem, _ = simulated("position", setup, 30, 1.0, noise=1e-3)
+    block = problem.data.only
     wrong = replace(block, q=0.65 * block.q + 0.3 * np.sin(3.0 * block.q))
-    result = calib_pin.calibrate(chain, wrong, setup)
+    result = calib_pin.calibrate(ARM, wrong, setup)
     assert result.verdict == "untrusted"
     assert "model-lacks" not in [finding.code for finding in result.findings]
 

@@ -156,20 +156,24 @@ def collada(corners: Sequence[Sequence[float]], faces: str) -> str:
 def joint(
     name: str,
     ends: str,
-    place: str = "0 0 0",
-    axis: str = "0 0 1",
+    place: pin.SE3 | str = "0 0 0",
+    axis: str | Sequence[float] = "0 0 1",
     kind: str = "revolute",
-    limits: str = "",
+    limits: str | Sequence[float] = "",
     **more: Any,
 ) -> dict[str, Any]:
     """A joint of `urdf_of` in words: `joint("j", "parent child", "0 0 0.4;0 1.5 0")`.
 
     The place is its xyz and, behind a semicolon, its rpy. Limits are +-2.9 rad, or 0
-    and 0.5 m where it slides.
+    and 0.5 m where it slides. What is given as numbers may be numbers.
     """
+
+    def numbers(given: str | Sequence[float]) -> Sequence[Any]:
+        return given.split() if isinstance(given, str) else given
+
     parent, child = ends.split()
     limits = limits or ("0 0.5" if kind == "prismatic" else "-2.9 2.9")
-    given = {"placement": place, "axis": axis.split(), "limits": limits.split()}
+    given = {"placement": place, "axis": numbers(axis), "limits": numbers(limits)}
     return {"name": name, "parent": parent, "child": child, "type": kind} | given | more
 
 

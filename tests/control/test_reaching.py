@@ -19,7 +19,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from tests.shared import chain_of, urdf_of
+from tests.shared import chain_of, joint, urdf_of
 
 ROBOTS = {
     "ur10": ("example:ur10_robot", None, "tool0"),
@@ -136,24 +136,18 @@ def following(request) -> Chain:
     """A chain of seven joints, some of which follow others."""
     rng = np.random.default_rng(7)
 
-    def joint(name: str, parent: str, child: str, **more: Any) -> dict[str, Any]:
-        placement = pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(-0.4, 0.4, 3))
-        axis = (0.0, 0.6, 0.8)
-        return {
-            **{"name": name, "parent": parent, "child": child},
-            **{"placement": placement, "axis": axis, **more},
-        }
+    def skew(name: str, ends: str, more: str = "") -> dict[str, Any]:
+        place = pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(-0.4, 0.4, 3))
+        return joint(name, ends, place, "0 0.6 0.8", limits="-2 2", more=more)
 
     mimics = {
         name: f'<mimic joint="{leader}" multiplier="{factor}" offset="{offset}"/>'
         for name, (leader, factor, offset) in FOLLOWERS[request.param].items()
     }
-    links = [f"l{k}" for k in range(8)]
     joints = [
-        joint(f"j{k}", links[k], links[k + 1], more=mimics.get(f"j{k}", ""))
-        for k in range(7)
+        skew(f"j{k}", f"l{k} l{k + 1}", mimics.get(f"j{k}", "")) for k in range(7)
     ]
-    return chain_of(urdf_of(joint("side", "l0", "s"), *joints), "l0", "l7")
+    return chain_of(urdf_of(skew("side", "l0 s"), *joints), "l0", "l7")
 
 
 @pytest.mark.parametrize(
@@ -222,13 +216,13 @@ def test_frames_and_points():
         evaluate = kinematics(model, frame=frame, point=point)
         T, J = evaluate(q)
         np.testing.assert_allclose(T, left @ F @ right, atol=1e-13)
-        for joint, step in enumerate(1e-6 * np.eye(q.shape[1])):
+        for k, step in enumerate(1e-6 * np.eye(q.shape[1])):
             ahead, behind = (evaluate(q + sign * step)[0] for sign in (1.0, -1.0))
             turned = np.swapaxes(behind[:, :3, :3], 1, 2) @ ahead[:, :3, :3]
             R, moved = np.swapaxes(T[:, :3, :3], 1, 2), (ahead - behind)[:, :3, 3:]
             linear = (R @ moved)[:, :, 0]
             twist = np.hstack([linear, so3_log(turned)]) / 2e-6
-            np.testing.assert_allclose(J[:, :, joint], twist, atol=1e-8)
+            np.testing.assert_allclose(J[:, :, k], twist, atol=1e-8)
         found = commands(model, T, q + 0.01, frame=frame, point=point)
         np.testing.assert_allclose(found.q, q, atol=1e-6)
 
@@ -275,15 +269,8 @@ def test_continuous_joints_stay_in_the_turn_of_the_start():
     chain = chain_of(
         urdf_of(
             *(
-                {
-                    "name": f"j{k}",
-                    "parent": str(k),
-                    "child": str(k + 1),
-                    "type": "continuous",
-                    "placement": place,
-                    "axis": ((0, 0, 1), (0, 1, 0), (1, 0, 0))[k % 3],
-                }
-                for k in range(6)
+                joint(f"j{k}", f"{k} {k + 1}", place, axis, "continuous")
+                for k, axis in enumerate(2 * ["0 0 1", "0 1 0", "1 0 0"])
             )
         )
     )

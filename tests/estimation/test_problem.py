@@ -14,7 +14,7 @@ from calib_pin.estimation.problem import Problem, absorbed, completed
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
-from tests.shared import chain_of, simulated, urdf_of
+from tests.shared import chain_of, joint, simulated, urdf_of
 
 STATIONS = {
     name: FrameSetup((x, 1.0 - x, 0.2), (0.1, x, 2.0 * x))
@@ -71,14 +71,8 @@ def test_the_same_is_left_for_the_others(monkeypatch: pytest.MonkeyPatch) -> Non
     """
     rng = np.random.default_rng(0)
     joints = [
-        {
-            "name": f"j{k}",
-            "parent": f"l{k}",
-            "child": f"l{k + 1}",
-            "placement": pin.exp6(rng.uniform(-0.5, 0.5, 6)),
-            "axis": tuple(np.eye(3)[k % 3]),
-        }
-        for k in range(4)
+        joint(f"j{k}", f"l{k} l{k + 1}", pin.exp6(at), np.eye(3)[k % 3])
+        for k, at in enumerate(rng.uniform(-0.5, 0.5, (4, 6)))
     ]
     joints[2]["more"] = '<mimic joint="j1" multiplier="-0.6" offset="0.1"/>'
     plain = job(chain_of(urdf_of(*joints)))

@@ -17,7 +17,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
 from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import Payload
-from tests.shared import chain_of, refused, urdf_of
+from tests.shared import chain_of, joint, refused, urdf_of
 
 IndependentPoses = Callable[..., Any]
 
@@ -118,22 +118,10 @@ def test_joint_kinds_and_axes(
     rng = np.random.default_rng(3)
     # yourdfpy does not normalize the axes of prismatic joints.
     unit = np.array(axis) / np.linalg.norm(axis)
+    given = unit if kind == "prismatic" else axis
     urdf = urdf_of(
-        {
-            "name": "first",
-            "parent": "a",
-            "child": "b",
-            "placement": placement(rng),
-            "type": kind,
-            "axis": unit if kind == "prismatic" else axis,
-        },
-        {
-            "name": "second",
-            "parent": "b",
-            "child": "c",
-            "placement": placement(rng),
-            "axis": (0, 1, 0),
-        },
+        joint("first", "a b", placement(rng), given, kind),
+        joint("second", "b c", placement(rng), "0 1 0"),
     )
     chain = chain_of(urdf)
     assert chain.revolute.tolist() == [kind != "prismatic", True]
@@ -198,22 +186,15 @@ def heavy_urdf() -> str:
         "one": ("b", "c", "continuous", (1, 2, 3)),
         "two": ("c", "d", "prismatic", (0, 0, -1)),
         "three": ("d", "e", "revolute", (1, 0, 0)),
-        "flange": ("e", "tool", "fixed", None),
+        "flange": ("e", "tool", "fixed", ()),
         "aside": ("b", "f", "continuous", (0, -1, 1)),
         "beyond": ("f", "g", "revolute", (0, 0, 1)),
     }
     return urdf_of(
         *(
-            {
-                "name": name,
-                "parent": parent,
-                "child": child,
-                "type": kind,
-                "axis": axis,
-                "placement": placement(rng),
-                "mass": MASSES[child],
-            }
+            joint(name, f"{parent} {child}", placement(rng), axis, kind, **mass)
             for name, (parent, child, kind, axis) in joints.items()
+            for mass in [{"mass": MASSES[child]}]
         )
     )
 
@@ -331,7 +312,7 @@ def test_link_and_joint_of_one_name() -> None:
 def test_limits() -> None:
     kinds = [
         ("revolute", (-1.0, 2.5)),
-        ("continuous", None),
+        ("continuous", ()),
         ("revolute", (0.0, 0.0)),
         ("prismatic", (0.0, 0.35)),
         ("prismatic", (0.0, 0.0)),
@@ -340,13 +321,7 @@ def test_limits() -> None:
     ]
     urdf = urdf_of(
         *(
-            {
-                "name": f"j{k}",
-                "parent": f"l{k}",
-                "child": f"l{k + 1}",
-                "type": kind,
-                "limits": limits,
-            }
+            joint(f"j{k}", f"l{k} l{k + 1}", kind=kind, limits=limits)
             for k, (kind, limits) in enumerate(kinds)
         )
     )

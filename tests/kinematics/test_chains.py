@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import invert
 from calib_pin.setup import WORLD, ChainSetup
-from tests.shared import refused, urdf_of
+from tests.shared import joint, refused, urdf_of
 
 LEFT, RIGHT = "gripper_left_base_link", "gripper_right_base_link"
 
@@ -32,27 +30,15 @@ def hand() -> Robot:
     The first finger slides; the second follows the first. Each behind its mimic joint
     has a joint of its own.
     """
-    joints: tuple[dict[str, Any], ...] = (
-        {"name": "wrist", "parent": "base", "child": "palm"},
-        {
-            "name": "slide",
-            "parent": "palm",
-            "child": "thumb",
-            "type": "prismatic",
-            "axis": (0, 1, 0),
-            "limits": (0.0, 0.1),
-            "more": '<mimic joint="knob" multiplier="0.05" offset="0.02"/>',
-        },
-        {
-            "name": "turn",
-            "parent": "palm",
-            "child": "finger",
-            "axis": (1, 0, 0),
-            "limits": (-9.0, 9.0),
-            "more": '<mimic joint="slide" multiplier="-20" offset="0.3"/>',
-        },
-        {"name": "end", "parent": "finger", "child": "nail"},
-        {"name": "knob", "parent": "base", "child": "dial", "limits": (-1.0, 3.0)},
+    at = "0 0 0"
+    by_knob = '<mimic joint="knob" multiplier="0.05" offset="0.02"/>'
+    by_slide = '<mimic joint="slide" multiplier="-20" offset="0.3"/>'
+    joints = (
+        joint("wrist", "base palm", limits="-2 2"),
+        joint("slide", "palm thumb", at, "0 1 0", "prismatic", "0 0.1", more=by_knob),
+        joint("turn", "palm finger", at, "1 0 0", limits="-9 9", more=by_slide),
+        joint("end", "finger nail", limits="-2 2"),
+        joint("knob", "base dial", limits="-1 3"),
     )
     return parse_robot(urdf_of(*joints).encode(), "hand.urdf")
 

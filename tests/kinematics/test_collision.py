@@ -12,10 +12,10 @@ import pytest
 
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.urdf import load_chain, locate_robot
-from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.setup import Obstacle
+from tests.shared import chain_of, joint, urdf_of
 
 CHAINS = {
     # The base is not the root.
@@ -30,17 +30,9 @@ OBSTACLES = (
 # A square without thickness, on which Qhull crashes.
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"
 
-ARM = """<robot name="arm">
-  <link name="base"/>
-  <link name="arm">
-    <collision>
-      <origin xyz="0.5 0 0"/><geometry><sphere radius="0.1"/></geometry>
-    </collision>
-  </link>
-  <joint name="turn" type="continuous">
-    <parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
-  </joint>
-</robot>"""
+BALL = """<collision>
+  <origin xyz="0.5 0 0"/><geometry><sphere radius="0.1"/></geometry>
+</collision>"""
 
 
 def touching(collisions: Collisions, q: np.ndarray) -> list[tuple[str, str]]:
@@ -141,7 +133,7 @@ def collisions(chain: Chain) -> Collisions:
 
 @pytest.fixture
 def arm() -> Chain:
-    return Chain(parse_robot(ARM.encode(), "arm.urdf"))
+    return chain_of(urdf_of(joint("turn", "base arm", kind="continuous", inside=BALL)))
 
 
 def test_as_pinocchio_finds_them(chain: Chain, collisions: Collisions) -> None:

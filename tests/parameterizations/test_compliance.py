@@ -19,28 +19,20 @@ from calib_pin.parameterizations.compliance import DEFLECTION
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.loads import LEAST
 from calib_pin.setup import Payload, Setup
-from tests.shared import chain_of, refused, urdf_of
+from tests.shared import chain_of, joint, refused, urdf_of
 
 G = 9.81
 K = 1e-3
 MASS, CENTER, LENGTH = 3.0, 0.25, 0.6
 SETUP = Setup(parameters=("compliance",))
-LIFT = {
-    "name": "lift",
-    "parent": "base",
-    "child": "cage",
-    "type": "prismatic",
-    "mass": (10.0, (0.3, 0.1, 0.0)),
-}
+LIFT = joint("lift", "base cage", kind="prismatic", mass=(10.0, (0.3, 0.1, 0.0)))
 
 
 def beam(axis: tuple[float, float, float] = (0, 1, 0)) -> list[dict[str, Any]]:
     """An arm along x that turns about y, with its mass on the way to the tool."""
     tool = pin.SE3(np.eye(3), np.array([LENGTH, 0.0, 0.0]))
-    arm = {"name": "j", "parent": "base", "child": "arm", "axis": axis}
-    end = {"name": "k", "parent": "arm", "child": "tool", "type": "fixed"}
-    mass = MASS, (CENTER, 0.0, 0.0)
-    return [{**arm, "mass": mass}, {**end, "placement": tool}]
+    arm = joint("j", "base arm", axis=axis, mass=(MASS, (CENTER, 0.0, 0.0)))
+    return [arm, joint("k", "arm tool", tool, kind="fixed")]
 
 
 def model_of(chain: Chain, **stated: Any) -> ErrorModel:

@@ -15,7 +15,7 @@ from calib_pin.parameterizations.cross_compliance import DEFLECTION, CrossCompli
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.loads import LEAST
 from calib_pin.setup import Payload, Setup
-from tests.shared import chain_of, urdf_of
+from tests.shared import chain_of, joint, urdf_of
 
 G = 9.81
 K = 1e-4
@@ -25,10 +25,8 @@ MASS, CENTER, LENGTH = 3.0, 0.25, 0.6
 def crane() -> Chain:
     """A level arm that turns about the vertical, with its mass on the way."""
     tool = pin.SE3(np.eye(3), np.array([LENGTH, 0.0, 0.0]))
-    mass = MASS, (CENTER, 0.0, 0.0)
-    arm = {"name": "j", "parent": "base", "child": "arm", "mass": mass}
-    end = {"name": "k", "parent": "arm", "child": "tool", "type": "fixed"}
-    return chain_of(urdf_of({**arm, "axis": (0, 0, 1)}, {**end, "placement": tool}))
+    arm = joint("j", "base arm", mass=(MASS, (CENTER, 0.0, 0.0)))
+    return chain_of(urdf_of(arm, joint("k", "arm tool", tool, kind="fixed")))
 
 
 def test_a_bearing_gives_towards_what_it_carries() -> None:
@@ -70,15 +68,15 @@ def test_moments_are_the_work_of_gravity() -> None:
     found = chain.gravity_moments(q[None], (0.0, 0.0, -G))[0]
     model, step = chain.robot.model, 1e-4
     configuration = pin.neutral(model)
-    for joint, position in zip(chain.joints, q, strict=True):
-        configuration[model.idx_qs[model.getJointId(joint)]] = position
-    for k, joint in enumerate(chain.joints):
+    for name, position in zip(chain.joints, q, strict=True):
+        configuration[model.idx_qs[model.getJointId(name)]] = position
+    for k, name in enumerate(chain.joints):
         for axis in np.eye(3):
             energies = []
             for turn in (step, -step):
                 moved = model.copy()
                 twist = pin.exp6(np.concatenate([np.zeros(3), turn * axis]))
-                moved.jointPlacements[moved.getJointId(joint)] *= twist
+                moved.jointPlacements[moved.getJointId(name)] *= twist
                 data = moved.createData()
                 energies.append(pin.computePotentialEnergy(moved, data, configuration))
             work = (energies[1] - energies[0]) / (2.0 * step)

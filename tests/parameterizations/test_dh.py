@@ -17,7 +17,7 @@ import pytest
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import parameterization
 from calib_pin.parameterizations.error_model import ErrorModel
-from tests.shared import chain_of, urdf_of
+from tests.shared import chain_of, joint, urdf_of
 
 COMPONENTS = ("theta", "d", "a", "alpha", "beta")
 H = np.pi / 2.0
@@ -126,15 +126,9 @@ def robot_of(table: Sequence[Link], backwards: int, rng: np.random.Generator) ->
     links["tip"] = ends[-1] * tool_of(table)
     links["middle"] = pin.exp6(rng.normal(size=6)) if backwards else links["base"]
 
-    def joint(name: str, parent: str, child: str, **more: Any) -> dict[str, Any]:
+    def between(name: str, parent: str, child: str, **more: Any) -> dict[str, Any]:
         placement = links[parent].actInv(links[child])
-        return {
-            "name": name,
-            "parent": parent,
-            "child": child,
-            "placement": placement,
-            **more,
-        }
+        return joint(name, f"{parent} {child}", placement, **more)
 
     up = [f"l{k}" for k in reversed(range(backwards))]
     down = [f"l{k}" for k in range(backwards, count)]
@@ -143,10 +137,10 @@ def robot_of(table: Sequence[Link], backwards: int, rng: np.random.Generator) ->
         for parent, child in zip(["middle", *branch], branch, strict=False):
             k = int(child[1:])
             axis = turned[k].rotation.T @ Z
-            kind = {"type": table[k].kind, "axis": axis}
-            joints.append(joint(f"j{k}", parent, child, **kind))
+            kind = {"kind": table[k].kind, "axis": axis}
+            joints.append(between(f"j{k}", parent, child, **kind))
         last = branch[-1] if branch else "middle"
-        joints.append(joint(f"to_{end}", last, end, type="fixed"))
+        joints.append(between(f"to_{end}", last, end, kind="fixed"))
     return urdf_of(*joints)
 
 
@@ -212,11 +206,9 @@ def test_coinciding_axes(axis: tuple[float, ...], x: Any) -> None:
     # Nothing says where x is where two axes coincide. The x axis of the tip settles
     # it, unless it is that axis itself.
     tip = pin.SE3(pin.Quaternion.FromTwoVectors(X, np.array(x, float)), np.zeros(3))
-    one = {"name": "one", "parent": "a", "child": "b", "axis": axis}
-    two = {"name": "two", "parent": "b", "child": "c", "axis": axis}
-    end = {"name": "end", "parent": "c", "child": "d", "type": "fixed"}
-    away = shift(np.array(axis), 0.2)
-    urdf = urdf_of(one, {**two, "placement": away}, {**end, "placement": tip})
+    one = joint("one", "a b", axis=axis)
+    two = joint("two", "b c", shift(np.array(axis), 0.2), axis)
+    urdf = urdf_of(one, two, joint("end", "c d", tip, kind="fixed"))
     for member in ("dh", "dh-full"):
         screws = parameterization(member).screws(chain_of(urdf))
         assert np.isfinite([screw.twist for screw in screws]).all()

@@ -15,7 +15,7 @@ from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import drives
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Payload, Setup
-from tests.shared import urdf_of
+from tests.shared import joint, urdf_of
 
 SETUP = Setup(
     gravity=(1.0, -2.0, -9.5),
@@ -33,29 +33,23 @@ def arm() -> Chains:
     One of those that follow slides and moves by meters per radian.
     """
 
-    def joint(name: str, k: int, mimic: str = "", **more: Any) -> dict[str, Any]:
+    def heavy(name: str, k: int, mimic: str = "", **more: Any) -> dict[str, Any]:
         rng = np.random.default_rng(k)
-        return {
-            "name": name,
-            "parent": f"l{k}",
-            "child": f"l{k + 1}",
-            "placement": pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(-1, 1, 3)),
-            "axis": (0, 0.6, 0.8),
-            "mass": (1.0 + k, tuple(rng.uniform(-0.3, 0.3, 3))),
-            "more": mimic,
-            **more,
-        }
+        at = pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(-1, 1, 3))
+        mass = 1.0 + k, tuple(rng.uniform(-0.3, 0.3, 3))
+        more = {"axis": "0 0.6 0.8", "mass": mass, "more": mimic, **more}
+        return joint(name, f"l{k} l{k + 1}", at, limits="-2 2", **more)
 
     joints = (
-        joint("lead", 0),
-        joint("turn", 1, '<mimic joint="lead" multiplier="-0.5" offset="0.2"/>'),
-        joint("free", 2),
-        joint("still", 3, '<mimic joint="free" multiplier="0" offset="0.3"/>'),
-        joint(
+        heavy("lead", 0),
+        heavy("turn", 1, '<mimic joint="lead" multiplier="-0.5" offset="0.2"/>'),
+        heavy("free", 2),
+        heavy("still", 3, '<mimic joint="free" multiplier="0" offset="0.3"/>'),
+        heavy(
             "slide",
             4,
             '<mimic joint="turn" multiplier="-0.4" offset="0.1"/>',
-            type="prismatic",
+            kind="prismatic",
         ),
     )
     return Chains(parse_robot(urdf_of(*joints).encode(), "arm.urdf"))

@@ -10,18 +10,18 @@ import pytest
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.error_model import ErrorModel
-from tests.shared import chain_of, urdf_of
+from tests.shared import chain_of, joint, urdf_of
 
 #  root -[fixed]- l0 -hip- l1 -knee- l2 -[fixed]- l3 -ankle- l4 -[fixed]- foot
 #                 l1 -arm- hand
 TREE = {
-    "stand": ("root", "l0", "fixed"),
-    "hip": ("l0", "l1", "revolute"),
-    "knee": ("l1", "l2", "prismatic"),
-    "shank": ("l2", "l3", "fixed"),
-    "ankle": ("l3", "l4", "continuous"),
-    "sole": ("l4", "foot", "fixed"),
-    "arm": ("l1", "hand", "revolute"),
+    "stand": ("root l0", "fixed"),
+    "hip": ("l0 l1", "revolute"),
+    "knee": ("l1 l2", "prismatic"),
+    "shank": ("l2 l3", "fixed"),
+    "ankle": ("l3 l4", "continuous"),
+    "sole": ("l4 foot", "fixed"),
+    "arm": ("l1 hand", "revolute"),
 }
 ENDS = [("root", "foot"), ("root", "l4"), ("foot", "root"), ("hand", "foot")]
 
@@ -29,15 +29,8 @@ ENDS = [("root", "foot"), ("root", "l4"), ("foot", "root"), ("hand", "foot")]
 def joints(seed: int) -> dict[str, dict[str, Any]]:
     rng = np.random.default_rng(seed)
     return {
-        name: {
-            "name": name,
-            "parent": parent,
-            "child": child,
-            "type": kind,
-            "placement": pin.exp6(rng.normal(size=6)),
-            "axis": rng.normal(size=3),
-        }
-        for name, (parent, child, kind) in TREE.items()
+        name: joint(name, ends, pin.exp6(rng.normal(size=6)), rng.normal(size=3), kind)
+        for name, (ends, kind) in TREE.items()
     }
 
 

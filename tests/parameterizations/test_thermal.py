@@ -15,7 +15,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Conditions, Measurements
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup, ThermalSetup
-from tests.shared import chain_of, urdf_of
+from tests.shared import chain_of, joint, urdf_of
 
 GROWTH = 2e-5
 
@@ -47,10 +47,8 @@ def test_links_that_grow_alike_are_a_robot_that_grows_as_a_whole(robot: str) -> 
 def test_one_link_grows() -> None:
     way = pin.SE3(pin.exp3(np.array([0.3, -0.5, 1.0])), np.array([0.4, 0.1, 0.2]))
     end = pin.SE3(pin.exp3(np.array([0.1, 0.7, 0.0])), np.array([0.0, 0.3, 0.1]))
-    first = {"name": "first", "parent": "a", "child": "b"}
-    second = {"name": "second", "parent": "b", "child": "c", "placement": way}
-    flange = {"name": "flange", "parent": "c", "child": "d", "type": "fixed"}
-    chain = chain_of(urdf_of(first, second, {**flange, "placement": end}))
+    joints = joint("first", "a b"), joint("second", "b c", way)
+    chain = chain_of(urdf_of(*joints, joint("flange", "c d", end, kind="fixed")))
     model = model_of(chain, reference=30.0)
     # The first joint is where the base is: no link is between them.
     names = model.parameters.names[6:-6]

@@ -19,7 +19,7 @@ from calib_pin.parameterizations.transmission import (
     Transmission,
 )
 from calib_pin.setup import Setup
-from tests.shared import chain_of, refused, urdf_of
+from tests.shared import chain_of, joint, refused, urdf_of
 
 RATIOS = {"j*": 50.0, "j2": -31.5, "j1": 400.0}
 HARMONICS = ["gain", "sin1", "cos1", "sin2", "cos2"]
@@ -34,14 +34,7 @@ def arm() -> str:
     axes = [(1, 2, 3), (-3, 0.5, 1), (0, 0, -1), (0, -1, 0)]
     return urdf_of(
         *(
-            {
-                "name": f"j{k}",
-                "parent": f"l{k}",
-                "child": f"l{k + 1}",
-                "type": kind,
-                "axis": axis,
-                "placement": pin.exp6(rng.normal(size=6)),
-            }
+            joint(f"j{k}", f"l{k} l{k + 1}", pin.exp6(rng.normal(size=6)), axis, kind)
             for k, (kind, axis) in enumerate(zip(kinds, axes, strict=True))
         )
     )
@@ -55,18 +48,18 @@ def moved(chain: Chain, q: Floats, values: Mapping[str, float]) -> Floats:
     """Joint positions by the formula, joint by joint."""
     result = q.copy()
     ratio = {"j0": 50.0, "j1": 400.0, "j2": -31.5, "j3": 50.0}
-    for k, joint in enumerate(chain.joints):
+    for k, name in enumerate(chain.joints):
         x = q[:, k]
 
-        def value(component: str, joint: str = joint) -> float:
-            return values.get(f"{joint}.transmission.{component}", 0.0)
+        def value(component: str, name: str = name) -> float:
+            return values.get(f"{name}.transmission.{component}", 0.0)
 
         result[:, k] += value("gain") * x
         for n in (1, 2):
             result[:, k] += value(f"sin{n}") * np.sin(n * x)
             result[:, k] += value(f"cos{n}") * np.cos(n * x)
         for n, twice in ((1, ""), (2, "2")):
-            angle = n * ratio[joint] * x
+            angle = n * ratio[name] * x
             result[:, k] += value(f"motor_sin{twice}") * np.sin(angle)
             result[:, k] += value(f"motor_cos{twice}") * np.cos(angle)
     return result

@@ -16,7 +16,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import ChainSetup, Setup
-from tests.shared import urdf_of
+from tests.shared import joint, urdf_of
 
 
 @pytest.fixture(scope="session")
@@ -40,26 +40,17 @@ def workspace_of() -> Callable[..., Workspace]:
 def tree() -> Chains:
     """Two arms on a torso; the left one ends in a finger that follows its wrist."""
     turn = pin.rpy.rpyToMatrix(0.3, -0.2, 0.4)
-    joints: list[dict[str, Any]] = [
-        {"name": "torso", "parent": "base", "child": "torso_link"}
-    ]
+    joints = [joint("torso", "base torso_link")]
     for side, y in (("left", 0.2), ("right", -0.2)):
         parent = "torso_link"
         for k, axis in enumerate(((0, 1, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))):
             xyz = (0.3, 0.02, 0.05) if k else (0.0, y, 0.4)
-            child = f"{side}_link_{k}"
-            joint = {"name": f"{side}_{k}", "parent": parent, "child": child}
-            placement = pin.SE3(turn, np.array(xyz))
-            joints.append({**joint, "placement": placement, "axis": axis})
+            child, at = f"{side}_link_{k}", pin.SE3(turn, np.array(xyz))
+            joints.append(joint(f"{side}_{k}", f"{parent} {child}", at, axis))
             parent = child
-    finger = {
-        "name": "left_finger",
-        "parent": "left_link_3",
-        "child": "finger",
-        "placement": pin.SE3(turn, np.array((0.1, 0.02, 0.0))),
-        "axis": (0, 1, 0),
-        "more": '<mimic joint="left_3" multiplier="0.5" offset="0.1"/>',
-    }
+    at, wrist = pin.SE3(turn, np.array((0.1, 0.02, 0.0))), "left_link_3"
+    follows = '<mimic joint="left_3" multiplier="0.5" offset="0.1"/>'
+    finger = joint("left_finger", f"{wrist} finger", at, "0 1 0", more=follows)
     robot = parse_robot(urdf_of(*joints, finger).encode(), "tree.urdf")
     stated = {"left": ChainSetup(tip="finger"), "right": ChainSetup(tip="right_link_3")}
     return Chains(robot, stated=stated, names=("left", "right"))

@@ -41,7 +41,7 @@ from calib_pin.setup import (
 )
 from calib_pin.simulation import draw_errors, simulate
 from tests.planning.test_plan import value_of
-from tests.shared import chain_of, refused, simulated, urdf_of
+from tests.shared import chain_of, joint, refused, simulated, urdf_of
 
 PLANES = {
     "floor": PlaneSetup((0.1, 0.2, 1.0), 1.5),
@@ -79,18 +79,9 @@ def test_limits_of_the_urdf(
     workspace_of: Callable[..., Workspace], rng: np.random.Generator
 ) -> None:
     def limited(*limits: float) -> Workspace:
-        joints = [
-            {
-                "name": name,
-                "parent": f"l{k}",
-                "child": f"l{k + 1}",
-                "axis": (0, k, 1 - k),
-            }
-            for k, name in enumerate(("arm[1]", "arm1"))
-        ]
-        return workspace_of(
-            chain_of(urdf_of(joints[0], {**joints[1], "limits": limits})), **settings
-        )
+        first = joint("arm[1]", "l0 l1", limits="-2 2")
+        second = joint("arm1", "l1 l2", axis="0 1 0", limits=limits)
+        return workspace_of(chain_of(urdf_of(first, second)), **settings)
 
     settings: dict[str, Any] = {}
     held = limited(0.5, 0.5)

@@ -28,7 +28,7 @@ from calib_pin.validation.model_selection import (
 from calib_pin.validation.result import Candidate
 from calib_pin.validation.splits import FOLDS
 from tests.residual_models.corrections import Everywhere
-from tests.shared import chain_of, refused, urdf_of
+from tests.shared import chain_of, joint, refused, urdf_of
 
 NOISE = 2e-5
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -56,21 +56,18 @@ def chain() -> Chain:
     """A quick arm of three joints, which are not neatly at right angles."""
     rng = np.random.default_rng(2)
     axes = [(0, 0, 1), (0, 1, 0.1), (0.1, 1, 0)]
-    reach = [(0, 0, 0.3), (0.1, 0, 0.2), (0.5, 0, 0)]
+    places = [
+        pin.SE3(pin.exp3(0.1 * rng.normal(size=3)), np.array(at))
+        for at in [(0, 0, 0.3), (0.1, 0, 0.2), (0.5, 0, 0)]
+    ]
+    mass = 4.0, (0.25, 0.05, 0.0)
     joints = [
-        {
-            "name": f"joint_{k}",
-            "parent": f"link_{k - 1}",
-            "child": f"link_{k}",
-            "axis": axis,
-            "placement": pin.SE3(pin.exp3(0.1 * rng.normal(size=3)), np.array(at)),
-            "mass": (4.0, (0.25, 0.05, 0.0)),
-        }
-        for k, (axis, at) in enumerate(zip(axes, reach, strict=True), start=1)
+        joint(f"joint_{k}", f"link_{k - 1} link_{k}", place, axis, mass=mass)
+        for k, (axis, place) in enumerate(zip(axes, places, strict=True), start=1)
     ]
     tool = pin.SE3(pin.exp3(np.array([0.0, 1.2, 0.0])), np.array([0.4, 0.0, 0.0]))
-    fixed = {"parent": "link_3", "child": "tool", "type": "fixed", "placement": tool}
-    return chain_of(urdf_of(*joints, {"name": "flange", **fixed}))
+    flange = joint("flange", "link_3 tool", tool, kind="fixed")
+    return chain_of(urdf_of(*joints, flange))
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,7 +30,7 @@ from calib_pin.setup import (
     Payload,
     Setup,
 )
-from tests.shared import simulated
+from tests.shared import chain_of, joint, simulated, urdf_of
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
 CHAIN = calib_pin.load_chain("space6")
@@ -221,23 +220,14 @@ def test_rows_are_those_of_the_parameters(model: str) -> None:
         np.testing.assert_allclose(X[:, k], change, atol=1e-5)
 
 
-FORK = """<robot name="fork">
-<link name="base"/><link name="arm"/><link name="hand"/><link name="wheel"/>
-<joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/>
-<origin xyz="0.2 0 0.1"/><axis xyz="0 0 1"/>
-<limit lower="-2" upper="2" effort="9" velocity="9"/></joint>
-<joint name="wrist" type="revolute"><parent link="arm"/><child link="hand"/>
-<origin xyz="0.3 0 0"/><axis xyz="0 1 0"/><mimic joint="drive" multiplier="0.5"/>
-<limit lower="-2" upper="2" effort="9" velocity="9"/></joint>
-<joint name="drive" type="revolute"><parent link="base"/><child link="wheel"/>
-<axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="9" velocity="9"/></joint>
-</robot>"""
-
-
-def test_a_leader_outside_of_the_chain_has_no_effects(tmp_path: Path) -> None:
-    file = tmp_path / "fork.urdf"
-    file.write_text(FORK)
-    chain = calib_pin.load_chain(file, tip="hand")
+def test_a_leader_outside_of_the_chain_has_no_effects() -> None:
+    driven = '<mimic joint="drive" multiplier="0.5"/>'
+    fork = urdf_of(
+        joint("elbow", "base arm", "0.2 0 0.1"),
+        joint("wrist", "arm hand", "0.3 0 0", "0 1 0", more=driven),
+        joint("drive", "base wheel"),
+    )
+    chain = chain_of(fork, tip="hand")
     found = names(nominal_problem(chain, "position", Setup(tool_frame=END)))
     assert found and {name.split(".")[0] for name in found} == {"elbow"}
 

@@ -29,7 +29,7 @@ from calib_pin.validation.findings.alternatives import (
 )
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.readings import joint_columns
-from tests.shared import chain_of, urdf_of
+from tests.shared import chain_of, joint, urdf_of
 
 KNOWN = FrameSetup((0.4, -0.2, 0.3), (0.1, 0.2, 0.3), estimate=False)
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -40,24 +40,13 @@ SETUP = Setup(parameters=("joint-offset",), base_frame=KNOWN, tool_frame=TOOL)
 def arm() -> Chains:
     """Three joints that turn and one that slides."""
     twists = [(0, 0, 0.4, 0, 0, 0), (0.1, 0, 0, 0.4, 0, 0.2), (0.5, 0, 0, 0, 0.3, 0)]
+    axes = "0 0 1", "0 1 0", "0 1 0"
     joints = [
-        {
-            "name": f"j{k}",
-            "parent": f"l{k}",
-            "child": f"l{k + 1}",
-            "axis": axis,
-            "placement": pin.exp6(np.array(twist)),
-            "type": "prismatic" if k == 3 else "revolute",
-            "limits": (-0.3, 0.3) if k == 3 else (-2.0, 2.0),
-        }
-        for k, (axis, twist) in enumerate(
-            zip(
-                [(0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0)],
-                [*twists, (0.3, 0, 0.1, 0, 0, 0.1)],
-                strict=True,
-            )
-        )
+        joint(f"j{k}", f"l{k} l{k + 1}", pin.exp6(np.array(twist)), axis, limits="-2 2")
+        for k, (axis, twist) in enumerate(zip(axes, twists, strict=True))
     ]
+    at = pin.exp6(np.array([0.3, 0, 0.1, 0, 0, 0.1]))
+    joints.append(joint("j3", "l3 l4", at, "1 0 0", "prismatic", "-0.3 0.3"))
     return Chains.of(chain_of(urdf_of(*joints)))
 
 

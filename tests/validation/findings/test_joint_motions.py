@@ -23,6 +23,7 @@ from calib_pin.validation.findings.joint_motions import (
     periodogram,
     ripples,
 )
+from tests.shared import chain_of, joint, urdf_of
 
 ARM = calib_pin.load_chain("space6")
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -113,22 +114,16 @@ def test_a_gear_that_no_robot_has(rows) -> None:
     assert gear == pytest.approx(1.5, rel=0.02)
 
 
-RAIL = """<robot name="rail">
-<link name="a"/><link name="b"/><link name="c"/><link name="d"/>
-<joint name="rail" type="prismatic"><parent link="a"/><child link="b"/>
-<axis xyz="1 0 0"/><limit lower="0" upper="2" effort="1" velocity="1"/></joint>
-<joint name="j1" type="revolute"><parent link="b"/><child link="c"/>
-<origin xyz="0 0 0.3"/><axis xyz="0 0 1"/>
-<limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
-<joint name="j2" type="revolute"><parent link="c"/><child link="d"/>
-<origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
-<limit lower="-2" upper="2" effort="1" velocity="1"/></joint></robot>"""
+RAIL = urdf_of(
+    joint("rail", "a b", "0 0 0", "1 0 0", "prismatic", "0 2"),
+    joint("j1", "b c", "0 0 0.3", limits="-2 2"),
+    joint("j2", "c d", "0.4 0 0", "0 1 0", limits="-2 2"),
+)
 
 
 @pytest.mark.parametrize("factor", [np.degrees(1.0), np.radians(1.0)])
-def test_a_rail_whose_column_is_converted_as_an_angle(tmp_path, erring, factor) -> None:
-    (tmp_path / "rail.urdf").write_text(RAIL)
-    chain = calib_pin.load_chain(tmp_path / "rail.urdf")
+def test_a_rail_whose_column_is_converted_as_an_angle(erring, factor) -> None:
+    chain = chain_of(RAIL)
     rows = erring(chain, SETUP, 3, count=40).only
     wrong = Observations.of(replace(rows, q=rows.q * [factor, 1.0, 1.0]))
     lines = lines_of(Case.of_robot(Chains.of(chain), wrong, SETUP))

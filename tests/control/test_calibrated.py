@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
 
@@ -20,6 +21,10 @@ from tests.shared import refused, simulated
 FRAMES = Setup(
     base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4)),
     tool_frame=FrameSetup((0.1, 0.05, 0.2)),
+)
+GIVEN = Setup(
+    base_frame=replace(FRAMES.base_frame, estimate=False),
+    tool_frame=replace(FRAMES.tool_frame, estimate=False),
 )
 SEEDS = range(3)
 
@@ -85,11 +90,7 @@ def test_deviations_are_those_of_the_true_robot(calibrated_robot, frame, point):
 def test_nothing_is_said_where_nothing_matters(calibrated_robot):
     result = calibrated_robot("pose", FRAMES, 40, 1.0, 0, noise=3e-5, validate=False)
     assert ends_known(result, only(result)) == ""
-    given = Setup(
-        base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4), estimate=False),
-        tool_frame=FrameSetup((0.1, 0.05, 0.2), estimate=False),
-    )
-    result = calibrated_robot("pose", given, 40, 1.0, 0, noise=3e-5, validate=False)
+    result = calibrated_robot("pose", GIVEN, 40, 1.0, 0, noise=3e-5, validate=False)
     for frame, point in product(("base", "measuring"), ("tool", "tip")):
         assert ends_known(result, only(result), frame, point) == ""
 
@@ -109,11 +110,7 @@ def test_what_is_unknown_is_refused(scara, calibrated_robot):
 
 def test_a_point_that_the_measurements_do_not_show(scara, calibrated_robot):
     """Points tell nothing of the turn about them of a link that slides."""
-    given = Setup(
-        base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4), estimate=False),
-        tool_frame=FrameSetup((0.1, 0.05, 0.2), estimate=False),
-    )
-    job = "position", given, 40, 1.0, 0
+    job = "position", GIVEN, 40, 1.0, 0
     slide = Chain(scara.robot, "l0", "l3")
     result = calibrated_robot(*job, robot=slide, noise=3e-5, validate=False)
     said = ends_known(result, only(result), "base", "tip")

@@ -20,6 +20,11 @@ from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedMod
 from tests.residual_models.corrections import Wave
 from tests.shared import simulated
 
+FIRST = np.array([0.2, -1.2, 1.5, -0.8, 1.2, 0.3])
+WAY = np.array([0.8, 0.4, -0.5, 0.3, 0.4, 1.0])
+LOST = [2e-3, 5e-4, 1e-3, 0.0, 2e-4, 1.5e-3]
+"""Lost motion of each joint [rad]."""
+
 
 @pytest.fixture(scope="module")
 def model() -> CalibratedChain:
@@ -38,9 +43,7 @@ def model() -> CalibratedChain:
 @pytest.fixture
 def q() -> Floats:
     """A motion away from singularities."""
-    part = np.linspace(0.0, 1.0, 40)[:, None]
-    first = np.array([0.2, -1.2, 1.5, -0.8, 1.2, 0.3])
-    return first + part * np.array([0.8, 0.4, -0.5, 0.3, 0.4, 1.0])
+    return FIRST + np.linspace(0.0, 1.0, 40)[:, None] * WAY
 
 
 def test_targets(model, q):
@@ -173,10 +176,9 @@ def lagging(model) -> CalibratedChain:
         model.error.base, model.error.tool
     )
     known = dict(zip(model.error.parameters.names, model.theta, strict=True))
-    lost = [2e-3, 5e-4, 1e-3, 0.0, 2e-4, 1.5e-3]
     known |= {
         f"{joint}.hysteresis.backlash": size
-        for joint, size in zip(model.chain.joints, lost, strict=True)
+        for joint, size in zip(model.chain.joints, LOST, strict=True)
     }
     known |= {f"{joint}.transmission.gain": 1e-3 for joint in model.chain.joints}
     names = error.parameters.names
@@ -195,9 +197,7 @@ def actual(model: CalibratedChain, q: Floats, before: Floats) -> Floats:
 def test_lost_motion_along_a_path_with_reversals(lagging, stated):
     """Forth and back, in small steps, with joints that stand still for a while."""
     part = 0.5 * np.sin(np.linspace(0.0, 14.0, 60))[:, None]
-    q = np.array([0.2, -1.2, 1.5, -0.8, 1.2, 0.3]) + part * np.array(
-        [0.8, 0.4, -0.5, 0.3, 0.4, 1.0]
-    )
+    q = FIRST + part * WAY
     q[20:25] = q[20]
     before = q[0] - np.array([0.1, 0.1, -0.1, 0.1, 0.1, 0.1])
     targets = lagging.poses(q)
@@ -210,8 +210,7 @@ def test_lost_motion_along_a_path_with_reversals(lagging, stated):
     assert found.position.max() < 1e-9
     if stated:
         lost = np.abs(np.diff(found.q, axis=0) - np.diff(q, axis=0)).max(axis=0)
-        sizes = [2e-3, 5e-4, 1e-3, 0.0, 2e-4, 1.5e-3]
-        np.testing.assert_allclose(lost, sizes, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(lost, LOST, rtol=0, atol=1e-4)
     # In the middle of the lost motion a robot would be off by half a millimeter.
     missed = actual(lagging, q, before)
     assert np.linalg.norm((missed - targets)[:, :3, 3], axis=1).max() > 5e-4

@@ -53,19 +53,6 @@ def test_each_trial_replaces_its_own_target_unless_worse() -> None:
     assert result.mean_history == pytest.approx([0.5, 1.1 / 3])
 
 
-def test_trials_are_brought_back_and_ties_go_to_them() -> None:
-    calls: list[list[float]] = []
-
-    def plateaus(x: Floats) -> Floats:
-        calls.append(x[:, 0].tolist())
-        return np.round(x[:, 0])
-
-    result = run([0.1, 0.7], Script([0.3, 2.0]), costs=plateaus)
-    first, trials = calls
-    assert first == [0.1, 0.7] and trials[0] == 0.3 and 0.7 < trials[1] < 1.0
-    assert result.population[:, 0].tolist() == trials
-
-
 def test_generations_end_before_they_exceed_the_evaluations() -> None:
     result = run([0.4, 0.5], Script([0.9, 0.9], [0.9, 0.9]), evaluations=5)
     assert (result.status, result.nit, result.nfev) == (Status.GENERATIONS, 1, 4)

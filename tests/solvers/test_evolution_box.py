@@ -28,16 +28,6 @@ def test_latin_hypercube_has_one_member_in_each_slice() -> None:
     assert place.mean(axis=0) == pytest.approx(0.5, abs=0.15)
 
 
-@pytest.mark.parametrize("init", ["random", "latinhypercube"])
-def test_first_population_is_inside_and_begins_with_x0(init: str) -> None:
-    box, x0 = Box.of(UNEVEN), np.array([2.0, 0.3, 1e-9])
-    members = box.populate(500, init, x0, np.random.default_rng(0))
-    assert members.shape == (500, 3)
-    assert np.array_equal(members[0], x0)
-    assert ((box.lower <= members) & (members <= box.upper)).all()
-    assert (members[:, 1] == 0.3).all()
-
-
 def test_repair_leads_between_the_parent_and_the_bound_that_was_crossed() -> None:
     box = Box.of(np.array([[-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]]))
     parents = np.tile([0.5, -0.2, 0.1], (4000, 1))

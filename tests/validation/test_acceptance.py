@@ -95,14 +95,6 @@ def test_limits_are_judged_by_the_worst_pose():
     assert [*judged(test, LimitSetup())] == []
 
 
-def test_poses_have_the_numbers_of_the_file() -> None:
-    x = np.repeat([0.0, 1.0, 3.0], 3)[:, None] * np.array([1.0, 0.0, 0.0])
-    test = acceptance(x, x, np.repeat([5, 2, 1], 3))
-    assert [pose.pose for pose in test.poses] == [1, 2, 5]
-    assert [pose.accuracy.value for pose in test.poses] == [3.0, 1.0, 0.0]
-    assert {pair.poses for pair in test.distances} == {(1, 2), (1, 5), (2, 5)}
-
-
 @pytest.mark.parametrize(
     ("pose", "cycles"),
     [

@@ -61,6 +61,7 @@ from tests.shared import simulated
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
 UR5, UR10 = "example:ur5_robot", "example:ur10_robot"
+WHOLE = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
 
 
 def of_robot(chains, rows, setup=None, known=tuple):
@@ -146,13 +147,12 @@ def test_a_reading_that_leaves_half_a_meter_is_no_cause(erring) -> None:
 
 def test_a_tool_that_touches_sockets_beyond_the_stated_tip(tmp_path) -> None:
     """A longer chain touches one point the worse, unless it is the one that does."""
-    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
     sockets = {name: PointSetup((x, 0.3, 0.4)) for name, x in [("a", 0.5), ("b", -0.5)]}
     setup = Setup(tool_frame=TOOL, sockets=sockets)
-    problem, _ = simulated("fixed-point", setup, 40, 1.0, 2, robot=chain, noise=1e-4)
+    problem, _ = simulated("fixed-point", setup, 40, 1.0, 2, robot=WHOLE, noise=1e-4)
     calib_pin.write_measurements(tmp_path / "rows.csv", problem.data)
     short = calib_pin.load_chains(UR10, base="base_link", tip="wrist_2_link")
-    for chains, expected in ((short, ["tip-link"]), (Chains.of(chain), [])):
+    for chains, expected in ((short, ["tip-link"]), (Chains.of(WHOLE), [])):
         rows = calib_pin.read_measurements(
             tmp_path / "rows.csv", chains, model="fixed-point"
         )
@@ -162,17 +162,16 @@ def test_a_tool_that_touches_sockets_beyond_the_stated_tip(tmp_path) -> None:
 
 def test_tip_behind_the_measured_link() -> None:
     """The joints of the measured link are among those that were read."""
-    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
     short = calib_pin.load_chain(UR10, base="base_link", tip="wrist_1_link")
     rng = np.random.default_rng(0)
-    q = chain.random_configurations(50, rng)
+    q = WHOLE.random_configurations(50, rng)
     problem = nominal_problem(short, "position", Setup(tool_frame=TOOL))
     theta = calib_pin.draw_errors(problem.parameters, rng)
     rows = calib_pin.simulate(problem, theta, rng, q=q[:, :4], noise=1e-4).only
     rows = calib_pin.Measurements(
-        model="position", joints=chain.joints, q=q, values=rows.values
+        model="position", joints=WHOLE.joints, q=q, values=rows.values
     )
-    (found,) = of_robot(chain, Observations.of(rows))
+    (found,) = of_robot(WHOLE, Observations.of(rows))
     assert found.setup == {"tip": "wrist_1_link"}
 
 
@@ -196,10 +195,9 @@ NEAR = FrameSetup((0.08, 0.08, 0.12), TOOL.rpy, estimate=False)
 )
 def test_a_frame_that_is_stated_wrongly(code, frame, known, ur10) -> None:
     """Half a turn, too, where nothing is fitted from what was stated."""
-    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
     end = code.removesuffix("-frame")
     wrong = {f"{end}_frame": replace(frame, estimate=False)}
-    (found,) = of_robot(chain, ur10(count=50), Setup(**{**known, **wrong}))
+    (found,) = of_robot(WHOLE, ur10(count=50), Setup(**{**known, **wrong}))
     assert found.code == code
     assert found.setup == {"frames": {end: {"estimate": True}}}
 
@@ -208,7 +206,6 @@ def imaged(
     mount: str, away: float, board: Mapping[str, PointSetup] | None = None
 ) -> tuple[Chains, Observations, Setup]:
     """Thirty images of points, of four by default, and the setup of the camera."""
-    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
     board = board or {
         name: PointSetup((0.1 + 0.05 * (k % 2), 0.05 * (k // 2), 0.15))
         for k, name in enumerate("abcd")
@@ -216,18 +213,18 @@ def imaged(
     camera = CameraSetup(mount, (900.0, 910.0), (4500.0, 4500.0))
     setup = Setup(camera=camera, targets=board)
     far = FrameSetup((0.1, -0.2, away))
-    problem = nominal_problem(chain, "camera", replace(setup, base_frame=far))
+    problem = nominal_problem(WHOLE, "camera", replace(setup, base_frame=far))
     rng = np.random.default_rng(0)
     theta = calib_pin.draw_errors(problem.parameters, rng)
-    q = chain.random_configurations(2000, rng)
+    q = WHOLE.random_configurations(2000, rng)
     if mount == "hand":
         # The board is below, in front of the lens.
-        T = chain.poses(q)
+        T = WHOLE.poses(q)
         q = q[(T[:, 2, 2] < -0.9) & (T[:, 2, 3] > -0.5)]
     q = np.repeat(q[:30], len(board), axis=0)
     names = tuple([*board] * (len(q) // len(board)))
     rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2)
-    return Chains.of(chain), rows, setup
+    return Chains.of(WHOLE), rows, setup
 
 
 def test_corners_that_are_counted_from_one() -> None:

@@ -10,34 +10,25 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.setup.population import RobotType
-from tests.shared import chain_of
-
-ARM = """<robot name="{name}">
-  <link name="world"/><link name="base"/><link name="x"/><link name="y"/>
-  <link name="tip"/>
-  <joint name="mount" type="fixed"><origin xyz="{mount}"/>
-    <parent link="world"/><child link="base"/></joint>
-  <joint name="a" type="revolute"><origin xyz="0 0 {height}"/>
-    <parent link="base"/><child link="x"/><axis xyz="0 0 1"/>
-    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-  <joint name="b" type="revolute"><origin xyz="{length} 0 0.2"/>
-    <parent link="x"/><child link="y"/><axis xyz="{axis}"/>
-    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-  <joint name="end" type="fixed"><origin xyz="{end} 0 0"/>
-    <parent link="y"/><child link="tip"/></joint>
-</robot>"""
-GIVEN = {
-    "name": "arm",
-    "mount": "0 0 0",
-    "height": 0.3,
-    "length": 0.1,
-    "axis": "0 1 0",
-    "end": 0.1,
-}
+from tests.shared import chain_of, joint, urdf_of
 
 
-def arm(**changes: object) -> RobotType:
-    return robot_type(Chains.of(chain_of(ARM.format(**{**GIVEN, **changes}))))
+def arm(
+    name: str = "arm",
+    mount: str = "0 0 0",
+    height: float = 0.3,
+    length: float = 0.1,
+    axis: str = "0 1 0",
+    end: float = 0.1,
+) -> RobotType:
+    urdf = urdf_of(
+        joint("mount", "world base", mount, kind="fixed"),
+        joint("a", "base x", f"0 0 {height}"),
+        joint("b", "x y", f"{length} 0 0.2", axis),
+        joint("end", "y tip", f"{end} 0 0", kind="fixed"),
+        name=name,
+    )
+    return robot_type(Chains.of(chain_of(urdf)))
 
 
 @pytest.mark.parametrize(

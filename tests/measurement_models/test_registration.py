@@ -16,6 +16,7 @@ from calib_pin.measurement_models.registration import (
     register_points,
     register_poses,
 )
+from tests.measurement_models.test_contact_registration import on_plane
 
 Poses = Callable[[np.random.Generator, int], Floats]
 ARM = load_chain("space6")
@@ -234,20 +235,13 @@ def test_far_away_tracker_keeps_its_digits() -> None:
     np.testing.assert_allclose(t_found, t, rtol=0, atol=1e-11)
 
 
-def points_of_plane(
-    rng: np.random.Generator, count: int, normal: Floats, offset: float
-) -> Floats:
-    points = rng.uniform(-1, 1, (count, 3))
-    return np.asarray(points - np.outer(points @ normal + offset, normal))
-
-
 def test_planes() -> None:
     rng = np.random.default_rng(16)
     for trial in range(TRIALS):
         normal = rng.normal(size=3)
         normal = np.eye(3)[trial] if trial < 3 else normal / np.linalg.norm(normal)
         offset = rng.uniform(-2.0, -0.1)
-        points = points_of_plane(rng, (3, 4, 50)[trial % 3], normal, offset)
+        points = on_plane(normal, offset, (3, 4, 50)[trial % 3], rng)
         n, f = register_plane(points)
         assert f <= 0.0
         np.testing.assert_allclose(n, normal, rtol=0, atol=1e-9)

@@ -240,7 +240,7 @@ def test_coarse_orientations(told) -> None:
     assert "orientations" in found.message
 
 
-def test_fine_steps_of_a_robot_that_bends_are_no_copies() -> None:
+def test_fine_steps_of_a_robot_that_bends_are_no_copies(unsought) -> None:
     """Readings repeat on a grid of 1 um, beside 0.3 mm that no fit explains."""
     chain = calib_pin.load_chain("space6")
     rng = np.random.default_rng(4)

@@ -17,6 +17,7 @@ from calib_pin.observations import Conditions, approached
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
+from tests.control.test_reaching import calibrated, robot
 from tests.residual_models.corrections import Wave
 from tests.shared import simulated
 
@@ -29,15 +30,7 @@ LOST = [2e-3, 5e-4, 1e-3, 0.0, 2e-4, 1.5e-3]
 @pytest.fixture(scope="module")
 def model() -> CalibratedChain:
     """An UR10 with errors of millimeters, about known frames."""
-    setup = Setup(
-        base_frame=FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4)),
-        tool_frame=FrameSetup((0.02, 0.03, 0.1), (-0.1, 0.2, 0.3)),
-    )
-    chain = load_chain("example:ur10_robot", tip="tool0")
-    problem = nominal_problem(chain, "pose", setup)
-    theta = 1e-3 * np.random.default_rng(0).normal(size=len(problem.parameters))
-    theta[problem.parameters.nuisance] = 0.0
-    return CalibratedModel.create(problem, theta).of()
+    return calibrated(robot("ur10"))
 
 
 @pytest.fixture

@@ -56,18 +56,12 @@ def robot(name: str) -> Chain:
 
 
 def calibrated(chain: Chain, size: float = 1e-3, **settings: Any) -> CalibratedChain:
-    return calibrated_model(chain, size, **settings).of()
-
-
-def calibrated_model(
-    chain: Chain, size: float = 1e-3, **settings: Any
-) -> CalibratedModel:
     """A robot with errors of geometry, and of gears where there are any."""
     setup = replace(FRAMES, **settings)
     problem = nominal_problem(chain, "pose", setup)
     theta = np.random.default_rng(0).normal(size=len(problem.parameters))
     theta[problem.parameters.nuisance] = 0.0
-    return CalibratedModel.create(problem, size * theta)
+    return CalibratedModel.create(problem, size * theta).of()
 
 
 def configurations(chain: Chain, count: int, seed: int = 1) -> Floats:

@@ -159,7 +159,7 @@ def gauged():
         if model not in made:
             noise = {"contact": NOISE, "position": NOISE}
             setup = Setup(tool_frame=TOOL, noise=noise, gauge=5e-4, **STATED[model])
-            problem, theta = simulated(model, setup, 100, 1.0, robot=ARM, noise=NOISE)
+            problem, theta = simulated(model, setup, 160, 1.0, robot=ARM, noise=NOISE)
             true = CalibratedModel.create(problem, theta)
             made[model] = problem.data.only, setup, true
         return made[model]

@@ -13,6 +13,7 @@ from calib_pin.io.results import doubt_of, used_files
 from calib_pin.io.urdf import other_robots
 from calib_pin.report.accuracy import evaluated
 from calib_pin.validation.evaluation import evaluate as run
+from calib_pin.validation.evaluation import no_longer_holds
 from calib_pin.validation.result import Evaluation
 
 
@@ -35,6 +36,9 @@ def evaluate(asked: Evaluate) -> int:
         subject = measured if calibrated is None else calibrated.model
         others = partial(other_robots, chains, stated)
         found = run(subject, rows, stated, registration=asked.register, others=others)
+    if calibrated is not None:
+        changed = no_longer_holds(calibrated, found)
+        found = replace(found, findings=(*found.findings, *changed))
     if calibrated is not None and doubt:
         found = replace(found, verdict=calibrated.verdict, reason=doubt)
     asked.show(lambda: evaluation_document(found), evaluated(found))

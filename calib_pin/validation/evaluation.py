@@ -35,10 +35,13 @@ from calib_pin.validation.model_errors import (
     registered,
     registered_anew,
 )
-from calib_pin.validation.result import Accuracy, Evaluation
+from calib_pin.validation.result import Accuracy, CalibrationResult, Evaluation
 
 MOVED = 0.5
 """Part of the errors that a registration may leave to be worth a word."""
+
+BEYOND = 3.0
+"""Errors, by those that a calibration promises, from which it no longer holds."""
 
 
 @serial_blas
@@ -98,6 +101,38 @@ def evaluate(
         counts=tuple(len(own) for *_, own in sizes),
         findings=findings,
     )
+
+
+def no_longer_holds(result: CalibrationResult, found: Evaluation) -> Iterator[Finding]:
+    """Errors far beyond those that a calibration has promised, of the worst quantity.
+
+    Args:
+        result: The calibration.
+        found: Its accuracy on other measurements.
+    """
+    nominal, workspace = result.verdict == "no-gain", result.accuracy.workspace
+    promised = {e.name: e.shown[0 if nominal else 1].rms for e in result.errors}
+    if workspace is not None and "position" in promised:
+        # Elsewhere it has promised less.
+        promised["position"] = max(promised["position"], workspace.bound.position)
+    codes = {one.code for one in found.findings}
+    beyond = [
+        (error.rms / known, name, unit, error.rms, known)
+        for name, unit, error in found.errors
+        if (known := promised.get(name, 0.0)) and error.rms > BEYOND * known
+    ]
+    if not beyond or "frames-moved" in codes:
+        return
+    times, name, unit, rms, known = max(beyond)
+    said = f"{name} errors of {shown(rms, unit, 3)} rms are {times:.2g} times those "
+    said += (
+        f"that the calibration promises, {shown(known, unit, 3)}: the robot, its tool "
+    )
+    said += "or the instrument is not as it was"
+    remedy = "measure ten configurations and calibrate with --start, which names what "
+    remedy += "has changed"
+    numbers = {"rms": rms, "promised": known}
+    yield finding("old-calibration-no-longer-holds", said, numbers, remedy)
 
 
 def error_sizes(problem: Problem, theta: Floats) -> list[tuple[str, str, Floats]]:

@@ -476,6 +476,20 @@ def test_evaluation_of_a_calibration(here, run):
     assert again == pytest.approx(fitted, rel=0.05)
 
 
+def test_evaluation_of_a_robot_that_has_changed(here, run):
+    """A joint that was homed anew, which no frame takes along."""
+    evaluate = "evaluate done/calibration.json {}.csv --register --json"
+    assert json.loads(run(evaluate.format("new")).out)["findings"] == []
+    header, rows, _ = table("new.csv")
+    for row in rows:
+        row[1] = str(float(row[1]) + 0.02)
+    write("homed.csv", ",".join(header), rows)
+    result = run(evaluate.format("homed"))
+    (found,) = json.loads(result.out)["findings"]
+    assert result.status == 0 and found["code"] == "old-calibration-no-longer-holds"
+    assert found["evidence"]["rms"] > 3.0 * found["evidence"]["promised"] > 0.0
+
+
 # --- simulate ----------------------------------------------------------------------
 
 

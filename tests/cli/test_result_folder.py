@@ -7,11 +7,13 @@ import importlib.metadata
 import itertools
 import json
 import os
+import random
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +39,18 @@ def names(folder: str = "done") -> set[str]:
     return {str(path.relative_to(folder)) for path in found if path.is_file()}
 
 
-def assert_one_run(folder: str) -> None:
-    """Everything in the folder is in the manifest, and as it says."""
+def assert_one_run(folder: str, killed: bool = False) -> None:
+    """Everything in the folder is in the manifest, and as it says.
+
+    A killed run leaves what it has begun, under names that nothing else has.
+    """
     stated = document(folder)
     for name, content in stated["files"].items():
         data = Path(folder, name).read_bytes()
         expected = None if name == "report.html" else hashlib.sha256(data).hexdigest()
         assert content == expected, name
-    assert names(folder) == {*stated["files"], "calibration.json"}
+    found = {name for name in names(folder) if not (killed and name[0] == ".")}
+    assert found == {*stated["files"], "calibration.json"}
     page = Path(folder, "report.html").read_text()
     assert f'<meta name="calib-pin-run" content="{stated["run"]}">' in page
 
@@ -310,3 +316,24 @@ def test_a_killed_run_leaves_one_result(call, kept, here, run, monkeypatch):
     assert os.waitstatus_to_exitcode(status) == -signal.SIGKILL
     assert run(EVALUATE.format("done")).status == 0
     assert document("done")["measurements"]["files"][0]["file"] == kept
+
+
+@pytest.mark.slow
+def test_a_run_that_is_killed_at_any_moment(here, run):
+    """Half of the kills are aimed at the writing; `CALIB_PIN_KILLS` is their number."""
+    rng, begin = random.Random(0), time.monotonic()
+    words = [sys.executable, "-m", "calib_pin", *NEWER.split()]
+    subprocess.run(words, check=True)
+    took = time.monotonic() - begin
+    for number in range(int(os.environ.get("CALIB_PIN_KILLS", "10"))):
+        file = ("rows.csv", "new.csv")[number // 2 % 2]
+        child = subprocess.Popen([file if w == "new.csv" else w for w in words])
+        if number % 2:
+            while child.poll() is None and not any(Path("done").glob(".calib-pin-*")):
+                time.sleep(1e-4)
+        time.sleep(rng.uniform(0.0, 0.05 if number % 2 else 1.2 * took))
+        child.kill()
+        assert child.wait() in (0, -signal.SIGKILL)
+        # What a reader finds is of one run; it reads that before anything is checked.
+        assert run(EVALUATE.format("done")).status == 0
+        assert_one_run("done", killed=True)

@@ -13,6 +13,9 @@ vectors: what is left of numbers that were printed with seven digits."""
 
 Row = tuple[float, ...]
 
+PoseSizes = tuple[float, float]
+"""Sizes of a position [m] and of an orientation [rad]."""
+
 
 @dataclass(frozen=True)
 class JointType:
@@ -99,8 +102,8 @@ class JointPrior:
         noise: Standard deviation of the measurements by quantity; it counts as stated
             where nobody states another one.
         file: Where it was read from, for messages.
-        unmodeled: Error of the tool that no parameter describes, by chain: of position
-            [m] and of orientation [rad].
+        unmodeled: Errors of the tool that no parameter describes, by chain: where it
+            was measured, and over the workspace.
     """
 
     robot: RobotType
@@ -108,7 +111,7 @@ class JointPrior:
     covariance: tuple[Row, ...]
     noise: Mapping[str, float] = field(default_factory=dict)
     file: str = field(default="", metadata={"key": None})
-    unmodeled: Mapping[str, tuple[float, float]] = field(
+    unmodeled: Mapping[str, tuple[PoseSizes, PoseSizes]] = field(
         default_factory=dict, metadata={"key": None}
     )
 

@@ -37,7 +37,7 @@ from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import LENGTH_SCALE, expected_size, owner
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
-from calib_pin.setup.population import ExpectedParameter
+from calib_pin.setup.population import ExpectedParameter, PoseSizes
 from calib_pin.validation.evaluation import error_sizes
 from calib_pin.validation.model_errors import registration_reason
 from calib_pin.validation.result import (
@@ -140,7 +140,7 @@ class RobotState:
     noise: tuple[NoiseSize, ...]
     still: float | None
     made: tuple[str, str]
-    unmodeled: Mapping[str, tuple[float, float]]
+    unmodeled: Mapping[str, tuple[PoseSizes, PoseSizes]]
 
     @staticmethod
     def of(result: CalibrationResult, process_noise: float | None) -> RobotState:
@@ -165,9 +165,9 @@ class RobotState:
             None if begun is None else begun.still,
             (result.provenance.file, result.provenance.created),
             {
-                chain: one.workspace.unmodeled
+                chain: (one.measured.unmodeled, one.workspace.unmodeled)
                 for chain, one in result.accuracies.items()
-                if one.workspace
+                if one.measured and one.workspace
             },
         )
 

@@ -19,6 +19,7 @@ from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import JointPrior
+from calib_pin.setup.population import PoseSizes
 from calib_pin.validation.result import ToolAccuracy
 
 SAMPLES, MEASURED = 300, 100
@@ -63,13 +64,16 @@ def tool_accuracy(
     tip, measured = ToolErrors.of(model.fit, term, spread).by_noise(), None
     if not expecting.noise:
         return ToolAccuracy(tip)
+    prior, known = expecting.problem.setup.prior, ((0.0, 0.0), (0.0, 0.0))
+    if isinstance(prior, JointPrior):
+        known = prior.unmodeled.get(term.key.chain, known)
     if blocks := tuple(b for b in data.blocks if b.chain == term.key.chain):
         # Of an image, whose rows follow one another, one stands for the configuration.
         rows = Observations(blocks)
         again = np.append(False, (rows.q[1:] == rows.q[:-1]).all(axis=1))
         kept = rows.rows(~again).sample(MEASURED).q[:, term.columns]
-        measured = ToolErrors.of(expecting, term, kept).expected(rng)
-    everywhere = ToolErrors.of(expecting, term, spread).expected(rng)
+        measured = ToolErrors.of(expecting, term, kept).expected(rng, known[0])
+    everywhere = ToolErrors.of(expecting, term, spread).expected(rng, known[1])
     return ToolAccuracy(tip, measured, everywhere)
 
 
@@ -120,7 +124,9 @@ class ToolErrors:
             of_robot=PoseErrors(*alone),
         )
 
-    def expected(self, rng: np.random.Generator) -> ExpectedAccuracy:
+    def expected(
+        self, rng: np.random.Generator, known: PoseSizes = (0.0, 0.0)
+    ) -> ExpectedAccuracy:
         """Accuracy of the nominal and the corrected robot by all that is known.
 
         With the mean mu and the covariance C of the errors, and G the mean of `J^T J`,
@@ -132,6 +138,8 @@ class ToolErrors:
 
         Args:
             rng: Draws the errors by which the bound is found.
+            known: Errors that an older calibration knows and no parameter describes,
+                which a few new measurements hardly show.
         """
         fit, J, index = self.fit, self.J, self.term.of_error
         parameters = fit.problem.parameters
@@ -147,14 +155,8 @@ class ToolErrors:
         mean, own_scales = (fit.theta[index] / scales)[robot], scales[robot, None]
         likely = (one.by_noise[index[robot]] for one in fit.likely_posteriors)
         C = np.array([half @ half.T for half in (by / own_scales for by in likely)])
-        prior, known = fit.problem.setup.prior, (0.0, 0.0)
-        if isinstance(prior, JointPrior):
-            known = prior.unmodeled.get(self.term.key.chain, known)
-        pair = []
-        for k, unit, before in zip(
-            (slice(0, 3), slice(3, 6)), ("m", "rad"), known, strict=True
-        ):
-            # A few new measurements hardly show what an older calibration knows of it.
+        pair, parts = [], (slice(0, 3), slice(3, 6))
+        for k, unit, before in zip(parts, ("m", "rad"), known, strict=True):
             shown = float(np.sum(effects[:, k] ** 2)) / len(J)
             scatter = max(_scatter(fit, self.term, unit), (before**2 - shown) / 3.0)
             pair.append(_sizes(mean, own[:, k], effects[:, k], scatter, C, rng))

@@ -240,7 +240,9 @@ def test_what_no_parameter_describes_is_carried_on(bench) -> None:
     """Ten measurements do not show gears, and the robot has them all the same."""
     older = bench.first.accuracies[""]
     lacking = PoseErrors(0.2e-3, 0.3e-3)
-    known = replace(older, workspace=replace(older.workspace, unmodeled=lacking))
+    every = (older.measured, older.workspace)
+    measured, workspace = (replace(one, unmodeled=lacking) for one in every)
+    known = replace(older, measured=measured, workspace=workspace)
     start = replace(bench.first, accuracies={"": known})
     result = again(bench, bench.measured(2))
     alike = again(bench, bench.measured(2), start=start)

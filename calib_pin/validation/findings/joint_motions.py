@@ -454,7 +454,7 @@ def ripples(case: Case) -> Iterator[Finding]:
         # The wave generator of a strain-wave gear comes twice per turn of its motor,
         # which has an error of its own: half the frequency where that is seen as well.
         half = 0.5 * frequency
-        seen = _chance(fit, fit.score(_waves(fit, joint, half)).left) < CHANCE
+        seen = chance_of(fit, fit.score(_waves(fit, joint, half)).left) < CHANCE
         ratios[joint] = float(f"{half if seen else frequency:.4g}")
         size, left = float(np.linalg.norm(score.values)), left * score.left
         words += [f"'{joint}' {frequency:.4g} times per turn by {shown(size, 'rad')}"]
@@ -509,23 +509,24 @@ def _ripple(fit: QuickFit, joint: str) -> tuple[float, float, Score] | None:
     best = min(tried, key=lambda f: scores[f].left)
     score, whole = scores[best], float(round(best))
     even = fit.score(_waves(fit, joint, whole))
-    if _chance(fit, score.left / max(even.left, 1e-300)) > EVEN:
+    if chance_of(fit, score.left / max(even.left, 1e-300)) > EVEN:
         best, score = whole, even
     # Effective length of the motion and width of the band, in waves.
     width = np.sqrt(4.0 * np.pi * np.var(q)) * (HIGHEST - lowest) / (2.0 * np.pi)
-    alone = max(_chance(fit, score.left), 1e-300)
+    alone = max(chance_of(fit, score.left), 1e-300)
     chance = float(width * alone * np.sqrt(max(-np.log(alone), 1.0)))
     return min(1.0, chance), best, score
 
 
-def _chance(fit: QuickFit, left: float) -> float:
+def chance_of(fit: QuickFit, left: float) -> float:
     """Probability that one frequency leaves such a part of squares by chance (F test).
 
     A configuration counts as one value whatever is measured there: what a model lacks
     is no white noise, it moves all values of a configuration.
     """
     rows = len(fit.problem.layout.row)
-    return float(left ** (0.5 * fit.left * len(fit.problem.data) / max(rows, 1)))
+    values = fit.left * len(fit.problem.data) / max(rows, 1)
+    return float(min(left, 1.0) ** (0.5 * values))
 
 
 Waves: TypeAlias = NDArray[np.complex128]

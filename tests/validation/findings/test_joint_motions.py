@@ -13,6 +13,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import FrameSetup, Setup
+from calib_pin.validation.findings import joint_motions
 from calib_pin.validation.findings.alternatives import explain, setup_lines
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.joint_motions import (
@@ -211,6 +212,14 @@ def test_low_waves_are_no_ripples(rippling) -> None:
     """Eccentric wheels have parameters of their own."""
     names = [f"{joint}.transmission.sin1" for joint in ARM.joints]
     assert not rippling(0, dict.fromkeys(names, 2e-4))
+
+
+def test_more_than_all_squares_are_left_by_chance(measured) -> None:
+    """Of exact measurements rounding is left, and one wave may leave none of it."""
+    fit = case_of(measured()).fit
+    assert (
+        joint_motions.chance_of(fit, 1e280) == 1.0 > joint_motions.chance_of(fit, 0.9)
+    )
 
 
 def test_the_periodogram_is_least_squares() -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import column_space, nuisance_basis
-from calib_pin.estimation.nominal import analyze_structure, registered
+from calib_pin.estimation.nominal import analyze_structure, register, registered
 from calib_pin.estimation.problem import (
     EXACT,
     Problem,
@@ -693,19 +693,16 @@ class Case:
         Gains of prismatic joints free it, and then contacts draw a robot to a point,
         which leaves no errors at all.
         """
-        problem, fitted = self.fit.problem, self.fitted
         new = [name for name in names if name in PARAMETERIZATIONS]
-        if fitted is None or not (fitted.structure.scaled and new):
+        if self.fitted is None or not (self.fitted.structure.scaled and new):
             return True
         every = tuple(dict.fromkeys((*self.setup.parameters, *new)))
-        wider = make_problem(
-            self.chains, problem.data, replace(problem.setup, parameters=every)
-        )
-        stands = dict(zip(problem.parameters.names, fitted.before, strict=True))
-        wide = wider.parameters
-        about = np.array([stands.get(name, 0.0) for name in wide.names])
-        about[~wide.nuisance] = 0.0
-        return analyze_structure(wider, about, np.random.default_rng(0))[0].scaled
+        setup = replace(self.fit.problem.setup, parameters=every)
+        wider = make_problem(self.chains, self.fit.problem.data, setup)
+        problem, before = register(wider, np.zeros(len(wider.parameters)))
+        # What is touched must be where the tool can touch it.
+        about = np.where(problem.parameters.nuisance, before.x, 0.0)
+        return analyze_structure(problem, about, np.random.default_rng(0))[0].scaled
 
     @cached_property
     def beside(self) -> dict[str, Floats]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,7 +41,7 @@ from calib_pin.setup import (
     Setup,
 )
 from calib_pin.setup.population import PopulationPrior
-from tests.shared import refused, simulated
+from tests.shared import chain_of, joint, refused, simulated, urdf_of
 
 REFERENCES: tuple[ReferenceObject, ...] = (
     Point("probe", "target", np.array([0.0, 0.0, 0.1])),
@@ -241,17 +240,10 @@ def test_a_joint_with_a_fixed_error_has_its_frame() -> None:
 
 @pytest.mark.parametrize(("length", "factor"), [(1.0, 1.0), (3.0, 1.5)])
 def test_lengths_of_a_crane_are_expected_to_be_off_by_more(
-    tmp_path: Path, length: float, factor: float
+    length: float, factor: float
 ) -> None:
     """Its angles are not. Where its frames stand on their axes is no matter."""
-    place = f'<origin xyz="{length} 5 0"/>'
-    joints = [
-        f'<joint name="j{k}" type="continuous"><parent link="l{k}"/>'
-        f'<child link="l{k + 1}"/>{place}<axis xyz="0 1 0"/></joint>'
-        for k in range(3)
-    ]
-    links = [f'<link name="l{k}"/>' for k in range(4)]
-    file = tmp_path / "crane.urdf"
-    file.write_text(f'<robot name="crane">{"".join(links + joints)}</robot>')
-    for block in feet(calib_pin.load_chain(file)):
+    place = f"{length} 5 0"
+    joints = (joint(f"j{k}", f"l{k} l{k + 1}", place, "0 1 0") for k in range(3))
+    for block in feet(chain_of(urdf_of(*joints))):
         np.testing.assert_allclose(np.diagonal(block), [factor] * 3 + [1.0] * 3)

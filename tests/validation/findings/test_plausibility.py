@@ -18,11 +18,18 @@ from calib_pin.estimation.nominal import growth, registered
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
-from calib_pin.setup import AnchorSetup, DistanceSetup, FrameSetup, PointSetup, Setup
+from calib_pin.setup import (
+    AnchorSetup,
+    DistanceSetup,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+)
 from calib_pin.simulation import simulate
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.plausibility import plausibility, population
-from tests.shared import simulated
+from tests.shared import chain_of, joint, simulated, urdf_of
 
 ARM = calib_pin.load_chain("space6")
 BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
@@ -326,3 +333,27 @@ def test_noise_that_is_stated_too_small(moved_job, repeats, sure) -> None:
     assert (finding.code, finding.severity) == ("noise", "warning")
     assert finding.evidence["factor"] == pytest.approx(5.5, rel=0.15)
     assert ("repeat" in finding.remedy) == (not sure)
+
+
+def test_gains_that_draw_contacts_to_a_point_explain_nothing() -> None:
+    """Those of a gantry free the scale: 0.03 mm of noise would drop to 0.0002 mm."""
+    down = "0 0 -0.1"
+    chain = chain_of(
+        urdf_of(
+            joint("x", "l0 l1", down, "1 0 0", "prismatic", "0 3"),
+            joint("y", "l1 l2", down, "0 1 0", "prismatic", "0 2"),
+            joint("z", "l2 l3", down, "0 0 1", "prismatic", "-0.8 0"),
+            joint("c", "l3 l4", down),
+            joint("a", "l4 l5", down, "1 0 0", limits="-1.7 1.7"),
+        )
+    )
+    normals = (0, 0, 1), (1, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0, 1)
+    pairs = zip(normals, (-0.3, -1.0, -0.8, -2.2, -1.7), strict=True)
+    planes = {f"p{k}": PlaneSetup(*plane) for k, plane in enumerate(pairs)}
+    setup = Setup(tool_frame=FrameSetup((0.03, 0.02, -0.1)), planes=planes)
+    problem = nominal_problem(chain, "plane-contact", setup)
+    rng = np.random.default_rng(0)
+    errors = calib_pin.draw_errors(problem.parameters, rng)
+    rows = simulate(problem, errors, rng, count=200, noise=3e-5).only
+    result = calib_pin.calibrate(chain, rows, setup, validate=False)
+    assert "model-lacks" not in {finding.code for finding in result.findings}

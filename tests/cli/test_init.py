@@ -463,7 +463,7 @@ def test_joints_are_exchanged_only_where_that_fits(measured, run):
 
 
 @pytest.mark.slow
-def test_the_draft_of_a_reversed_joint_leads_to_its_name(measured, run):
+def test_the_draft_of_a_reversed_joint_leads_to_its_name(measured, run, sought):
     foreign([*JOINTS, *"xyz"], measured * [1, 1, -1, 1, 1, 1, 1, 1, 1])
     assert run(INIT).status == 0
     found = run("calibrate space6 foreign.csv --setup setup.yaml")

@@ -700,9 +700,7 @@ class Case:
         setup = replace(self.fit.problem.setup, parameters=every)
         wider = make_problem(self.chains, self.fit.problem.data, setup)
         problem, before = register(wider, np.zeros(len(wider.parameters)))
-        # What is touched must be where the tool can touch it.
-        about = np.where(problem.parameters.nuisance, before.x, 0.0)
-        return analyze_structure(problem, about, np.random.default_rng(0))[0].scaled
+        return scale_known(problem, before.x)
 
     @cached_property
     def beside(self) -> dict[str, Floats]:
@@ -733,6 +731,18 @@ class Case:
                 held.setdefault(held_as(one), []).extend(own)
         J = self.fit.linear[1]
         return columns | {key: J[:, sorted({*own})] for key, own in held.items() if key}
+
+
+def scale_known(problem: Problem, before: Floats) -> bool:
+    """Whether measurements tell how large a robot is.
+
+    Args:
+        problem: Their problem.
+        before: Its parameters with the robot nominal, shape (P,): what is touched must
+            be where the tool can touch it.
+    """
+    about = np.where(problem.parameters.nuisance, before, 0.0)
+    return analyze_structure(problem, about, np.random.default_rng(0))[0].scaled
 
 
 def held_as(reference: ReferenceObject) -> str:

@@ -26,7 +26,7 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit, robot_rows
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import half_covariance, projected
-from calib_pin.estimation.nominal import analyze_structure, growth
+from calib_pin.estimation.nominal import growth
 from calib_pin.estimation.problem import tool_points
 from calib_pin.estimation.robust import exchanged_with
 from calib_pin.estimation.row_blocks import Priors
@@ -60,6 +60,7 @@ from calib_pin.validation.findings.case import (
     IMPLAUSIBLE,
     Case,
     mean_squares,
+    scale_known,
     unlikely,
 )
 from calib_pin.validation.findings.readings import (
@@ -609,14 +610,11 @@ def _scaled_without(fitted: Fit, distance: int) -> bool:
 
     Contacts alone draw a robot together, so what they say of the scale is no check.
     """
-    problem, rng = fitted.problem, np.random.default_rng(0)
+    problem = fitted.problem
     stated = problem.further.distances.stated[distance]
     others = tuple(d for d in problem.setup.distances if d is not stated)
     setup = replace(problem.setup, distances=others)
-    # What is touched must be where the tool can touch it.
-    about = np.where(problem.parameters.nuisance, fitted.before, 0.0)
-    problem = replace(problem, setup=setup, expected=None)
-    return analyze_structure(problem, about, rng)[0].scaled
+    return scale_known(replace(problem, setup=setup, expected=None), fitted.before)
 
 
 def families(case: Case) -> tuple[Finding, ...]:

@@ -41,7 +41,10 @@ MOVED = 0.5
 """Part of the errors that a registration may leave to be worth a word."""
 
 BEYOND = 3.0
-"""Errors, by those that a calibration promises, from which it no longer holds."""
+"""Errors, by those that a calibration promises, from which it no longer holds.
+
+Other measurements of three real robots stay below the promise.
+"""
 
 
 @serial_blas
@@ -124,11 +127,13 @@ def no_longer_holds(result: CalibrationResult, found: Evaluation) -> Iterator[Fi
     if not beyond or "frames-moved" in codes:
         return
     times, name, unit, rms, known = max(beyond)
-    said = f"{name} errors of {shown(rms, unit, 3)} rms are {times:.2g} times those "
-    said += (
-        f"that the calibration promises, {shown(known, unit, 3)}: the robot, its tool "
+    said = (
+        f"{name} errors of {shown(rms, unit, 3)} rms are {times:.2g} times those that "
     )
-    said += "or the instrument is not as it was"
+    said += (
+        f"the calibration promises, {shown(known, unit, 3)}: the robot, its tool or "
+    )
+    said += "the instrument is not as it was"
     remedy = "measure ten configurations and calibrate with --start, which names what "
     remedy += "has changed"
     numbers = {"rms": rms, "promised": known}

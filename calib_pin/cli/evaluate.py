@@ -39,8 +39,8 @@ def evaluate(asked: Evaluate) -> int:
     if calibrated is not None:
         changed = no_longer_holds(calibrated, found)
         found = replace(found, findings=(*found.findings, *changed))
-    if calibrated is not None and doubt:
-        found = replace(found, verdict=calibrated.verdict, reason=doubt)
+        if doubt:
+            found = replace(found, verdict=calibrated.verdict, reason=doubt)
     asked.show(lambda: evaluation_document(found), evaluated(found))
     return 0 if found.verdict == "good" else 2
 

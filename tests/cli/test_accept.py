@@ -261,6 +261,7 @@ def test_it_is_written_for_a_customer(visits, run):
 
 
 @pytest.mark.needs("pdf")
+@pytest.mark.slow
 def test_a_calibration_has_limits_and_entries_of_its_own(visits, run):
     """But the day and the temperature are those of the test."""
     entries = REPORT.replace("2026-11-23", "1999-01-02, temperature: 31.5")

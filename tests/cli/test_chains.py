@@ -157,6 +157,7 @@ def test_frames_of_one_chain(two_arms: None, run: Callable[..., Any]) -> None:
         } == ends
 
 
+@pytest.mark.slow
 def test_visits_of_one_chain_are_read_back(two_arms, run):
     """The command that the schedule names takes the file, once it is filled in."""
     plan = "plan twins.urdf --setup chains.yaml --accept --cycles 3 -o visits.csv"

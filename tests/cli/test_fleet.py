@@ -204,6 +204,7 @@ monte_carlo: {robot: arm.urdf, robots: 3, configurations: [20, 8]}
 SEED = "fleet --monte-carlo study.yaml --quiet --seed"
 
 
+@pytest.mark.slow
 def test_a_study_goes_on_where_it_was_stopped(here, run, inside):
     Path("study.yaml").write_text(STUDY)
     words = f"{SEED} 3 -o out"

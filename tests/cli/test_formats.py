@@ -89,6 +89,7 @@ def test_every_command_takes_it(described, run, words):
 
 
 @pytest.mark.needs("mujoco")
+@pytest.mark.slow
 def test_it_comes_back_corrected(alone, run):
     written(alone, BODIES)
     about = "arm.xml --tip tool"

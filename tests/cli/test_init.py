@@ -156,7 +156,8 @@ camera: {mount: hand, focal: [900, 905], center: [641, 478], size: [1280, 960]}
 BOARD = "simulate pa10 --setup camera.yaml --seed 3 --noise 0.3"
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(24, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [8, 24])
 def test_a_camera_and_its_board(count):
     Path("camera.yaml").write_text(CAMERA)
     assert main(f"{BOARD} --count {count} -o a.csv".split()) == 0
@@ -439,6 +440,7 @@ def test_cells_that_are_no_numbers_are_shown(measured, fails):
     assert read_setup("setup.yaml").model == "position"
 
 
+@pytest.mark.slow
 def test_faults_of_a_file_are_told_and_not_those_of_a_unit(measured, fails, run):
     """Where no reading can be used; other words of a set are none of ours."""
     rows = measured * [*[180.0 / np.pi] * 6, *[1e3] * 3]

@@ -130,6 +130,7 @@ def test_the_corrected_robot_is_not_the_nominal_one(fails) -> None:
     fails("calibrate first/space6.urdf later.csv --start first", "nominal.urdf")
 
 
+@pytest.mark.slow
 def test_a_fleet_goes_on(run, inside) -> None:
     """In the order of days, whatever that of the lines is; also with a later table."""
     Path("jobs.csv").write_text(

@@ -51,6 +51,7 @@ def until(process: subprocess.Popen[str], text: str) -> str:
     return next(line for line in process.stdout if text in line)
 
 
+@pytest.mark.slow
 def test_rows_that_another_process_appends(here: Path):
     lines = Path("rows.csv").read_text().splitlines(keepends=True)
     with (

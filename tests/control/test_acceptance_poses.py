@@ -61,6 +61,7 @@ def check(found: AcceptancePoses, chain: Chain, tool: np.ndarray) -> None:
     assert reached.mean() > 0.97
 
 
+@pytest.mark.slow
 def test_five_poses_in_a_cube():
     chain = calib_pin.load_chain("space6")
     region = Region(box=((-3.0, 0.2, 1.0), (3.0, 3.0, 2.2)))

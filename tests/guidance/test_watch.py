@@ -179,6 +179,7 @@ def test_a_joint_that_counts_the_other_way_is_named(job: Job):
     assert found[0].numbers["setup"]["joints"]
 
 
+@pytest.mark.slow
 def test_a_limit_is_reached_once(chains: Chains, rows: Measurements, tmp_path: Path):
     first = Job(chains, rows, tmp_path)
     first.look(9)

@@ -142,7 +142,8 @@ def test_what_nothing_explains_is_no_matter_of_scale(mishap: str, unsought) -> N
     assert not {"scale", "lengths"} & set(result.reason.split()), result.reason
 
 
-@pytest.mark.parametrize("sought", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("sought", [False, True])
 def test_pixels_that_no_robot_explains_are_untrusted(request, sought) -> None:
     """No corner of a board is found so badly, whatever the noise that is assumed."""
     if not sought:
@@ -154,7 +155,8 @@ def test_pixels_that_no_robot_explains_are_untrusted(request, sought) -> None:
     assert "nothing that was estimated explains them" in result.reason
 
 
-@pytest.mark.parametrize("number", [12, pytest.param(9, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [12, 9])
 def test_what_few_images_cannot_predict_is_no_error_that_remains(number: int) -> None:
     """Eleven images fit to 0.55 px, and tell the others to 50 px, as is predicted."""
     job = tracked(number, model="camera", least=11, noise=0.5)

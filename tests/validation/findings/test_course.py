@@ -215,7 +215,7 @@ def test_a_drift_and_its_size(moved_job) -> None:
     assert drifts(job, back.only) == []
 
 
-@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("stated", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_drift_beside_noise_is_told_where_that_is_known(moved_job, stated) -> None:
     """It leaves 0.9 of the errors, as what bends in a robot may."""
     job = moved_job((), (), 300)

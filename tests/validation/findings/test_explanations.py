@@ -112,6 +112,7 @@ def test_what_is_wrong_is_found(
     np.testing.assert_allclose(read_so(wrong, found.faults).q, rows.q, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_measurements_of_something_else(arm: Chains, rows: Observations) -> None:
     """Nothing helps decisively: better no advice than a wrong one."""
     rows = Observations.of(rows.only.rows(np.arange(20)))

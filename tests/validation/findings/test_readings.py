@@ -113,7 +113,11 @@ def told_by(robot, rows, setup=None):
     return [one for one in found if one.severity == "error"]
 
 
-@pytest.mark.parametrize("frame", [False, True], ids=["controller", "frame"])
+@pytest.mark.parametrize(
+    "frame",
+    [pytest.param(False, marks=pytest.mark.slow), True],
+    ids=["controller", "frame"],
+)
 def test_signs_of_a_controller_look_like_a_left_handed_frame(erring, frame) -> None:
     """KUKA counts A1, A4 and A6 the other way; both are named."""
     rows = erring("heavy6", Setup(tool_frame=TOOL), 3, count=50).only
@@ -238,6 +242,7 @@ def test_corners_that_are_counted_from_one() -> None:
         calib_pin.calibrate(chains, rows, setup)
 
 
+@pytest.mark.slow
 def test_corners_of_tags_that_are_counted_counterclockwise() -> None:
     """As detectors of AprilTags give them, from the lower left one."""
     board = BoardSetup("apriltag", 2, 2, 0.05, gap=0.02)

@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from calib_pin.validation.evaluation import evaluate as evaluate
     from calib_pin.validation.result import CalibrationResult as CalibrationResult
 
+__version__ = "0.2.0"
+
 _HOMES = {
     "CalibPinError": "errors",
     "CalibrationResult": "validation.result",

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import calib_pin
 from calib_pin.io.children import EXTRAS
 
 ROOT = Path(__file__).parents[1]
@@ -56,9 +57,9 @@ def test_the_wheel_holds_what_the_package_needs(distributions: dict[str, Path]):
         assert name in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     tops = {name.split("/")[0] for name in names}
-    assert tops == {"calib_pin", f"calib_pin-{PROJECT['version']}.dist-info"}
+    assert tops == {"calib_pin", f"calib_pin-{calib_pin.__version__}.dist-info"}
     assert not [name for name in names if "__pycache__" in name]
-    assert f"Version: {PROJECT['version']}" in told and "# calib-pin" in told
+    assert f"Version: {calib_pin.__version__}" in told and "# calib-pin" in told
 
 
 @pytest.mark.slow
@@ -88,7 +89,7 @@ def test_it_works_where_it_is_installed(distributions: dict[str, Path], tmp_path
     where = run([python, "-c", "import calib_pin; print(calib_pin.__file__)"], tmp_path)
     assert Path(where.strip()).is_relative_to(home)
     assert run([python, "-m", "calib_pin", "--version"], tmp_path) == (
-        f"calib-pin {PROJECT['version']}\n"
+        f"calib-pin {calib_pin.__version__}\n"
     )
     program = str(home / "bin" / "calib-pin")
     assert "space7" in run([program, "robots"], tmp_path)
@@ -111,5 +112,5 @@ def test_messages_name_extras_that_there_are():
 def test_the_changelog_has_this_version():
     text = (ROOT / "CHANGELOG.md").read_text()
     assert re.search(
-        rf"^## {re.escape(PROJECT['version'])} - \d{{4}}-\d\d-\d\d$", text, re.M
+        rf"^## {re.escape(calib_pin.__version__)} - \d{{4}}-\d\d-\d\d$", text, re.M
     )

@@ -96,7 +96,7 @@ def room_of(module: str) -> str:
 
 def wrong_imports(name: str, tree: ast.AST) -> list[str]:
     """Imports of a room above or beside, or of a public name, by a file of a room."""
-    below = {name, *ROOMS[: ROOMS.index(name)]}
+    below = {"__version__", name, *ROOMS[: ROOMS.index(name)]}
     return [
         f"{name} imports {module}"
         for module in sorted(imported(tree))

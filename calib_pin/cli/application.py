@@ -8,6 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+from calib_pin import __version__
 from calib_pin.cli.asked import COMMANDS
 from calib_pin.cli.options import command
 from calib_pin.errors import OptionError
@@ -47,9 +48,7 @@ def overview(
 ) -> None:
     """Calibrate a robot's URDF from measurements."""
     if show:
-        from importlib.metadata import version
-
-        typer.echo(f"calib-pin {version('calib-pin')}")
+        typer.echo(f"calib-pin {__version__}")
         raise typer.Exit
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())

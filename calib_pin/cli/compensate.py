@@ -90,14 +90,17 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     done = commanded(asked, model, targets, timed)
     missed = {fault: lines for fault, lines in done.faults.items() if lines}
     apart = targets.T is not None and missed.keys() <= {UNREACHED}
-    contents = {}
+    contents, wrote = {}, "nothing"
     if not doubt and (not missed or (apart and done.found.reached.any())):
         comments = [f"commands of: {printing.told_command(words)}"]
         contents[output] = encoded(asked, done, comments)
+        wrote = str(output)
+    elif not doubt and targets.T is None:
+        wrote += ": a motion is written whole"
     asked.give(
         contents,
         _report(asked, done, result, doubt),
-        [f"wrote {output if contents else 'nothing'}"],
+        [f"wrote {wrote}"],
     )
     if asked.quiet:
         where = [(f, f"{asked.targets}, {line_list(n)}") for f, n in missed.items()]

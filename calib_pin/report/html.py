@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from calib_pin import __version__
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.files import write_atomically
 from calib_pin.io.results import calibration_document, read_written
@@ -209,7 +209,7 @@ def _pages() -> Environment:
     )
     environment.filters["kind"] = lambda block: type(block).__name__
     environment.filters["exact"] = repr
-    environment.globals["made"] = f"calib-pin {version('calib_pin')}"
+    environment.globals["made"] = f"calib-pin {__version__}"
     folder = files("calib_pin.report") / "page"
     for part, name in (("style", "style.css"), ("script", "script.js")):
         environment.globals[part] = Markup((folder / name).read_text("utf-8"))

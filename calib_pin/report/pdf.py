@@ -10,9 +10,9 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import is_dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
 from importlib.resources import files
 
+from calib_pin import __version__
 from calib_pin.errors import printable, require_package
 from calib_pin.report.blocks import Block, Cell
 from calib_pin.report.cover import Cover
@@ -58,7 +58,7 @@ def sources(cover: Cover, blocks: Iterable[Block]) -> dict[str, bytes]:
     shown = {
         "cover": _plain(cover),
         "blocks": [_plain(block) for block in blocks],
-        "made": f"calib-pin {version('calib_pin')}",
+        "made": f"calib-pin {__version__}",
         "before": BEFORE,
         "after": AFTER,
     }

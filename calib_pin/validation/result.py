@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
+from calib_pin import __version__
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
@@ -478,8 +479,8 @@ class Provenance:
             command: The command line; none for a program of its own.
             seconds: Time the solver took; NaN where nobody looked.
         """
-        ours, pinocchio = version("calib_pin"), version("pin")
-        return Provenance(command, created, seconds, ours, pinocchio, version("numpy"))
+        versions = __version__, pin.__version__, np.__version__
+        return Provenance(command, created, seconds, *versions)
 
 
 @dataclass(frozen=True)

@@ -105,23 +105,23 @@ def find(case: Case, seek: bool = True) -> Found:
         seek: Whether to seek faults that change how measurements are read; they have
             been sought with another fit otherwise.
     """
-    sought = _sought(case) if seek else ()
-    causes = tuple(found for found in sought if found.severity == "error")
+    misreadings = _misreadings(case) if seek else ()
+    causes = tuple(f for f in misreadings if f.severity == "error")
     kinds = SHOWN if causes else CONSEQUENCES + SHOWN
     if not causes and not case.errors_left <= FOREIGN:
         # Of what no robot has a fit tells nothing but where it stands.
         kinds = (plausibility.outliers, *SHOWN)
-    others = [] if causes else [*sought]
-    others += [found for kind in kinds for found in _told(kind, case)]
-    told = {found.code for found in others if found.severity != "info"}
-    others = [found for found in others if not told & FOLLOW.get(found.code, set())]
-    if told & POORER:
-        others = [_remark(one) if one.code == "outliers" else one for one in others]
-    wrong = {end for found in others for end in _names(found, "between", " - ")}
+    others = [] if causes else [*misreadings]
+    others += [finding for kind in kinds for finding in _findings(kind, case)]
+    codes = {finding.code for finding in others if finding.severity != "info"}
+    others = [f for f in others if not codes & FOLLOW.get(f.code, set())]
+    if codes & POORER:
+        others = [_remark(f) if f.code == "outliers" else f for f in others]
+    ends = {end for finding in others for end in _names(finding, "between", " - ")}
     # The measurements of its ends do not fit a wrong distance.
-    targets = [_names(found, "target", ", ") for found in others]
+    targets = [_names(finding, "target", ", ") for finding in others]
     pairs = zip(others, targets, strict=True)
-    others = [found for found, own in pairs if not own or not own <= wrong]
+    others = [finding for finding, names in pairs if not names or not names <= ends]
     return Found(causes, tuple(others))
 
 
@@ -153,17 +153,17 @@ def explained(
             case = Case.of_none(chains, data, given, others)
             return findings_of(case, _explanation(case, readings.FAMILIES))
 
-        for first in (_tried(look, setup) or ())[:1] if len(data) else ():
-            said = f"{first.message}; {first.remedy}; otherwise {error.reason}"
+        for first in (_attempt(look, setup) or ())[:1] if len(data) else ():
+            reason = f"{first.message}; {first.remedy}; otherwise {error.reason}"
             file = error.file or next(iter(data.files.distinct), None) or None
-            raise InputError(said, file=file) from error
+            raise InputError(reason, file=file) from error
         raise
 
 
-def _sought(case: Case) -> tuple[Finding, ...]:
+def _misreadings(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
-    constant = _told(facts.constant_orientation, case)
-    constant += _told(facts.constant_positions, case)
+    constant = _findings(facts.constant_orientation, case)
+    constant += _findings(facts.constant_positions, case)
     return constant or findings_of(case, _cause(case))
 
 
@@ -173,20 +173,20 @@ def _cause(case: Case) -> Explanation | None:
     Those that hide all others come first; the others compete by what they leave.
     """
     for kind in (facts.gauge_readings, readings.joint_sets, readings.lost_line):
-        if found := _tried(kind, case):
-            return found
-    changes = _tried(course.changes, case)
-    motion = _tried(joint_motions.joint_motion, case)
+        if explanation := _attempt(kind, case):
+            return explanation
+    changes = _attempt(course.changes, case)
+    motion = _attempt(joint_motions.joint_motion, case)
     rehomed = changes if changes and any(f.joint for f in changes.faults) else None
     if motion and not (rehomed and rehomed.after < CLEARER * motion.after):
         return motion
-    in_time = changes or _tried(course.drift, case)
+    in_time = changes or _attempt(course.drift, case)
     clear = in_time if in_time and in_time.severity == "error" else None
     # As little may be left if it is corrected as a calibration leaves.
     enough = DOUBTFUL * expected_size(case.fit.quantity.unit)
     if case.doubtful and not (clear and clear.after < enough):
         families = (joint_motions.large_motions, *readings.FAMILIES)
-        other = _tried(lambda case: _explanation(case, families), case)
+        other = _attempt(lambda case: _explanation(case, families), case)
         # Of the nominal robot more is left than of a fit: the parts are compared, too.
         if other and not (
             clear and clear.after <= other.after and clear.part <= other.part
@@ -204,7 +204,7 @@ def _explanation(case: Case, families: Sequence[Family]) -> Explanation | None:
     return explain(case, families)
 
 
-def _tried(look: Callable[[_Given], _Fault | None], given: _Given) -> _Fault | None:
+def _attempt(look: Callable[[_Given], _Fault | None], given: _Given) -> _Fault | None:
     """A fault, if there is; None of measurements too absurd to compute with."""
     try:
         return look(given)
@@ -212,18 +212,18 @@ def _tried(look: Callable[[_Given], _Fault | None], given: _Given) -> _Fault | N
         return None
 
 
-def _told(
+def _findings(
     kind: Callable[[_Given], Iterable[Finding]], given: _Given
 ) -> tuple[Finding, ...]:
     """The findings of a kind, none of measurements too absurd to compute with."""
-    return _tried(lambda given: tuple(kind(given)), given) or ()
+    return _attempt(lambda given: tuple(kind(given)), given) or ()
 
 
-def _remark(found: Finding) -> Finding:
+def _remark(finding: Finding) -> Finding:
     """A finding that accuses nobody, and asks for nothing."""
-    return replace(found, severity="info", remedy="", setup={})
+    return replace(finding, severity="info", remedy="", setup={})
 
 
-def _names(found: Finding, key: str, between: str) -> set[str]:
+def _names(finding: Finding, key: str, between: str) -> set[str]:
     """Names that stand in the evidence of a finding; none where it has no such."""
-    return {*str(found.evidence.get(key, "")).split(between)} - {""}
+    return {*str(finding.evidence.get(key, "")).split(between)} - {""}

@@ -130,26 +130,26 @@ class JointReading:
         return JointReading(self.factors @ first.factors, offsets)
 
     def maps(
-        self, joints: Sequence[str], stated: Mapping[str, JointMap]
+        self, joints: Sequence[str], joint_maps: Mapping[str, JointMap]
     ) -> dict[str, dict[str, Any]]:
         """The entries of `joints` in a setup file, of all that are not plain.
 
         Args:
             joints: Names of the joints.
-            stated: Joint maps by which the positions have been read, by file column.
+            joint_maps: Those by which positions have been read, by file column.
         """
-        of_joint = {given.joint: name for name, given in stated.items()}
+        of_joint = {m.joint: name for name, m in joint_maps.items()}
         columns = [of_joint.get(joint, joint) for joint in joints]
         pairs = zip(joints, columns, strict=True)
-        given = [stated.get(column, JointMap(joint)) for joint, column in pairs]
+        given = [joint_maps.get(column, JointMap(joint)) for joint, column in pairs]
         # Every position as it has been read is an affine function of file columns.
         names = [*dict.fromkeys([*columns, *(n for g in given for n in g.coupled)])]
         read = np.zeros((len(joints), len(names)))
-        for row, column, own in zip(read, columns, given, strict=True):
-            for name, part in [(column, 1.0), *own.coupled.items()]:
-                row[names.index(name)] += own.sign * own.gear * part
+        for row, column, joint_map in zip(read, columns, given, strict=True):
+            for name, part in [(column, 1.0), *joint_map.coupled.items()]:
+                row[names.index(name)] += joint_map.sign * joint_map.gear * part
         factors = self.factors @ read
-        offsets = self.factors @ [own.offset for own in given] + self.offsets
+        offsets = self.factors @ [m.offset for m in given] + self.offsets
         # Every joint has a column that no other one has, its own where it can.
         from scipy.optimize import linear_sum_assignment  # Slow to import.
 
@@ -164,7 +164,7 @@ class JointReading:
             coupled = {names[j]: float(row[j]) / factor for j in others}
             sign = 1 if factor > 0.0 else -1
             entry = lines_of(JointMap(joint, sign, abs(factor), offset, coupled))
-            if entry != {"joint": columns[k]} or columns[k] in stated:
+            if entry != {"joint": columns[k]} or columns[k] in joint_maps:
                 result[columns[k]] = entry
         return result
 
@@ -178,14 +178,14 @@ class Alternative:
     Attributes:
         code: Code of its finding.
         words: The fault in words, the beginning of a sentence.
-        of: Its subject; two explanations of one subject do not combine.
+        subject: What it is of; two explanations of one subject do not combine.
         reading: How the measurements are to be read.
         joints: How the joint positions are to be read; None for as they are.
         change: What the reader of files would do first, of which they alone know the
             numbers; None for nothing.
         chains: The chains that were measured, where they are others.
         setup: What the setup states otherwise, by the names of its attributes.
-        stated: Further lines of the setup file.
+        lines: Further lines of the setup file.
         gross: Whether the errors are as large as the robot, which the nominal one
             tells; a fit to them says nothing.
         advice: What to do instead of stating something; empty where the setup helps.
@@ -198,13 +198,13 @@ class Alternative:
 
     code: str
     words: str
-    of: str
+    subject: str
     reading: ReadingSetup = field(default_factory=ReadingSetup)
     joints: JointReading | None = None
     change: Callable[[Observations], Observations] | None = None
     chains: Chains | None = None
     setup: Mapping[str, Any] = field(default_factory=dict)
-    stated: Mapping[str, Any] = field(default_factory=dict)
+    lines: Mapping[str, Any] = field(default_factory=dict)
     gross: bool = False
     advice: str = ""
     figure: str = ""
@@ -256,11 +256,11 @@ def _with_joints(data: Observations, joints: Sequence[str]) -> Observations:
 
 def joint_reading(faults: Iterable[Alternative]) -> JointReading | None:
     """How joint positions are to be read with all of some faults."""
-    found = None
+    reading = None
     for fault in faults:
         if fault.joints is not None:
-            found = fault.joints if found is None else fault.joints.after(found)
-    return found
+            reading = fault.joints if reading is None else fault.joints.after(reading)
+    return reading
 
 
 def setup_lines(case: Case, faults: Sequence[Alternative]) -> dict[str, Any]:
@@ -271,8 +271,8 @@ def setup_lines(case: Case, faults: Sequence[Alternative]) -> dict[str, Any]:
         "reading": lines_of(merged(fault.reading for fault in faults)),
     }
     for fault in faults:
-        lines |= fault.stated
-    return {key: stated for key, stated in lines.items() if stated}
+        lines |= fault.lines
+    return {key: value for key, value in lines.items() if value}
 
 
 @dataclass(frozen=True)
@@ -305,32 +305,31 @@ class Explanation:
         return self.judged or ("error" if self.part < FITTED else "warning")
 
 
-def findings_of(case: Case, found: Explanation | None) -> tuple[Finding, ...]:
+def findings_of(case: Case, explanation: Explanation | None) -> tuple[Finding, ...]:
     """The findings of an explanation, one of each fault, and none of none.
 
     Each that states lines has those of all, which belong together.
     """
-    if found is None:
+    if explanation is None:
         return ()
-    lines, quantity = setup_lines(case, found.faults), case.fit.quantity
-    scale = merged(fault.reading for fault in found.faults).scale
-    if quantity.unit != "m" or found.fitted:
+    lines, quantity = setup_lines(case, explanation.faults), case.fit.quantity
+    scale = merged(fault.reading for fault in explanation.faults).scale
+    if quantity.unit != "m" or explanation.fitted:
         scale = 1.0  # Errors of the nominal robot are in the unit of the file.
-    before, after = found.before, scale * found.after
-    was, left = (shown(size, quantity.unit, 3) for size in (before, after))
+    before, after = explanation.before, scale * explanation.after
+    was, now = (shown(size, quantity.unit, 3) for size in (before, after))
     fall = f"drop from {was} to" if np.isfinite(before) else "are"
-    robot = "of a fit" if found.fitted else "of the nominal robot"
-    severity, result = found.severity, list[Finding]()
-    for fault in found.faults:
-        said = f"{fault.words}: with this corrected, the {quantity.name} errors {robot}"
-        said += f" {fall} {left}"
+    robot = "of a fit" if explanation.fitted else "of the nominal robot"
+    severity, result = explanation.severity, list[Finding]()
+    for fault in explanation.faults:
+        text = f"{fault.words}: with this corrected, the {quantity.name} errors {robot}"
+        text += f" {fall} {now}"
         numbers = {**fault.numbers, "rms_before": before, "rms_after": after}
         # The lines are a way for what states some, be it beside another way.
-        own = setup_lines(case, [fault])
-        how = fault.advice, lines if own else {}, fault.figure
+        how = fault.advice, lines if setup_lines(case, [fault]) else {}, fault.figure
         error, info = severity == "error", severity == "info"
-        one = told(fault.code, said, numbers, *how, error=error, info=info)
-        result.append(one)
+        finding = told(fault.code, text, numbers, *how, error=error, info=info)
+        result.append(finding)
     return tuple(result)
 
 
@@ -350,7 +349,7 @@ def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
     return search.combined() or search.of_one_joint() or search.fitted()
 
 
-_Tried = tuple[float, tuple[Alternative, ...]]
+_Trial = tuple[float, tuple[Alternative, ...]]
 """Errors that are left with some faults, in standard deviations, and these."""
 
 
@@ -358,130 +357,132 @@ class _Search:
     """Trials of explanations of a case.
 
     Attributes:
+        faults: Those that are tried.
+        tried: Number of trials.
         unit: One standard deviation of the first quantity, in its unit.
-        one: Expected size of an error of a robot, in standard deviations.
+        usual: Expected size of an error of a robot, in standard deviations.
         first: Error of the nominal robot on measurements as they are read now.
     """
 
-    def __init__(self, case: Case, known: Sequence[Alternative]) -> None:
-        self.case, self.known, self.tried = case, known, 0
+    def __init__(self, case: Case, faults: Sequence[Alternative]) -> None:
+        self.case, self.faults, self.tried = case, faults, 0
         self.data = _picked(case.data.weighted(np.ones(len(case.data))))
         self.whole = replace(case.setup, learned=None)
         self.plain = replace(self.whole, parameters=(), fixed=(), bounds={}, prior={})
         self.contact = any(declared(model).contact for model in self.data.models)
         self.few = self._few(self.data)
         problem, self.first = case.fit.problem, np.inf
-        own = problem.given_sigma[problem.layout.component == 0]
-        self.unit = float(np.sqrt(np.mean(own**2)))
-        self.one = expected_size(case.fit.quantity.unit) / self.unit
+        sigma = problem.given_sigma[problem.layout.component == 0]
+        self.unit = float(np.sqrt(np.mean(sigma**2)))
+        self.usual = expected_size(case.fit.quantity.unit) / self.unit
         self.first = self._nominal((), thorough=True)
 
     def combined(self) -> Explanation | None:
         """Faults with which the nominal robot fits far better."""
-        enough, last = USUAL * self.one, self.first
+        enough, last = USUAL * self.usual, self.first
         if np.isfinite(last):
             enough = max(EXPLAINED * last, enough)
-        beam: list[_Tried] = [(last, ())]
-        every = list(beam)
+        beam: list[_Trial] = [(last, ())]
+        best = list(beam)
         for k in range(MOST):
             if self.case.progress is not None:
                 self.case.progress(k / MOST)
-            found: dict[frozenset[int], _Tried] = {}
+            trials: dict[frozenset[int], _Trial] = {}
             most: dict[frozenset[int], float] = {}
-            for (left, kept), more in product(beam, self.known):
-                trial = (*kept, more)
-                key = frozenset(map(id, trial))
-                if key not in found and all(one.of != more.of for one in kept):
-                    found[key] = self._nominal(trial), trial
-                    most[key] = CLEARER * left / more.absorbs
-            ranked = sorted(found, key=lambda key: _rank(found[key]))
+            for (error, faults), more in product(beam, self.faults):
+                joint = (*faults, more)
+                key = frozenset(map(id, joint))
+                if key not in trials and all(f.subject != more.subject for f in faults):
+                    trials[key] = self._nominal(joint), joint
+                    most[key] = CLEARER * error / more.absorbs
+            ranked = sorted(trials, key=lambda key: _rank(trials[key]))
             for key in ranked[:LIKELY]:
-                faults = found[key][1]
-                found[key] = self._nominal(faults, thorough=True), faults
+                faults = trials[key][1]
+                trials[key] = self._nominal(faults, thorough=True), faults
             # Of those that leave the same, the likelier kind comes first.
-            clear = [found[key] for key in ranked if found[key][0] < most[key]]
+            clear = [trials[key] for key in ranked if trials[key][0] < most[key]]
             beam = sorted(clear, key=_rank)[:WIDTH]
-            every = sorted(every + beam, key=_rank)
-            left, faults = every[0]
+            best = sorted(best + beam, key=_rank)
+            error, faults = best[0]
             # Each of as many again may join those that are ahead.
-            tried = self.tried * len(self.known)
-            if left < enough or self._ratio(faults, last, left) < unlikely(tried):
+            tried = self.tried * len(self.faults)
+            if error < enough or self._ratio(faults, last, error) < unlikely(tried):
                 break
-            last = left
-        return self._best(every)
+            last = error
+        return self._best(best)
 
     def of_one_joint(self) -> Explanation | None:
         """All faults of a joint, each of which alone leaves as much as none."""
-        if self.first <= FOREIGN * self.one:
+        if self.first <= FOREIGN * self.usual:
             return None  # Two of them at once would make larger errors.
         of_joint: dict[str, dict[str, list[Alternative | None]]] = {}
-        for fault in self.known:
+        for fault in self.faults:
             if fault.joint:
-                own = of_joint.setdefault(fault.joint, {})
-                own.setdefault(fault.of, [None]).append(fault)
-        chosen = (some for own in of_joint.values() for some in product(*own.values()))
-        trials = [tuple(filter(None, some)) for some in chosen]
-        trials = [faults for faults in trials if len(faults) > 1]
-        if not 0 < len(trials) <= TOGETHER:
+                kinds = of_joint.setdefault(fault.joint, {})
+                kinds.setdefault(fault.subject, [None]).append(fault)
+        choices = (product(*kinds.values()) for kinds in of_joint.values())
+        sets = [tuple(filter(None, some)) for choice in choices for some in choice]
+        sets = [faults for faults in sets if len(faults) > 1]
+        if not 0 < len(sets) <= TOGETHER:
             return None
-        found = [(self._nominal(faults), faults) for faults in trials]
-        return self._best(sorted(found, key=lambda pair: pair[0]))
+        trials = [(self._nominal(faults), faults) for faults in sets]
+        return self._best(sorted(trials, key=lambda trial: trial[0]))
 
     def fitted(self) -> Explanation | None:
         """The fault with which a robot with errors fits far better."""
         singles = [] if self.contact else self._singles()
-        every = [one for one in singles if not one[1][0].reading.without]
-        if every and every[0][0] < CLOSE * singles[0][0]:
-            singles = every
+        complete = [trial for trial in singles if not trial[1][0].reading.without]
+        if complete and complete[0][0] < CLOSE * singles[0][0]:
+            singles = complete
         return self._of_fits(singles[0][1], FITTED) if singles else None
 
-    def _singles(self) -> list[_Tried]:
+    def _singles(self) -> list[_Trial]:
         """Errors that fits leave with each fault, the least first.
 
         A robot that is fitted shrinks with its measurements, or turns into another.
         """
-        some = [h for h in self.known if not (h.gross or h.chains)]
-        found = [(self._fitted((h,)), (h,)) for h in some]
-        return sorted(found, key=lambda one: one[0])
+        faults = [f for f in self.faults if not (f.gross or f.chains)]
+        trials = [(self._fitted((fault,)), (fault,)) for fault in faults]
+        return sorted(trials, key=lambda trial: trial[0])
 
-    def _best(self, every: Sequence[_Tried]) -> Explanation | None:
+    def _best(self, trials: Sequence[_Trial]) -> Explanation | None:
         """The best of some sets of faults, by the errors that the nominal robot leaves.
 
         A robot whose errors are fitted tells those that leave about the same, and is
         asked where what the nominal one leaves is too much.
         """
-        if self.contact and not every[0][0] < self._most(DECISIVE, fitted=False)[1]:
+        if self.contact and not trials[0][0] < self._most(DECISIVE, fitted=False)[1]:
             return None  # Fits are not asked, and are slow.
         # What leaves no more than a robot errs explains all.
-        limit = max(CLOSE * every[0][0], self.one)
-        near = [p for p in every if p[1] and p[0] <= limit][:ALIKE]
-        close = [self._needed(*p) for p in near] or every[:1]
+        limit = max(CLOSE * trials[0][0], self.usual)
+        near = [p for p in trials if p[1] and p[0] <= limit][:ALIKE]
+        close = [self._needed(*p) for p in near] or trials[:1]
         # What leaves none out explains more.
         close = [p for p in close if not any(h.reading.without for h in p[1])] or close
-        left, faults = close[0]
-        told = not any(fault.gross for _, kept in close for fault in kept)
-        if told and len(close) > 1:
+        error, faults = close[0]
+        fittable = not any(fault.gross for _, some in close for fault in some)
+        if fittable and len(close) > 1:
             # A fit that gets lost leaves no more than the nominal robot.
-            sizes = [(min(self._fitted(kept), size), kept) for size, kept in close]
-            left, faults = close[int(np.argmin([*map(_rank, sizes)]))]
-        found = self._decided(faults, left, DECISIVE, fitted=False)
-        told = told and not any(h.chains or h.reading.without for h in faults)
-        return found or (self._of_fits(faults, DECISIVE) if told else None)
+            fits = [(min(self._fitted(some), size), some) for size, some in close]
+            error, faults = close[int(np.argmin([*map(_rank, fits)]))]
+        explanation = self._decided(faults, error, DECISIVE, fitted=False)
+        fittable = fittable and not any(h.chains or h.reading.without for h in faults)
+        return explanation or (self._of_fits(faults, DECISIVE) if fittable else None)
 
-    def _needed(self, left: float, faults: tuple[Alternative, ...]) -> _Tried:
+    def _needed(self, error: float, faults: tuple[Alternative, ...]) -> _Trial:
         """Those of some faults without which far more is left, and what they leave."""
         for fault in faults if len(faults) > 1 else ():
             rest = tuple(other for other in faults if other is not fault)
             without = self._nominal(rest)
-            needless = without < CLOSE * left
-            if without < left / DECISIVE and not fault.gross:
+            needless = without < CLOSE * error
+            if without < error / DECISIVE and not fault.gross:
                 # Large errors of the robot hide it: its fit tells, if anything.
                 fit = self._fitted(faults)
                 if np.isfinite(fit):
                     needless = self._fitted(rest) < CLOSE * fit
             if needless:
                 return self._needed(without, rest)
-        return left, faults
+        return error, faults
 
     def _of_fits(
         self, faults: tuple[Alternative, ...], most: float
@@ -494,7 +495,7 @@ class _Search:
             return None
         after = self._fitted(faults)
         # The right reading of joints leaves a robot, which a fit knows better.
-        if any(h.joints for h in faults) and after > FOREIGN * self.one:
+        if any(h.joints for h in faults) and after > FOREIGN * self.usual:
             return None
         return self._decided(faults, after, most, fitted=True)
 
@@ -527,7 +528,7 @@ class _Search:
         there.
         """
         case, frames = self.case, any(fault.absorbs != 1.0 for fault in faults)
-        if not frames or case.fitted is None or self.one * case.errors_left > after:
+        if not frames or case.fitted is None or self.usual * case.errors_left > after:
             return True  # Nothing is fitted, or the fit explains less.
         fit = self._fit(faults)
         corrected = np.inf if fit is None else fit.largest_correction
@@ -539,9 +540,9 @@ class _Search:
         if self.case.fitted is not None:
             # A trial may get lost where the whole fit does not.
             known = self.case.errors_left if fitted else self.case.errors_nominal
-            before = min(before, self.one * known)
+            before = min(before, self.usual * known)
         # Where nothing tells what a wrong reading leaves, it must be errors of a robot.
-        of_robot = self.one * (DOUBTFUL if fitted else FOREIGN)
+        of_robot = self.usual * (DOUBTFUL if fitted else FOREIGN)
         return before, part * before if np.isfinite(before) else of_robot
 
     def _ratio(
@@ -556,8 +557,8 @@ class _Search:
     def _problem(self, faults: Sequence[Alternative], setup: Setup) -> Problem:
         """The problem of some measurements that are read so."""
         chains = next((h.chains for h in faults if h.chains), self.case.chains)
-        stated = {k: v for h in faults for k, v in h.setup.items()}
-        setup = replace(setup, **stated) if stated else setup
+        changes = {k: v for h in faults for k, v in h.setup.items()}
+        setup = replace(setup, **changes) if changes else setup
         if any(fault.among_rows for fault in faults):
             data = self._few(read_so(self.data, faults))
         else:
@@ -617,11 +618,11 @@ def _of_unknowns(faults: Iterable[Alternative]) -> bool:
     return any(fault.setup for fault in faults)
 
 
-def _rank(tried: _Tried) -> float:
+def _rank(trial: _Trial) -> float:
     """Order of some faults by what they leave, and by what they would leave anyway."""
-    left, faults = tried
-    left *= float(np.prod([fault.absorbs for fault in faults]))
-    return round(float(np.log(max(left, 1e-300))), 2)
+    error, faults = trial
+    error *= float(np.prod([fault.absorbs for fault in faults]))
+    return round(float(np.log(max(error, 1e-300))), 2)
 
 
 def _picked(data: Observations) -> Observations:

@@ -55,9 +55,9 @@ def different_robots(
     elif differ:
         why = f"they read the column of {enumerated(differ)} differently"
         remedy = "state the same 'joints' in the setup of both"
-    said = f"the tool points are {1e3 * apart:.0f} mm rms apart: {why}"
+    text = f"the tool points are {1e3 * apart:.0f} mm rms apart: {why}"
     error = bool(differ) or not same_nominal
-    return (told("different-robots", said, {"rms": apart}, remedy, error=error),)
+    return (told("different-robots", text, {"rms": apart}, remedy, error=error),)
 
 
 def older_calibration(
@@ -76,7 +76,7 @@ def older_calibration(
     errors = " and ".join(f"{name} errors of {size} rms" for name, size in sizes)
     by = f"it predicts these measurements with {errors}, chi-square {step.chi2:.0f} "
     by += f"(expected: {step.dof})"
-    before, after = (one.accuracy.workspace for one in (older, new))
+    before, after = (result.accuracy.workspace for result in (older, new))
     promised = np.nan if before is None else before.calibrated[0]
     expected = np.nan if after is None else after.calibrated[0]
     apart = tip_drift(older.model.of(), new.model.of(), base=True, tool=True).position
@@ -100,11 +100,11 @@ def older_calibration(
         remedy = better if promised < expected else ""
     words = "; ".join(map(_words, step.jumps))
     words = words or "nothing is found to have changed at once"
-    code, does = "old-calibration-holds", "still holds"
+    code, verdict = "old-calibration-holds", "still holds"
     if not holds:
-        code, does = "old-calibration-no-longer-holds", "no longer holds"
-    said = f"the older calibration{day} {does}: {words}; {by}"
-    yield told(code, said, numbers, remedy, info=holds)
+        code, verdict = "old-calibration-no-longer-holds", "no longer holds"
+    text = f"the older calibration{day} {verdict}: {words}; {by}"
+    yield told(code, text, numbers, remedy, info=holds)
 
 
 def _aside(jump: Jump) -> bool:
@@ -133,11 +133,11 @@ def _words(jump: Jump) -> str:
         value = shown(abs(jump.change), jump.unit).split()[0]
         sigma = shown(jump.sigma, jump.unit, 1)
         return f"the offset of '{jump.name}' has changed by {value} +- {sigma}{other}"
-    of = f"'{jump.name}'" if jump.name else "the whole robot"
+    subject = f"'{jump.name}'" if jump.name else "the whole robot"
     if jump.kind in SEPARATE:
-        of = " ".join(filter(None, ("the", jump.kind, jump.name)))
+        subject = " ".join(filter(None, ("the", jump.kind, jump.name)))
     elif jump.kind == "robot":
         other = ", or this is another robot of its type"
     sizes = [(jump.change, "m"), (jump.turn, "rad")]
     moved = " and ".join(shown(size, unit) for size, unit in sizes if size > 0.0)
-    return f"{of} has moved by {moved}{other}"
+    return f"{subject} has moved by {moved}{other}"

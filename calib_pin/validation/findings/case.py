@@ -219,23 +219,23 @@ def trimmed(
     Returns:
         Errors of that part, rms in standard deviations, and mean squares of all, (N,).
     """
-    size, squares = np.inf, np.zeros(len(problem.data))
+    size, best = np.inf, np.zeros(len(problem.data))
     zero = np.zeros(len(problem.parameters))
     for again in (False, True):
         problem = located(problem, thorough)
         if below_sheet(problem):
-            return np.inf, squares
-        there = mean_squares(problem, zero, scale)
-        limit = np.quantile(there, counted(problem))
-        left = float(np.sqrt(np.mean(there[there <= limit])))
+            return np.inf, best
+        squares = mean_squares(problem, zero, scale)
+        limit = np.quantile(squares, counted(problem))
+        rms = float(np.sqrt(np.mean(squares[squares <= limit])))
         # A board that has lost some of its corners may be located worse.
-        if not again or left < size:
-            size, squares = left, there
-        if left >= bound or not (thorough or _in_closed_form(problem)):
+        if not again or rms < size:
+            size, best = rms, squares
+        if rms >= bound or not (thorough or _in_closed_form(problem)):
             break
-        weight = (there <= limit).astype(float)
+        weight = (squares <= limit).astype(float)
         problem = replace(problem, data=problem.data.weighted(weight))
-    return size if np.isfinite(size) else np.inf, squares
+    return size if np.isfinite(size) else np.inf, best
 
 
 @dataclass(frozen=True)
@@ -243,13 +243,13 @@ class Score:
     """The gain of further columns on the errors that a fit leaves, to first order.
 
     Attributes:
-        left: Part of the sum of squares that they leave, 0 to 1.
+        remaining: Part of the sum of squares that they leave, 0 to 1.
         chance: Probability that chance explains as much (F test).
         values: Estimated factor of each column, shape (k,).
         deviations: Their standard deviations, shape (k,).
     """
 
-    left: float
+    remaining: float
     chance: float
     values: Floats
     deviations: Floats
@@ -294,12 +294,12 @@ class QuickFit:
         problem = located(problem, thorough)
         best = trial = cls(problem, np.zeros(len(problem.parameters)), **more)
         for step in range(steps):
-            there = stepped(trial)
-            if not np.isfinite(there.linear[0]).all():
+            following = stepped(trial)
+            if not np.isfinite(following.linear[0]).all():
                 break  # A point came to lie behind the camera, say.
-            if step >= STEPS and not there.rms < SETTLED * trial.rms:
+            if step >= STEPS and not following.rms < SETTLED * trial.rms:
                 break
-            trial = there
+            trial = following
             best = trial if trial.rms < best.rms else best
         return best
 
@@ -334,7 +334,7 @@ class QuickFit:
         return Q, b - Q @ (Q.T @ b)
 
     @cached_property
-    def left(self) -> float:
+    def dof(self) -> float:
         """Number of values that unknowns do not use up.
 
         Of the robot's errors each uses that part of one which the measurements tell.
@@ -345,13 +345,13 @@ class QuickFit:
     @property
     def redundant(self) -> bool:
         """Whether the measurements tell errors of the robot from others."""
-        return (1.0 - 1.0 / REDUNDANCY) * measured_count(self.problem) <= self.left
+        return (1.0 - 1.0 / REDUNDANCY) * measured_count(self.problem) <= self.dof
 
     @cached_property
     def rms(self) -> float:
         """Errors left, in standard deviations, of what unknowns do not use up."""
         r, _ = self.linear
-        return float(np.sqrt(r @ r / self.left)) if self.left >= 1 else np.inf
+        return float(np.sqrt(r @ r / self.dof)) if self.dof >= 1 else np.inf
 
     @property
     def largest_correction(self) -> float:
@@ -423,7 +423,7 @@ class QuickFit:
         result.__dict__.update(
             linear=self.linear,
             by_joints=self.by_joints,
-            left=self.left - U.shape[1],
+            dof=self.dof - U.shape[1],
             unexplained=(np.hstack([Q, U]), r - U @ (U.T @ r)),
         )
         return result
@@ -448,7 +448,7 @@ class QuickFit:
         kept = s > max(1e-6 * float(np.linalg.norm(columns)), 1e-300)
         U, inverse = U[:, kept], Vt[kept].T / s[kept]
         along, total, k = U.T @ r, float(r @ r), int(kept.sum())
-        dof = self.left - k
+        dof = self.dof - k
         if not k or dof < 1 or total <= 0.0:
             return Score(1.0, 1.0, np.zeros(count), np.full(count, np.inf))
         rest = max(total - float(along @ along), 1e-300)
@@ -499,27 +499,27 @@ def sized(
 
 def squares(fit: QuickFit) -> float:
     """Sum of the squared errors that a fit leaves, in standard deviations."""
-    return fit.rms**2 * fit.left
+    return fit.rms**2 * fit.dof
 
 
 def surpasses(
-    fit: QuickFit, left: float, count: int, rivals: Floats, tried: int = 1
+    fit: QuickFit, after: float, count: int, rivals: Floats, tried: int = 1
 ) -> bool:
     """Whether an alternative explains more than chance and its rivals do.
 
     Args:
         fit: The fit without it.
-        left: Sum of the squared errors that it leaves.
+        after: Sum of the squared errors that it leaves.
         count: Number of its parameters.
         rivals: Columns of what else may be, shape (M, k).
         tried: Number of alternatives among which it is the best.
     """
-    dof, rest = fit.left - count, fit.left - rivals.shape[1]
+    dof, rest = fit.dof - count, fit.dof - rivals.shape[1]
     if min(dof, rest) < 1:
         return False  # There are too few measurements to compare.
-    others = squares(fit) * fit.score(rivals).left / rest
-    beyond = by_chance(squares(fit), left, count, dof) * tried < CHANCE
-    return beyond and left / dof < CLEARER**2 * others
+    others = squares(fit) * fit.score(rivals).remaining / rest
+    beyond = by_chance(squares(fit), after, count, dof) * tried < CHANCE
+    return beyond and after / dof < CLEARER**2 * others
 
 
 Others = Callable[[], Iterable[Chains]]
@@ -557,8 +557,8 @@ class Case:
     def of(fitted: Fit, chains: Chains, *more: Any, **named: Any) -> Case:
         """The case of a whole fit, with further attributes."""
         data = fitted.problem.data
-        some, rank = some_of(data)
-        problem = replace(fitted.problem, data=some, expected=None)
+        sample, rank = some_of(data)
+        problem = replace(fitted.problem, data=sample, expected=None)
         fit = QuickFit(problem, fitted.theta)
         return Case(chains, data, fit, rank, fitted.before, fitted, *more, **named)
 
@@ -586,8 +586,8 @@ class Case:
         Raises:
             CalibPinError: If they make no problem.
         """
-        some, rank = some_of(data)
-        problem = make_problem(chains, some, replace(setup, learned=None))
+        sample, rank = some_of(data)
+        problem = make_problem(chains, sample, replace(setup, learned=None))
         zero = np.zeros(len(problem.parameters))
         return Case(chains, data, QuickFit(problem, zero), rank, zero, others=others)
 
@@ -614,15 +614,15 @@ class Case:
         Without a whole fit nobody judges corrections that are as large as a robot. With
         one, it may have been fitted to measurements as small as the errors of a robot.
         """
-        fitted, left = self.fitted, self.errors_left
-        usual = left <= (DOUBTFUL if self.informed else FOREIGN)
+        fitted, errors = self.fitted, self.errors_left
+        usual = errors <= (DOUBTFUL if self.informed else FOREIGN)
         if fitted is not None and fitted.noise:
             usual |= all(noise.as_stated for noise in fitted.noise)
         known = fitted is not None and self.fit.largest_correction <= IMPLAUSIBLE
         # What the model lacks may be all that is left.
         lacks, part = self.lacking
         modeled = known and PARAMETERIZATIONS.keys() >= {*lacks}
-        if not (usual or (modeled and left * np.sqrt(part) <= DOUBTFUL)):
+        if not (usual or (modeled and errors * np.sqrt(part) <= DOUBTFUL)):
             return True
         return self.errors_nominal > (ABSURD if known else FOREIGN)
 
@@ -665,27 +665,27 @@ class Case:
         possible = self.fitted is not None and self.errors_left <= FOREIGN
         if not (possible and self.setup.parameters and fit.rms > EXACT):
             return (), 1.0
-        every = {k: X for k, X in self.beside.items() if np.isfinite(X).all()}
+        columns = {k: X for k, X in self.beside.items() if np.isfinite(X).all()}
         # All points of a configuration share the errors of its pose, and repetitions
         # those of their value.
         poses = FRAME * fit.problem.data.configurations
         distinct = min(poses, distinct_values(fit.problem))
-        dof = fit.left - max(measured_count(fit.problem) - distinct, 0)
-        found = list[tuple[float, tuple[str, ...], float]]()
-        for some in (*((kind,) for kind in every), *combinations(every, 2)):
-            score = fit.score(np.hstack([every[kind] for kind in some]))
+        dof = fit.dof - max(measured_count(fit.problem) - distinct, 0)
+        trials = list[tuple[float, tuple[str, ...], float]]()
+        for names in (*((kind,) for kind in columns), *combinations(columns, 2)):
+            score = fit.score(np.hstack([columns[kind] for kind in names]))
             count = len(score.values)
             if count >= dof:
                 continue  # They explain whatever a configuration errs by.
-            left, chance = score.left, score.chance
-            if dof < fit.left:
-                chance = by_chance(1.0, left, count, dof - count)
-            if left < LACKING and chance < CHANCE:
+            part, chance = score.remaining, score.chance
+            if dof < fit.dof:
+                chance = by_chance(1.0, part, count, dof - count)
+            if part < LACKING and chance < CHANCE:
                 # By Schwarz's criterion: two families explain more than one anyway.
-                cost = fit.left * np.log(max(left, 1e-300))
-                found.append((cost + count * np.log(fit.left), some, left))
-        told = (one[1:] for one in sorted(found) if self._scaled_with(one[1]))
-        return next(told, ((), 1.0))
+                cost = fit.dof * np.log(max(part, 1e-300))
+                trials.append((cost + count * np.log(fit.dof), names, part))
+        scaled = (trial[1:] for trial in sorted(trials) if self._scaled_with(trial[1]))
+        return next(scaled, ((), 1.0))
 
     def _scaled_with(self, names: Sequence[str]) -> bool:
         """Whether the scale is known with further parameters, if it is without.
@@ -721,16 +721,16 @@ class Case:
             columns = {
                 kind: X[:, kinds == kind] for kind in dict.fromkeys(effects.kinds)
             }
-        held: dict[str, list[int]] = {}
+        held: dict[str, set[int]] = {}
         for term in problem.terms.values():
             references = term.measurement.references
-            for one, part in zip(references, slices(references), strict=True):
-                own = term.of_instrument[part].tolist()
+            for reference, part in zip(references, slices(references), strict=True):
+                index = term.of_instrument[part].tolist()
                 # The number of a center is the last one.
-                own = own[-1:] if isinstance(one, Center) else own
-                held.setdefault(held_as(one), []).extend(own)
+                index = index[-1:] if isinstance(reference, Center) else index
+                held.setdefault(held_as(reference), set()).update(index)
         J = self.fit.linear[1]
-        return columns | {key: J[:, sorted({*own})] for key, own in held.items() if key}
+        return columns | {key: J[:, sorted(i)] for key, i in held.items() if key}
 
 
 def scale_known(problem: Problem, before: Floats) -> bool:
@@ -741,8 +741,8 @@ def scale_known(problem: Problem, before: Floats) -> bool:
         before: Its parameters with the robot nominal, shape (P,): what is touched must
             be where the tool can touch it.
     """
-    about = np.where(problem.parameters.nuisance, before, 0.0)
-    return analyze_structure(problem, about, np.random.default_rng(0))[0].scaled
+    theta = np.where(problem.parameters.nuisance, before, 0.0)
+    return analyze_structure(problem, theta, np.random.default_rng(0))[0].scaled
 
 
 def held_as(reference: ReferenceObject) -> str:
@@ -765,8 +765,8 @@ def _without_outliers(problem: Problem) -> Observations:
     data, size = problem.data, np.sqrt(trimmed(problem, thorough=True)[1])
     usual = np.ones(len(data))
     for model in {block.model for block in data.blocks}:
-        own = np.array([b.model == model for b in data.blocks])[data.block_of]
-        usual[own] = max(float(np.median(size[own])), 1.0)
+        of_model = np.array([b.model == model for b in data.blocks])[data.block_of]
+        usual[of_model] = max(float(np.median(size[of_model])), 1.0)
     out = size > FAR * usual
     few = out.mean() <= SOME
     return data.weighted(np.where(out & few, 0.0, 1.0))

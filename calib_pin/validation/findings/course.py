@@ -153,10 +153,10 @@ def subjects(problem: Problem) -> Iterator[Change]:
     """The frames and joint zeros that may change in a problem."""
     data = problem.data
     for kind in FRAMES:
-        found: dict[str, list[BlockKey]] = {}
+        frames: dict[str, list[BlockKey]] = {}
         for key, term in problem.terms.items():
-            found.setdefault(getattr(term.frames, kind), []).append(key)
-        for keys in found.values():
+            frames.setdefault(getattr(term.frames, kind), []).append(key)
+        for keys in frames.values():
             yield Change(kind, frozenset(keys))
     if not any(block.start.size for block in data.blocks):
         for joint in range(len(data.joints)):
@@ -185,11 +185,11 @@ def changed(
     """
     q, behind = data.q.copy(), np.zeros((len(FRAMES), len(rank)), int)
     for change in changes:
-        own = concerned(data, change) & (rank >= change.rank)
+        affected = concerned(data, change) & (rank >= change.rank)
         if change.kind == "joint":
-            q[own, change.joint] += change.size
+            q[affected, change.joint] += change.size
         else:
-            behind[FRAMES.index(change.kind)] += own
+            behind[FRAMES.index(change.kind)] += affected
     data, index = with_positions(data, q), np.arange(len(q))
     names = ("", *(f"~{k + 1}" for k in range(len(changes))))
     for kind, count in zip(FRAMES, behind, strict=True):
@@ -228,10 +228,10 @@ class Trial(QuickFit):
         zeros = [k for k, change in enumerate(changes) if change.kind == "joint"]
 
         def of(sizes: Floats) -> tuple[Change, ...]:
-            found = [*changes]
+            resized = [*changes]
             for k, size in zip(zeros, sizes.tolist(), strict=True):
-                found[k] = found[k]._replace(size=size)
-            return tuple(found)
+                resized[k] = resized[k]._replace(size=size)
+            return tuple(resized)
 
         trial, sizes = sized(
             trial,
@@ -263,15 +263,15 @@ class Trial(QuickFit):
         """Whitened residual by what changes, if it does so everywhere, shape (M, k)."""
         if change.kind == "joint":
             return self.by_joints[:, [change.joint]]
-        data, row, own = self.problem.data, self.problem.layout.row, []
+        data, row, ends = self.problem.data, self.problem.layout.row, []
         for term in map(self.problem.terms.__getitem__, data.keys):
-            screws = slice(len(term.error.screws) - FRAME, len(term.error.screws))
-            own.append(term.index[slice(FRAME) if change.kind == "station" else screws])
-        columns = np.array(own)[data.block_of[row]]
+            screws = term.index[: len(term.error.screws)]
+            ends.append(screws[:FRAME] if change.kind == "station" else screws[-FRAME:])
+        columns = np.array(ends)[data.block_of[row]]
         seen = self.problem.parameters.free[columns]
         seen &= concerned(self.plain.data, change)[self.index][row, None]
-        found = np.take_along_axis(self.linear[1], columns, axis=1) * seen
-        return found[:, found.any(axis=0)]
+        X = np.take_along_axis(self.linear[1], columns, axis=1) * seen
+        return X[:, X.any(axis=0)]
 
     def step(self, change: Change) -> Floats:
         """The same of what changes at its row."""
@@ -280,11 +280,11 @@ class Trial(QuickFit):
 
     def _least(self, change: Change, unknowns: int) -> int:
         """Least configurations on each side of a change with so many unknowns."""
-        own = concerned(self.plain.data, change)[self.index]
-        values = int(own[self.problem.layout.row].sum())
-        there = len(np.unique(self.problem.data.groups()[own]))
+        affected = concerned(self.plain.data, change)[self.index]
+        values = int(affected[self.problem.layout.row].sum())
+        configurations = len(np.unique(self.problem.data.groups()[affected]))
         few = ROBOT if change.kind == "joint" else CONFIGURATIONS
-        return max(few, -(-VALUES * unknowns * there // max(values, 1)))
+        return max(few, -(-VALUES * unknowns * configurations // max(values, 1)))
 
     @property
     def candidates(self) -> list[tuple[float, float, Change]]:
@@ -294,7 +294,7 @@ class Trial(QuickFit):
         parameters are worth (BIC), and the part of the squares that it leaves, both to
         first order.
         """
-        found, rank, groups = [], self.rank[self.index], self.problem.data.groups()
+        result, rank, groups = [], self.rank[self.index], self.problem.data.groups()
         for subject in subjects(self.plain):
             columns = self.columns(subject)
             rows = np.flatnonzero(concerned(self.plain.data, subject)[self.index])
@@ -303,15 +303,15 @@ class Trial(QuickFit):
             cuts = sorted(c.rank for c in self.changes if c.what == subject.what)
             parts = np.split(groups[rows], np.searchsorted(rank[rows], cuts))
             least = self._least(subject, columns.shape[1])
-            allowed = np.concatenate([divisible(part, least) for part in parts])
+            allowed = np.concatenate([divisible(labels, least) for labels in parts])
             if not columns.size or not allowed.any():
                 continue
             gain = np.where(allowed, self.gains(columns, rows), 0.0)
             best, count = int(np.argmax(gain)), len(columns)
-            left = max(1.0 - gain[best], 1e-12)
-            cost = count * np.log(left) + columns.shape[1] * np.log(count)
-            found.append((cost, left, subject._replace(rank=int(rank[rows[best]]))))
-        return sorted(found, key=lambda candidate: candidate[0])
+            part = max(1.0 - gain[best], 1e-12)
+            cost = count * np.log(part) + columns.shape[1] * np.log(count)
+            result.append((cost, part, subject._replace(rank=int(rank[rows[best]]))))
+        return sorted(result, key=lambda candidate: candidate[0])
 
     def gains(self, columns: Floats, rows: Indices) -> Floats:
         """Part of the squares that a change at each of some measurements explains.
@@ -348,9 +348,9 @@ class Trial(QuickFit):
         Args:
             before: The trial without these changes.
         """
-        new, left = self.changes[len(before.changes) :], squares(self)
-        further = min((left for _, left, _ in self.candidates), default=1.0)
-        if squares(before) - left < FURTHER * left * (1.0 - further):
+        new, remaining = self.changes[len(before.changes) :], squares(self)
+        further = min((part for _, part, _ in self.candidates), default=1.0)
+        if squares(before) - remaining < FURTHER * remaining * (1.0 - further):
             return False
         columns, row = before.columns(new[0]), before.problem.layout.row
         time = (self.rank[before.index] / max(int(self.rank.max()), 1))[row, None]
@@ -358,10 +358,10 @@ class Trial(QuickFit):
         shapes = (time, time**2, q, np.sin(q), np.cos(q))
         rivals = np.hstack([columns * time, columns * time**2])
         smooth = np.hstack([rivals, *(joints * shape for shape in shapes)])
-        if smooth.shape[1] < FEW * before.left:
+        if smooth.shape[1] < FEW * before.dof:
             rivals = smooth
         count = len(new) * columns.shape[1]
-        return surpasses(before, left, count, rivals, len(self.rank))
+        return surpasses(before, remaining, count, rivals, len(self.rank))
 
     def place(self, k: int, data: Observations, rank: Indices) -> int:
         """The best rank of a change if nothing else does.
@@ -398,23 +398,23 @@ class Trial(QuickFit):
 
 
 @serial_blas
-def changes_of(case: Case, seen: Trial | None) -> tuple[Trial, Trial] | None:
+def changes_of(case: Case, unchanged: Trial | None) -> tuple[Trial, Trial] | None:
     """The measurements of a fit without changes, and with all that are found.
 
     None where nothing has changed.
 
     Args:
         case: The case.
-        seen: Its fit without changes, see `_unchanged`.
+        unchanged: Its fit without changes, see `_unchanged`.
     """
-    if seen is None or all(left > LOOKED_AT for _, left, _ in seen.candidates):
+    if not unchanged or all(part > LOOKED_AT for _, part, _ in unchanged.candidates):
         return None
-    trials, more = list[Trial](), seen.settled(())
+    trials, more = list[Trial](), unchanged.settled(())
     while more is not None and (not trials or more.rms < trials[-1].rms):
         trials.append(more)
         likely = [change for gain, _, change in more.candidates if gain < LEAST]
         on = likely and len(trials) <= MOST
-        more = seen.settled((*more.changes, likely[0])) if on else None
+        more = unchanged.settled((*more.changes, likely[0])) if on else None
     while len(trials) > 1 and not trials[-1].stands_out(trials[-2]):
         trials.pop()
     if len(trials) < 2:
@@ -422,8 +422,8 @@ def changes_of(case: Case, seen: Trial | None) -> tuple[Trial, Trial] | None:
     first, last = trials[0], trials[-1]
     # Outliers look like moves; of true ones the fit without outliers leaves no more, or
     # it has set aside more than outliers are.
-    kept = replace(case.fit, problem=replace(case.fit.problem, units=np.zeros(0)))
-    limit = SETTLED * kept.rms
+    inliers = replace(case.fit, problem=replace(case.fit.problem, units=np.zeros(0)))
+    limit = SETTLED * inliers.rms
     if np.mean(case.fit.problem.data.weight == 0.0) > SOME:
         limit = max(LEFT * first.rms, limit)
     return (first, last) if last.rms <= limit and last.stands_out(first) else None
@@ -464,26 +464,26 @@ def divisible(labels: Indices, least: int) -> Booleans:
 
 def changes(case: Case) -> Explanation | None:
     """Frames and joint zeros that changed at a row, in their order, or all at once."""
-    seen = _unchanged(case)
-    found = changes_of(case, seen)
-    every = found[1].changes if found else ()
+    unchanged = _unchanged(case)
+    trials = changes_of(case, unchanged)
+    steps = trials[1].changes if trials else ()
     # Who moves an instrument homes no joint, and mounts no tool.
-    places = np.searchsorted(np.sort(case.rank), [c.rank for c in every])
-    at_once = len({c.kind for c in every}) > 1 and np.ptp(places) < CONFIGURATIONS
-    part = found[1].rms / found[0].rms if found else 0.0
-    another = _another(case, seen, part) if found or case.doubtful else None
-    if another and (not found or at_once or another.part < FITTED * part):
+    places = np.searchsorted(np.sort(case.rank), [c.rank for c in steps])
+    at_once = len({c.kind for c in steps}) > 1 and np.ptp(places) < CONFIGURATIONS
+    part = trials[1].rms / trials[0].rms if trials else 0.0
+    another = _another(case, unchanged, part) if trials or case.doubtful else None
+    if another and (not trials or at_once or another.part < FITTED * part):
         return another
     # Two or three things change on a bad day; more are what steps make of a drift.
-    if found is None or len({c.what for c in every}) > 3:
+    if trials is None or len({c.what for c in steps}) > 3:
         return None
-    first, last = found
+    first, last = trials
     if last.errors > FOREIGN * expected_size(case.fit.quantity.unit):
         return None  # What no robot has is left, and another fault as well.
     data = case.data.weighted(np.ones(len(case.data)))
     rank = np.argsort(data.in_order)
     # It may be a row that was not looked at.
-    rows = [(last.place(k, data, rank), k) for k in range(len(every))]
+    rows = [(last.place(k, data, rank), k) for k in range(len(steps))]
     faults = tuple(_change(case, last, k, at, rank) for at, k in sorted(rows))
     large = _caused(case, first.errors, last.errors) > LARGE
     judged: Severity | None = "error" if large else None
@@ -555,52 +555,52 @@ def _another(case: Case, fit: Trial | None, changed: float) -> Explanation | Non
         return None
     columns = column_space(fit.linear[1][:, fit.problem.parameters.free])
     count, order = columns.shape[1], np.argsort(case.rank)
-    dof = fit.left - count
+    dof = fit.dof - count
     allowed = divisible(fit.problem.data.groups()[order], ROBOT)
     gain = np.where(allowed, fit.gains(columns, order), 0.0)
-    best, left = int(np.argmax(gain)), 1.0 - float(gain.max())
-    if dof < 1 or by_chance(1.0, left, count, dof) * len(order) > CHANCE:
+    best, remaining = int(np.argmax(gain)), 1.0 - float(gain.max())
+    if dof < 1 or by_chance(1.0, remaining, count, dof) * len(order) > CHANCE:
         return None
-    part = float(np.sqrt(left * fit.left / dof))
+    part = float(np.sqrt(remaining * fit.dof / dof))
     if part > max(LEFT, changed):
         return None
     data, row = fit.problem.data, int(order[best - 1])
-    said = f"something else was measured after line {place_of(data, row)}, such as "
+    text = f"something else was measured after line {place_of(data, row)}, such as "
     numbers = {"file": data.files[row], "line": int(data.lines[row]) or best}
-    found = Alternative(
+    fault = Alternative(
         "outlying-stretch",
-        f"{said}another robot",
+        f"{text}another robot",
         "robot",
         advice="calibrate the two parts apart",
         figure="over-order",
         numbers=numbers,
     )
-    return Explanation((found,), fit.errors, part * fit.errors, judged="error")
+    return Explanation((fault,), fit.errors, part * fit.errors, judged="error")
 
 
-def _sides(mine: Booleans, rank: Indices, at: int) -> Indices:
+def _sides(mask: Booleans, rank: Indices, at: int) -> Indices:
     """The last of some measurements before a rank, and the first one from it on."""
-    own = np.flatnonzero(mine)[np.argsort(rank[mine])]
-    return own[np.searchsorted(rank[own], at) + np.array([-1, 0])]
+    rows = np.flatnonzero(mask)[np.argsort(rank[mask])]
+    return rows[np.searchsorted(rank[rows], at) + np.array([-1, 0])]
 
 
 def _frame(trial: Trial, k: int) -> tuple[str, dict[str, Any]]:
     """How far the frame of a change stands from where it stood."""
     change, (settled, _) = trial.changes[k], trial.problem.rebased(trial.theta)
-    data, mine = trial.problem.data, concerned(trial.plain.data, change)[trial.index]
-    rows = _sides(mine, trial.rank[trial.index], change.rank)
-    one, other = (settled.terms[data.keys[k]] for k in data.block_of[rows])
-    A, B = one.error.tool, other.error.tool
+    data, mask = trial.problem.data, concerned(trial.plain.data, change)[trial.index]
+    rows = _sides(mask, trial.rank[trial.index], change.rank)
+    before, behind = (settled.terms[data.keys[k]] for k in data.block_of[rows])
+    A, B = before.error.tool, behind.error.tool
     if change.kind == "station":
         # Where the instrument stands, in the base link.
-        A, B = one.error.base.inverse(), other.error.base.inverse()
+        A, B = before.error.base.inverse(), behind.error.base.inverse()
     apart = A.inverse() * B
     distance = float(np.linalg.norm(apart.translation))
     size = f"{distance:.3g} m" if distance >= 0.1 else shown(distance, "m", 3)
     numbers: dict[str, Any] = {"distance": distance}
     vector = apart.translation.tolist()
     # Of a single point nobody knows how it is turned.
-    if change.kind == "station" or len(one.measurement.quantities) > 1:
+    if change.kind == "station" or len(before.measurement.quantities) > 1:
         vector += pin.log3(apart.rotation).tolist()
         numbers["angle"] = angle = float(np.linalg.norm(vector[3:]))
         size += f", {shown(angle, 'rad', 3)}"
@@ -609,33 +609,33 @@ def _frame(trial: Trial, k: int) -> tuple[str, dict[str, Any]]:
 
 def drift(case: Case) -> Explanation | None:
     """A drift of the instrument or of the joints, whichever explains more."""
-    fit, found = case.fit, []
+    fit, candidates = case.fit, []
     if not (case.informed and fit.rms > EXACT):
         return None
     time = (case.rank / max(int(case.rank.max()), 1))[fit.problem.layout.row, None]
-    for words, columns, names in _drifts(case):
+    for fault_of, columns, names in _drifts(case):
         score, count = fit.score(columns * time), columns.shape[1]
         waves = np.hstack([columns * np.cos(np.pi * k * time) for k in WAVES])
-        if not surpasses(fit, squares(fit) * score.left, count, waves):
+        if not surpasses(fit, squares(fit) * score.remaining, count, waves):
             continue
         # What comes at once is no drift.
-        at_once = min(fit.score(columns * (time >= at)).left for at in TENTHS)
-        if score.left < at_once:
+        at_once = min(fit.score(columns * (time >= at)).remaining for at in TENTHS)
+        if score.remaining < at_once:
             # One of more parts takes a part of what a simpler one explains.
-            cost = fit.left * np.log(score.left) + count * unlikely()
-            found.append((cost, words(case, score, names), columns * time))
-    if not found:
+            cost = fit.dof * np.log(score.remaining) + count * unlikely()
+            candidates.append((cost, fault_of(case, score, names), columns * time))
+    if not candidates:
         return None
-    _, drifts, ramp = min(found, key=lambda one: one[0])
+    _, fault, ramp = min(candidates, key=lambda candidate: candidate[0])
     first = np.flatnonzero(fit.problem.layout.component == 0)
     without = fit.explaining(ramp)
-    left, now = (f.unexplained[1][first] for f in (without, fit))
-    before, part = fit.errors, float(np.linalg.norm(left) / np.linalg.norm(now))
+    rest, r = (f.unexplained[1][first] for f in (without, fit))
+    before, part = fit.errors, float(np.linalg.norm(rest) / np.linalg.norm(r))
     if part > LASTING and not _as_stated(case, without):
         return None
     large = _caused(case, before, part * before) > LARGE
     judged: Severity | None = None if large else "warning"
-    return Explanation((drifts,), before, part * before, judged=judged)
+    return Explanation((fault,), before, part * before, judged=judged)
 
 
 def _as_stated(case: Case, fit: QuickFit) -> bool:
@@ -645,7 +645,7 @@ def _as_stated(case: Case, fit: QuickFit) -> bool:
         return False
     units = current_units(fit.problem)[fit.problem.layout.component]
     r = fit.unexplained[1][: len(units)] * units
-    return chi_square_tail(float(r @ r), fit.left) > REJECTED
+    return chi_square_tail(float(r @ r), fit.dof) > REJECTED
 
 
 Told = Callable[[Case, Score, Sequence[str]], Alternative]
@@ -658,11 +658,11 @@ def _drifts(case: Case) -> Iterator[tuple[Told, Floats, Sequence[str]]]:
     """The kinds of drift: what tells them, their columns and the names of these."""
     fit, problem, joints = case.fit, case.fit.problem, case.data.joints
     terms = [*problem.terms.values()]
-    own = terms[0].index[:FRAME]
+    base = terms[0].index[:FRAME]
     values = {tuple(declared(model).columns)[:3] for model in case.data.models}
     if len({term.frames.station for term in terms}) == 1:
-        J, scales = fit.linear[1][:, own], problem.parameters.scales[own]
-        if problem.parameters.free[own].all():
+        J, scales = fit.linear[1][:, base], problem.parameters.scales[base]
+        if problem.parameters.free[base].all():
             if values == {AXES}:
                 rotation = terms[0].error.base.rotation
                 yield _of_instrument, J[:, :3] / scales[:3] @ rotation.T, AXES
@@ -683,20 +683,20 @@ def _of_instrument(case: Case, score: Score, names: Sequence[str]) -> Alternativ
         advice += f"; or estimate it, with the setup lines {lines}"
         if not all(len(block.conditions.time) for block in case.data.blocks):
             advice += " and a column 'time' [s]"
-    said = f"the instrument drifts against the robot {ALL_ALONG}"
-    found = Alternative("instrument-drift", said, "time", advice=advice)
+    text = f"the instrument drifts against the robot {ALL_ALONG}"
+    fault = Alternative("instrument-drift", text, "time", advice=advice)
     if names != TRANSFORM:
         values = score.values
         size = float(np.linalg.norm(values))
         sigma = float(np.linalg.norm(values / size * score.deviations))
-        said = f"the measured values drift by {_with_sigma(size, sigma, 'm')}"
+        text = f"the measured values drift by {_with_sigma(size, sigma, 'm')}"
         # Of distances it is one number.
         x, y, z = [*(float(f"{v:.3g}") for v in values), 0.0, 0.0][:3]
         reading = ReadingSetup(drift=(x, y, z))
         numbers = {**dict(zip(names, values.tolist(), strict=True)), "drift": size}
-        found = replace(found, words=f"{said} {ALL_ALONG}", reading=reading)
-        found = replace(found, numbers=numbers | {"sigma": sigma})
-    return replace(found, figure="over-order")
+        fault = replace(fault, words=f"{text} {ALL_ALONG}", reading=reading)
+        fault = replace(fault, numbers=numbers | {"sigma": sigma})
+    return replace(fault, figure="over-order")
 
 
 def _of_joints(case: Case, score: Score, names: Sequence[str]) -> Alternative:
@@ -704,11 +704,11 @@ def _of_joints(case: Case, score: Score, names: Sequence[str]) -> Alternative:
     worst = int(np.argmax(np.abs(score.values) / score.deviations))
     value, sigma = float(score.values[worst]), float(score.deviations[worst])
     name, advice = names[worst], "let the robot warm up before it is measured"
-    said = f"the joint positions drift {ALL_ALONG}, most of all '{name}' by "
-    said += _with_sigma(value, sigma, case.unit(name))
+    text = f"the joint positions drift {ALL_ALONG}, most of all '{name}' by "
+    text += _with_sigma(value, sigma, case.unit(name))
     numbers = {"joint": name, "drift": value, "sigma": sigma}
-    found = Alternative("robot-drift", said, "time", advice=advice, numbers=numbers)
-    return replace(found, figure="over-order")
+    fault = Alternative("robot-drift", text, "time", advice=advice, numbers=numbers)
+    return replace(fault, figure="over-order")
 
 
 def _with_sigma(size: float, sigma: float, unit: str) -> str:
@@ -724,15 +724,15 @@ def modeled_drift(case: Case) -> Iterator[Finding]:
     for station, (first, last) in case.setup.drift.spans.items():
         name, steps = f"{station}.{InstrumentDrift.name}.", range(1, INCREMENTS + 1)
         each = [[values.get(f"{name}{a}{k}", 0.0) for a in COMPONENTS] for k in steps]
-        ways = np.cumsum(each, axis=0)
-        shift, turn = (np.linalg.norm(ways[:, k : k + 3], axis=1) for k in (0, 3))
+        path = np.cumsum(each, axis=0)
+        shift, turn = (np.linalg.norm(path[:, k : k + 3], axis=1) for k in (0, 3))
         owner = "" if station == "base" else f" at station '{station}'"
-        said = f"the instrument{owner} has drifted by {shown(shift[-1], 'm')} and "
-        said += f"{shown(turn[-1], 'rad')} in {_duration(last - first)}"
+        text = f"the instrument{owner} has drifted by {shown(shift[-1], 'm')} and "
+        text += f"{shown(turn[-1], 'rad')} in {_duration(last - first)}"
         numbers = {"station": station, "seconds": last - first}
         numbers |= {"shift": shift[-1], "turn": turn[-1]}
         numbers |= {"largest_shift": shift.max(), "largest_turn": turn.max()}
-        yield told("modeled-drift", said, numbers, info=True)
+        yield told("modeled-drift", text, numbers, info=True)
 
 
 def modeled_warm_up(case: Case) -> Iterator[Finding]:
@@ -742,20 +742,20 @@ def modeled_warm_up(case: Case) -> Iterator[Finding]:
     problem, thermal, moved = case.fit.problem, case.fit.problem.setup.thermal, []
     for block in problem.data.blocks:
         term = problem.terms[block.key]
-        q, own = block.q[:, term.columns], case.fit.theta[term.of_error]
+        q, theta = block.q[:, term.columns], case.fit.theta[term.of_error]
         cold, warm = (
             term.error.basis(q, replace(block.conditions, time=time))
             for time in (np.full(len(q), thermal.switched_on[0]), np.zeros(0))
         )
-        both = term.error.poses(q, own, cold) - term.error.poses(q, own, warm)
-        moved.append(both[:, :3, 3])
+        shift = term.error.poses(q, theta, cold) - term.error.poses(q, theta, warm)
+        moved.append(shift[:, :3, 3])
     size = float(np.sqrt(np.mean(np.sum(np.concatenate(moved) ** 2, axis=1))))
     constant = thermal.warm_up_time or 0.0
-    said = f"the cold robot has its tool {shown(size, 'm')} (rms) from where the warm "
-    said += f"one has it, and covers 63 % of that in {_duration(constant)}; the "
-    said += "geometry is that of the warm robot"
+    text = f"the cold robot has its tool {shown(size, 'm')} (rms) from where the warm "
+    text += f"one has it, and covers 63 % of that in {_duration(constant)}; the "
+    text += "geometry is that of the warm robot"
     numbers = {"cold": size, "time_constant": constant}
-    yield told("modeled-warm-up", said, numbers, info=True)
+    yield told("modeled-warm-up", text, numbers, info=True)
 
 
 def _duration(seconds: float) -> str:

@@ -149,16 +149,16 @@ def require_motion(data: Observations) -> None:
             squares += float(np.sum((value - mean[thing]) ** 2))
         scatter = float(np.sqrt(squares / max(len(block), 1)))
         if scatter > MOVED * expected_size(quantity.unit):
-            said = "the joint positions of all measurements are those of "
-            said += "one configuration" if first.all() else "two configurations"
-            said += f", while their {quantity.name} values scatter by "
-            said += f"{shown(scatter, quantity.unit, 3)}: what wrote the joints did "
-            raise block.error(0, f"{said}not follow the robot")
+            text = "the joint positions of all measurements are those of "
+            text += "one configuration" if first.all() else "two configurations"
+            text += f", while their {quantity.name} values scatter by "
+            text += f"{shown(scatter, quantity.unit, 3)}: what wrote the joints did "
+            raise block.error(0, f"{text}not follow the robot")
 
 
-def _near(q: Floats, one: Floats) -> Booleans:
+def _near(q: Floats, posture: Floats) -> Booleans:
     """Whether joints stand as in one configuration, (N, n) and (n,) -> (N,)."""
-    pairs = zip(q.T, one.tolist(), strict=True)
+    pairs = zip(q.T, posture.tolist(), strict=True)
     # Joint by joint: the rows of a million are short.
     near = [np.abs(joint - at) < STOOD for joint, at in pairs]
     return np.asarray(np.logical_and.reduce(near))
@@ -185,7 +185,7 @@ def require_distances(data: Observations, setup: Setup) -> None:
         below = block.values[:, 0] < least[block.target.codes]
         if below.mean() <= SOME:
             continue
-        said = f"{np.sum(below)} of {len(block)} distances are negative: the "
+        text = f"{np.sum(below)} of {len(block)} distances are negative: the "
         if below.all():
             remedy = "instrument counts the other way; state in the setup file: "
             remedy += "reading: {scale: -1}"
@@ -195,7 +195,7 @@ def require_distances(data: Observations, setup: Setup) -> None:
             if block.model == "point-distance":
                 remedy += ", or state in the setup file: anchors: {NAME: "
                 remedy += "{estimate_bias: true}}"
-        raise block.error(int(np.argmax(below)), said + remedy, column="distance")
+        raise block.error(int(np.argmax(below)), text + remedy, column="distance")
 
 
 def constant_orientation(case: Case) -> Iterator[Finding]:
@@ -204,11 +204,11 @@ def constant_orientation(case: Case) -> Iterator[Finding]:
     if case.data.configurations < FEWEST or not blocks:
         return
     if not any(np.ptp(block.values[:, 3:], axis=0).any() for block in blocks):
-        said = "the measured orientation is the same at all configurations: no "
-        said += "instrument has measured it"
+        text = "the measured orientation is the same at all configurations: no "
+        text += "instrument has measured it"
         numbers = {"configurations": case.data.configurations}
         remedy = "take the positions alone: --model position"
-        yield told("constant-orientation", said, numbers, remedy, error=True)
+        yield told("constant-orientation", text, numbers, remedy, error=True)
 
 
 def constant_positions(case: Case) -> Iterator[Finding]:
@@ -222,17 +222,17 @@ def constant_positions(case: Case) -> Iterator[Finding]:
     columns = np.concatenate([block.values[:, :3] for block in blocks]).T
     still = [name for name, x in zip("xyz", columns, strict=True) if not np.ptp(x)]
     pairs = combinations(range(3), 2)
-    alike = ["xyz"[i] + "xyz"[j] for i, j in pairs if (columns[i] == columns[j]).all()]
+    equal = ["xyz"[i] + "xyz"[j] for i, j in pairs if (columns[i] == columns[j]).all()]
     if len(still) > 1:
-        said = f"the measured {enumerated(still)} never changed while the joints moved"
-    elif alike:
-        said = f"{enumerated(list(alike[0]))} are equal in every measurement"
+        text = f"the measured {enumerated(still)} never changed while the joints moved"
+    elif equal:
+        text = f"{enumerated(list(equal[0]))} are equal in every measurement"
     else:
         return
-    said += ": no instrument has measured this"
+    text += ": no instrument has measured this"
     remedy = "name the columns that one has measured: 'columns' in the setup file"
     numbers = {"configurations": case.data.configurations}
-    yield told("constant-positions", said, numbers, remedy, error=True)
+    yield told("constant-positions", text, numbers, remedy, error=True)
 
 
 def gauge_readings(case: Case) -> Explanation | None:
@@ -250,15 +250,15 @@ def gauge_readings(case: Case) -> Explanation | None:
     problem = replace(case.fit.problem, data=data)
     fit, touched = replace(case.fit, problem=problem), {}
     for _, block, _, values in problem.blocks:
-        stated = declared(block.model)
-        if not stated.contact or not block.values.any():
+        model = declared(block.model)
+        if not model.contact or not block.values.any():
             continue
-        for name, axis in product(block.target.distinct, stated.components):
+        for name, axis in product(block.target.distinct, model.components):
             column = np.zeros(problem.layout.row.shape)
-            along = np.array(stated.components) == axis
-            own = block.target.where(name)[:, None] & along
-            column[values] = np.where(own, -block.values, 0.0).ravel()
-            words = name or stated.naming.noun, axis * (len(stated.components) > 1)
+            along = np.array(model.components) == axis
+            entries = block.target.where(name)[:, None] & along
+            column[values] = np.where(entries, -block.values, 0.0).ravel()
+            words = name or model.naming.noun, axis * (len(model.components) > 1)
             touched[" ".join(words).strip()] = column / problem.sigma
     if not touched:
         return None
@@ -267,22 +267,20 @@ def gauge_readings(case: Case) -> Explanation | None:
     wrong = [n for n, factor in factors.items() if abs(factor + 1.0) < NEAR]
     if score.chance > CHANCE or not wrong:
         return None
-    every = len(wrong) == len(factors)
+    all_wrong = len(wrong) == len(factors)
     best = np.mean([factors[name] for name in wrong])
-    said = (
-        f"the gauge readings at {enumerated(wrong)} have the opposite sign, for they "
-    )
+    text = f"the gauge readings at {enumerated(wrong)} have the opposite sign, for "
     advice = "state these planes with normals that point the other way, or exchange "
     advice += "'deviation' and 'dial' in the names of their columns"
     opposite = Alternative(
         "gauge-sign",
-        f"{said}fit best times {best:.2g}",
+        f"{text}they fit best times {best:.2g}",
         "gauges",
-        ReadingSetup(opposite=every),
-        advice="" if every else advice,
-        numbers={"left": score.left, "chance": score.chance, **factors},
+        ReadingSetup(opposite=all_wrong),
+        advice="" if all_wrong else advice,
+        numbers={"left": score.remaining, "chance": score.chance, **factors},
     )
-    after = fit.errors * float(np.sqrt(score.left))
+    after = fit.errors * float(np.sqrt(score.remaining))
     return Explanation((opposite,), fit.errors, after, judged="error")
 
 
@@ -306,16 +304,16 @@ def computed_values(case: Case) -> Iterator[Finding]:
     fine = np.hypot(step, by_joints if by_joints <= FINE else 0.0)
     sure = rms < max(COMPUTED * moved, whole * fine)
     if sure or rms < whole * np.hypot(step, by_joints):
-        said = f"the positions fit to the nominal robot to {shown(rms, 'm')}, which "
+        text = f"the positions fit to the nominal robot to {shown(rms, 'm')}, which "
         if sure:
-            said += "no instrument does: they were computed from the joints by the "
-            said += "controller"
+            text += "no instrument does: they were computed from the joints by the "
+            text += "controller"
         else:
-            said += "the steps of the joint positions make alone: it may be that they "
-            said += "were computed from the joints by the controller"
+            text += "the steps of the joint positions make alone: it may be that they "
+            text += "were computed from the joints by the controller"
         remedy = "take the columns that an instrument measured; 'calib-pin init' finds "
         numbers = {"rms": rms, "moved": moved}
-        yield told("computed-values", said, numbers, f"{remedy}them", error=sure)
+        yield told("computed-values", text, numbers, f"{remedy}them", error=sure)
 
 
 def spread(blocks: Sequence[Floats]) -> float:
@@ -333,51 +331,51 @@ def copies(case: Case) -> Iterator[Finding]:
     data, rows = case.data, _equal(case.data)
     if not rows or _by_chance(case, len(rows)):
         return
-    said = f"{len(rows)} of {len(data)} measurements are copies of others to the last "
-    said += f"digit, which count twice: {named(data, rows)}"
+    text = f"{len(rows)} of {len(data)} measurements are copies of others to the last "
+    text += f"digit, which count twice: {named(data, rows)}"
     numbers = {"copies": len(rows), "all": len(data)}
     lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
-    yield told("copied-measurements", said, numbers, lines=lines)
+    yield told("copied-measurements", text, numbers, lines=lines)
 
 
 def repetitions(case: Case) -> Iterator[Finding]:
     """Few configurations, or most measurements at one of them."""
     data, problem = case.data, case.fit.problem
     labels = _things_there(data)
-    there, configurations = np.bincount(labels), data.configurations
+    counts, configurations = np.bincount(labels), data.configurations
     free = int(problem.parameters.free.sum())
-    many = len(data) >= REPEATED * len(there)
+    many = len(data) >= REPEATED * len(counts)
     if many and distinct_values(problem) < 2 * free:
-        said = f"{len(data)} measurements are at only {configurations} distinct "
-        said += f"configurations: repetitions tell the noise, not the {free} unknowns"
+        text = f"{len(data)} measurements are at only {configurations} distinct "
+        text += f"configurations: repetitions tell the noise, not the {free} unknowns"
         numbers = {"configurations": configurations, "unknowns": free}
         numbers |= {"measurements": len(data)}
         remedy = "measure other configurations instead of repeating these"
-        yield told("few-configurations", said, numbers, remedy)
-    elif (most := int(there.max())) > max(SHARE * len(data), REPEATED):
-        row = int(np.argmax(there[labels] == most))
-        said = f"{most} of {len(data)} measurements are at one configuration "
-        said += f"({named(data, [row])})"
+        yield told("few-configurations", text, numbers, remedy)
+    elif (most := int(counts.max())) > max(SHARE * len(data), REPEATED):
+        row = int(np.argmax(counts[labels] == most))
+        text = f"{most} of {len(data)} measurements are at one configuration "
+        text += f"({named(data, [row])})"
         numbers = {"there": most, "all": len(data)}
         remedy = "measure other configurations as well"
-        yield told("one-configuration", said, numbers, remedy)
+        yield told("one-configuration", text, numbers, remedy)
 
 
 def _equal(data: Observations) -> list[int]:
     """Measurements that repeat all numbers of one before them in the files."""
-    place, same, found = np.argsort(data.in_order), _things_there(data), list[int]()
-    several = np.bincount(same)[same] > 1
+    place, label, repeated = np.argsort(data.in_order), _things_there(data), list[int]()
+    several = np.bincount(label)[label] > 1
     for block, rows in zip(data.blocks, data.slices, strict=True):
         if not block.values.shape[1]:
             continue  # Of contacts the joint positions are what is measured.
-        own = rows.start + np.flatnonzero(several[rows])
-        own = own[np.argsort(place[own])]
-        there = own - rows.start
+        candidates = rows.start + np.flatnonzero(several[rows])
+        candidates = candidates[np.argsort(place[candidates])]
+        local = candidates - rows.start
         start = block.start if block.start.size else block.q[:, :0]
-        table = np.column_stack([same[own], block.values[there], start[there]])
+        table = np.column_stack([label[candidates], block.values[local], start[local]])
         first = np.unique(table, axis=0, return_index=True)[1]
-        found += np.delete(own, first).tolist()
-    return sorted(found, key=place.__getitem__)
+        repeated += np.delete(candidates, first).tolist()
+    return sorted(repeated, key=place.__getitem__)
 
 
 def _by_chance(case: Case, pairs: int) -> bool:
@@ -421,10 +419,10 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
     still = [n for n in still_joints(case.fit.problem) if n not in chains.robot.mimics]
     # Nobody asks measurements for errors that are not fitted.
     if still and case.fitted is not None:
-        said = "no measurement moves some joints, and errors that only their motion "
-        said += f"shows stay at nominal: {enumerated(still)}"
+        text = "no measurement moves some joints, and errors that only their motion "
+        text += f"shows stay at nominal: {enumerated(still)}"
         numbers, several = {"joints": ", ".join(still)}, len(chains.names) > 1
-        yield _alike("unmoved-joints", said, numbers, info=several)
+        yield _alike("unmoved-joints", text, numbers, info=several)
 
 
 def hidden_joints(case: Case) -> Iterator[Finding]:
@@ -444,11 +442,11 @@ def hidden_joints(case: Case) -> Iterator[Finding]:
     names = np.array(problem.data.joints)[little].tolist()
     hidden = [joint for joint in names if joint not in still]
     if hidden:
-        said = f"turns of {enumerated(hidden)} move nothing that is measured: the "
-        said += "figures are those of the measured point, not of points beside it"
+        text = f"turns of {enumerated(hidden)} move nothing that is measured: the "
+        text += "figures are those of the measured point, not of points beside it"
         remedy = "mount the target 5 cm beside the axis, or measure orientations, too"
         numbers = {"joints": ", ".join(hidden)}
-        yield told("hidden-joints", said, numbers, remedy)
+        yield told("hidden-joints", text, numbers, remedy)
 
 
 def design(case: Case) -> Iterator[Finding]:
@@ -462,8 +460,8 @@ def design(case: Case) -> Iterator[Finding]:
     part = np.divide(span, room, out=np.ones(len(span)), where=room > 0.0)
     elsewhere = _elsewhere(case) if count > FEWEST else ""
     if elsewhere and _smooth(q[case.data.in_order][:, moved]):
-        said = f"all configurations lie on one path, and {elsewhere}"
-        yield _alike("one-path", said, {})
+        text = f"all configurations lie on one path, and {elsewhere}"
+        yield _alike("one-path", text, {})
         elsewhere = ""
     limit, within = WIDE if elsewhere else SMALL, np.minimum(part, 1.0)
     by_chance = moved.sum() * (count - (count - 1) * within) * within ** (count - 1)
@@ -475,12 +473,12 @@ def design(case: Case) -> Iterator[Finding]:
             unit = case.unit(chains.joints[j])
             low, high = (shown(end, unit, 3) for end in (q[:, j].min(), q[:, j].max()))
             ranges.append(f"{chains.joints[j]} from {low.split()[0]} to {high}")
-        said = f"the measurements move {listed(ranges)}, less than "
-        said += f"{100 * limit:.0f} % of the range; "
-        said += elsewhere or "elsewhere the accuracy is uncertain"
+        text = f"the measurements move {listed(ranges)}, less than "
+        text += f"{100 * limit:.0f} % of the range; "
+        text += elsewhere or "elsewhere the accuracy is uncertain"
         narrow = elsewhere or part[worst[0]] < NARROW
         numbers = {chains.joints[j]: part[j] for j in worst}
-        yield _alike("small-range", said, numbers, info=not narrow)
+        yield _alike("small-range", text, numbers, info=not narrow)
     several = int(moved.sum())
     if several < 2 or len(q) <= several:
         return
@@ -488,22 +486,22 @@ def design(case: Case) -> Iterator[Finding]:
     directions = int((squares > ALONE**2 * squares[-1]).sum())
     # So many configurations move in one direction less at most.
     if directions < min(several, count - 1):
-        said = f"the {several} joints that move do so in few independent directions"
-        said += f" ({directions}); errors that cancel along them show elsewhere"
+        text = f"the {several} joints that move do so in few independent directions"
+        text += f" ({directions}); errors that cancel along them show elsewhere"
         numbers = {"directions": directions, "joints": several}
-        yield _alike("joints-move-together", said, numbers, info=directions > FEW)
+        yield _alike("joints-move-together", text, numbers, info=directions > FEW)
 
 
 def _elsewhere(case: Case) -> str:
     """Expected errors elsewhere in words, if they are far above those of the design."""
     pairs = [(a.workspace, a.measured) for a in case.accuracies.values()]
     sizes = [[x.calibrated.position for x in pair if x] for pair in pairs]
-    there = [(s[0] / max(s[1], 1e-300), s[0]) for s in sizes if len(s) == 2]
-    times, far = max(there, default=(0.0, 0.0))
+    ratios = [(s[0] / max(s[1], 1e-300), s[0]) for s in sizes if len(s) == 2]
+    times, far = max(ratios, default=(0.0, 0.0))
     if times <= ELSEWHERE:
         return ""
-    said = f"over the workspace errors of {shown(far, 'm')} are expected, {times:.2g}"
-    return f"{said} times those where it was measured"
+    text = f"over the workspace errors of {shown(far, 'm')} are expected, {times:.2g}"
+    return f"{text} times those where it was measured"
 
 
 def _smooth(q: Floats) -> bool:
@@ -533,50 +531,50 @@ def joint_turns(case: Case) -> Iterator[Finding]:
         if not first <= turns <= last or turns == 0:
             continue
         lines = setup_lines(case, (offset_by(data.joints, j, TURN * turns),))
-        way = "on" if turns > 0 else "back"
-        way = f"a turn {way}" if abs(turns) == 1 else f"{abs(turns)} turns {way}"
-        said = f"joint '{joint}' was read at up to {np.degrees(max(most, -least)):.0f} "
-        said += f"deg, beyond its limits; {way} all of its positions are within them"
+        words = "on" if turns > 0 else "back"
+        words = f"a turn {words}" if abs(turns) == 1 else f"{abs(turns)} turns {words}"
+        text = f"joint '{joint}' was read at up to {np.degrees(max(most, -least)):.0f} "
+        text += f"deg, beyond its limits; {words} all of its positions are within them"
         numbers = {"joint": joint, "turns": turns}
-        yield told("joint-turns", said, numbers, lines=lines, info=True)
+        yield told("joint-turns", text, numbers, lines=lines, info=True)
 
 
 def coarse_values(case: Case) -> Iterator[Finding]:
     """Steps of measured values, and of joint positions, that show in the errors."""
     fit, problem = case.fit, case.fit.problem
-    used = np.sqrt(max(fit.left, 1) / max(measured_count(problem), 1))
+    used = np.sqrt(max(fit.dof, 1) / max(measured_count(problem), 1))
     for k, quantity in enumerate(problem.layout.quantities):
-        own = fit.table[:, quantity.columns]
-        own = own[np.isfinite(own)]
+        table = fit.table[:, quantity.columns]
+        table = table[np.isfinite(table)]
         # Both are sizes of all components, as errors are shown.
         whole = float(np.sqrt(quantity.dimension))
-        left = whole * float(np.sqrt(np.mean(own**2))) / used if len(own) else 0.0
+        rms = whole * float(np.sqrt(np.mean(table**2))) / used if len(table) else 0.0
         step, unit = _step_of(case, quantity), quantity.unit
-        found = [(f"measured {quantity.name}s", step, unit, step)]
-        found += [] if k else [("joint positions", *_joint_step(case, quantity))]
-        for words, step, unit, errors in found:
+        steps = [(f"measured {quantity.name}s", step, unit, step)]
+        steps += [] if k else [("joint positions", *_joint_step(case, quantity))]
+        for words, step, unit, errors in steps:
             noise = whole * ROUNDED * errors
-            if noise > 0.0 and COARSE * left <= noise <= MOST * left:
-                parts = [shown(x, quantity.unit) for x in (noise, left)]
-                said = f"the {words} are written in steps of {shown(step, unit, 3)}, "
-                said += f"which makes {parts[0]} of the {parts[1]} of {quantity.name} "
-                said += "errors that are left"
-                numbers = {"step": step, "noise": noise, "left": left}
-                yield told("coarse-steps", said, numbers, "write them with more digits")
+            if noise > 0.0 and COARSE * rms <= noise <= MOST * rms:
+                parts = [shown(x, quantity.unit) for x in (noise, rms)]
+                text = f"the {words} are written in steps of {shown(step, unit, 3)}, "
+                text += f"which makes {parts[0]} of the {parts[1]} of {quantity.name} "
+                text += "errors that are left"
+                numbers = {"step": step, "noise": noise, "left": rms}
+                yield told("coarse-steps", text, numbers, "write them with more digits")
 
 
 def _step_of(case: Case, quantity: Quantity) -> float:
     """The step of the values of a quantity, the same in all files; zero for none."""
-    found = []
+    steps = []
     for block in case.fit.problem.data.blocks:
         model = declared(block.model)
         if quantity not in model.quantities or not block.values.shape[1]:
             continue
-        ways = [block.values[:, quantity.columns]]
+        tables = [block.values[:, quantity.columns]]
         if model.oriented and quantity.unit == "rad":
-            ways = [numbers_of(block.values[:, 3:], way)[0] for way in ANGLES]
-        found.append(max(coarse_step(way.ravel(), quantity.unit) for way in ways))
-    return min(found, default=0.0)
+            tables = [numbers_of(block.values[:, 3:], way)[0] for way in ANGLES]
+        steps.append(max(coarse_step(way.ravel(), quantity.unit) for way in tables))
+    return min(steps, default=0.0)
 
 
 def _joint_step(case: Case, quantity: Quantity) -> tuple[float, str, float]:
@@ -590,13 +588,13 @@ def _joint_step(case: Case, quantity: Quantity) -> tuple[float, str, float]:
     steps = np.array([coarse_step(column, unit) for column, unit in pairs])
     step = float(steps.max(where=np.array(units) == "rad", initial=0.0))
     of_quantity = np.array([c.quantity == quantity for c in problem.layout.components])
-    own = of_quantity[problem.layout.component]
-    own &= data.weight[problem.layout.row] > 0.0
-    if step == 0.0 or not own.any():
+    rows = of_quantity[problem.layout.component]
+    rows &= data.weight[problem.layout.row] > 0.0
+    if step == 0.0 or not rows.any():
         return 0.0, "rad", 0.0
-    moved = case.fit.by_joints[own] * problem.sigma[own, None] * steps
+    moved = case.fit.by_joints[rows] * problem.sigma[rows, None] * steps
     # A fit follows what has leverage, such as grazing beams.
-    free = 1.0 - np.sum(case.fit.unexplained[0][: len(own)][own] ** 2, axis=1)
+    free = 1.0 - np.sum(case.fit.unexplained[0][: len(rows)][rows] ** 2, axis=1)
     squares = np.sum(free[:, None] * moved**2) / max(free.sum(), 1e-300)
     return step, "rad", float(np.sqrt(squares))
 
@@ -614,16 +612,16 @@ def coarse_step(values: Floats, unit: str) -> float:
     """
     of_each = product(STEPS[unit], range(0, -7, -1), (5.0, 2.0, 1.0))
     steps = -np.sort([-a * 10.0**power * factor for factor, power, a in of_each])
-    for some in (values[:: max(1, len(values) // 50)], values):
-        parts = some / steps[:, None]
+    for sample in (values[:: max(1, len(values) // 50)], values):
+        parts = sample / steps[:, None]
         steps = steps[np.all(np.abs(parts - np.round(parts)) < 1e-6, axis=1)]
-    found = steps[:1] if len(np.unique(values)) >= VALUES else steps[:0]
-    for scale, digits in product(STEPS[unit], DIGITS if len(found) else ()):
+    common = steps[:1] if len(np.unique(values)) >= VALUES else steps[:0]
+    for scale, digits in product(STEPS[unit], DIGITS if len(common) else ()):
         powers = np.floor(np.log10(np.maximum(np.abs(values / scale), 1e-12)))
-        own = scale * 10.0 ** (powers + 1.0 - digits)
-        if np.all(np.abs(values / own - np.round(values / own)) < 1e-6):
-            found = np.append(found, np.sqrt(np.mean(own**2)))
-    return float(found.max(initial=0.0))
+        last_digit = scale * 10.0 ** (powers + 1.0 - digits)
+        if np.all(np.abs(values / last_digit - np.round(values / last_digit)) < 1e-6):
+            common = np.append(common, np.sqrt(np.mean(last_digit**2)))
+    return float(common.max(initial=0.0))
 
 
 KINDS = (

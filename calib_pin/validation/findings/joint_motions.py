@@ -130,45 +130,45 @@ class Motion(NamedTuple):
     """How joints stand elsewhere, but for one number.
 
     Attributes:
-        of: `zero`, `gear`, `coupled`, `lag` (by a part of their last motion), `early`
+        kind: `zero`, `gear`, `coupled`, `lag` (by a part of their last motion), `early`
             and `early-each` (by an angle before its end, of the joint that went
             farthest, or of each) or `side`.
         joints: The joint, all joints, or the joint and the one it is coupled to.
     """
 
-    of: str
+    kind: str
     joints: tuple[int, ...]
 
     def alternative(self, case: Case, size: float) -> Alternative:
         """How measurements are to be read with a motion of a size [rad, m, or none]."""
         names, j = case.data.joints, self.joints[0]
-        if self.of == "zero":
+        if self.kind == "zero":
             return offset_by(names, j, size, case.unit(names[j]) == "rad")
-        if self.of == "gear":
+        if self.kind == "gear":
             return geared(names, j, 1.0 + size)
-        if self.of == "coupled":
+        if self.kind == "coupled":
             return coupled(names, j, self.joints[1], size, f", by {100 * size:.3g} %")
-        if self.of == "lag":
+        if self.kind == "lag":
             whose = f"joint '{names[j]}'" if len(self.joints) == 1 else "all joints"
-            said = f"errors follow the last motion of {whose}: {100 * size:.2g} % of it"
+            text = f"errors follow the last motion of {whose}: {100 * size:.2g} % of it"
             parts = ReadingSetup(lag={names[j]: size for j in self.joints})
-            return Alternative("lag", said, "lag", parts, figure="over-order")
-        said = "the joints were read as arrived while they still moved: "
-        said += "every joint has" if self.of == "early-each" else "the farthest has"
-        said += f" {np.degrees(size):.2g} deg to go"
-        lag = Alternative("lag", said, "lag", advice=REST, figure="over-order")
+            return Alternative("lag", text, "lag", parts, figure="over-order")
+        text = "the joints were read as arrived while they still moved: "
+        text += "every joint has" if self.kind == "early-each" else "the farthest has"
+        text += f" {np.degrees(size):.2g} deg to go"
+        lag = Alternative("lag", text, "lag", advice=REST, figure="over-order")
         return replace(lag, change=lambda data: _early(data, self, size))
 
 
 def _early(data: Observations, motion: Motion, angle: float) -> Observations:
     """Measurements whose joints have still an angle to go, or all of a shorter way."""
-    moved, own = last_motions(data), list(motion.joints)
-    way = np.abs(moved[:, own])
-    if motion.of == "early":
-        way = way.max(axis=1, keepdims=True)
-    share = np.where(way > 0.0, angle / np.where(way > 0.0, way, 1.0), 0.0)
+    moved, joints = last_motions(data), list(motion.joints)
+    travel = np.abs(moved[:, joints])
+    if motion.kind == "early":
+        travel = travel.max(axis=1, keepdims=True)
+    share = np.where(travel > 0.0, angle / np.where(travel > 0.0, travel, 1.0), 0.0)
     q = data.q.copy()
-    q[:, own] -= np.minimum(share, 1.0) * moved[:, own]
+    q[:, joints] -= np.minimum(share, 1.0) * moved[:, joints]
     return with_positions(data, q)
 
 
@@ -185,21 +185,21 @@ class _Motions:
         return self.case.data.in_order[self.case.rank]
 
     @cached_property
-    def every(self) -> tuple[Motion, ...]:
+    def motions(self) -> tuple[Motion, ...]:
         """Motions that are tried, of every joint."""
-        joints = self.case.data.joints
+        joints, kinds = self.case.data.joints, ("zero", "gear", "lag", "side")
         each = range(len(joints))
-        turning = [j for j in each if self.case.unit(joints[j]) == "rad"]
+        turning = tuple(j for j in each if self.case.unit(joints[j]) == "rad")
         return (
-            *(Motion(of, (j,)) for of in ("zero", "gear", "lag", "side") for j in each),
+            *(Motion(kind, (j,)) for kind in kinds for j in each),
             Motion("lag", tuple(each)),
-            *(Motion(of, tuple(turning)) for of in ("early", "early-each") if turning),
+            *(Motion(kind, turning) for kind in ("early", "early-each") if turning),
             *(Motion("coupled", (j, k)) for j in turning for k in turning if j != k),
         )
 
     @cached_property
-    def along(self) -> dict[str, Floats]:
-        """Ways of joints by a number of one, by kind, (N, n), or (2, N, n) of starts.
+    def phi(self) -> dict[str, Floats]:
+        """Motions of all joints by size one, by kind, (N, n), or (2, N, n) of starts.
 
         Positions are those without a motion.
         """
@@ -221,24 +221,24 @@ class _Motions:
 
     def column(self, fit: QuickFit, motion: Motion) -> Floats:
         """Whitened residual of a fit by the size of a motion, shape (M, 1)."""
-        row, way, own = fit.problem.layout.row, self.along[motion.of], motion.joints
-        if way.ndim == 2:
-            by_size = fit.by_joints * way[row]
-            return np.asarray(by_size[:, own].sum(axis=1, keepdims=True))
-        j, k = own[:1], own[-1:]
-        ends, starts = way[0][row][:, k], way[1][row][:, k]
+        row, phi, joints = fit.problem.layout.row, self.phi[motion.kind], motion.joints
+        if phi.ndim == 2:
+            by_size = fit.by_joints * phi[row]
+            return np.asarray(by_size[:, joints].sum(axis=1, keepdims=True))
+        j, k = joints[:1], joints[-1:]
+        ends, starts = phi[0][row][:, k], phi[1][row][:, k]
         return np.asarray(fit.by_joints[:, j] * ends + fit.by_starts[:, j] * starts)
 
     def likeliest(self) -> Motion | None:
         """The small motion that explains most, if it does so alone and everywhere."""
-        fit, columns = self.fit, [self.column(self.fit, m) for m in self.every]
+        fit, columns = self.fit, [self.column(self.fit, m) for m in self.motions]
         scores = [fit.score(column) for column in columns]
-        best, second = np.argsort([score.left for score in scores])[:2]
-        left, motion = scores[best].left, self.every[best]
-        clear = 0.5 * fit.left * np.log(scores[second].left / max(left, 1e-12))
+        best, second = np.argsort([score.remaining for score in scores])[:2]
+        remaining, motion = scores[best].remaining, self.motions[best]
+        clear = 0.5 * fit.dof * np.log(scores[second].remaining / max(remaining, 1e-12))
         sure = scores[best].chance * len(scores) <= CHANCE and clear >= unlikely()
         # What moves a zero moves an origin as well.
-        if left > LEFT or not sure or motion.of in ("side", "zero"):
+        if remaining > LEFT or not sure or motion.kind in ("side", "zero"):
             return None
         row = fit.problem.layout.row
         gains = (fit.beyond(columns[best])[:, 0] * fit.unexplained[1])[: len(row)]
@@ -250,8 +250,8 @@ class _Motions:
         """The fit with a motion, and its size."""
 
         def read(sizes: Floats) -> Observations:
-            read = motion.alternative(self.case, float(sizes[0]))
-            return read_so(self.case.data, [read]).rows(self.index)
+            fault = motion.alternative(self.case, float(sizes[0]))
+            return read_so(self.case.data, [fault]).rows(self.index)
 
         def column(fit: QuickFit) -> Floats:
             return self.column(fit, motion)
@@ -263,20 +263,20 @@ class _Motions:
 def joint_motion(case: Case) -> Explanation | None:
     """The small motion that the errors of a fit follow; None where none stands out."""
     fit = case.fit
-    motion = _Motions(case, fit).likeliest() if fit.left > 1 else None
+    motion = _Motions(case, fit).likeliest() if fit.dof > 1 else None
     if motion is None:
         return None
     # Noise that came out large for this very fault would hold back the robot's errors.
     first = replace(fit, problem=replace(fit.problem, units=np.zeros(0)))
     fit, size = _Motions(case, first).fitted(motion)
-    small = abs(size) < LARGEST or motion.of.startswith("early")
+    small = abs(size) < LARGEST or motion.kind.startswith("early")
     # A robot of other lengths explains a prismatic joint that goes farther.
     possible = small and fit.largest_correction <= IMPLAUSIBLE
     if not (possible and fit.rms**2 < LEFT * first.rms**2):
         return None
     # Nothing has less than nothing to go.
     least = {"early": 0.0, "early-each": BACKLASH}
-    if size <= least.get(motion.of, -np.inf):
+    if size <= least.get(motion.kind, -np.inf):
         return None
     # What bends follows joints as well, and the position of one most of all.
     if np.sqrt(case.lacking[1]) < BENDS * fit.rms / first.rms:
@@ -290,25 +290,25 @@ def large_motions(case: Case) -> Iterator[Alternative]:
     first = QuickFit(problem, case.nominal, robot=False)
     if not np.isfinite(first.linear[0]).all():
         return
-    motions, joints = _Motions(case, first), case.data.joints
-    left = [first.score(motions.column(first, m)).left for m in motions.every]
-    for motion in [motions.every[k] for k in np.argsort(left)[:TRIED]]:
+    search, joints = _Motions(case, first), case.data.joints
+    parts = [first.score(search.column(first, m)).remaining for m in search.motions]
+    for motion in [search.motions[k] for k in np.argsort(parts)[:TRIED]]:
         name = joints[motion.joints[0]]
         # The frame of a base that is stated is another explanation of its first joint.
-        if motion.of == "side" or (
-            motion.of == "zero" and name == turned_by_base(case)
+        if motion.kind == "side" or (
+            motion.kind == "zero" and name == turned_by_base(case)
         ):
             continue
         try:
-            _, size = motions.fitted(motion)
+            _, size = search.fitted(motion)
         except (CalibPinError, np.linalg.LinAlgError):
             continue  # It has led away.
-        if motion.of == "zero" and case.unit(name) == "rad":
+        if motion.kind == "zero" and case.unit(name) == "rad":
             size = _rounded(size) if abs(size) >= SMALLEST else 0.0
         # What goes backwards is reversed, and a lag of a whole motion is a shift.
-        backwards = motion.of == "gear" and not size > -1.0
-        whole = motion.of == "lag" and not abs(size) < LARGEST
-        beyond = motion.of.startswith("early") and size < 0.0
+        backwards = motion.kind == "gear" and not size > -1.0
+        whole = motion.kind == "lag" and not abs(size) < LARGEST
+        beyond = motion.kind.startswith("early") and size < 0.0
         if size and not (backwards or whole or beyond):
             yield motion.alternative(case, size)
 
@@ -329,29 +329,29 @@ def approach_order(case: Case) -> Iterator[Finding]:
     """That lost motion was estimated by an order that nobody has stated."""
     by_order = case.data.conditions.source == "order"
     if by_order and "direction" in needed_conditions(case.setup.parameters):
-        said = f"{BY_ORDER}: they must be those of measuring"
+        text = f"{BY_ORDER}: they must be those of measuring"
         remedy = "or state them in columns '<joint>.direction', or when each "
         remedy += "measurement was taken in a column 'time'"
         numbers = {"joints": ", ".join(case.data.joints)}
-        yield told("approach-by-order", said, numbers, remedy, info=True)
+        yield told("approach-by-order", text, numbers, remedy, info=True)
 
 
 def approach(case: Case) -> Iterator[Finding]:
     """Joints whose errors depend on the side from which they came."""
-    fit, held = case.fit, case.fit.problem.data.conditions
-    known = held.direction.size and "hysteresis" not in case.setup.parameters
+    fit, conditions = case.fit, case.fit.problem.data.conditions
+    known = conditions.direction.size and "hysteresis" not in case.setup.parameters
     if not (known and case.informed and fit.rms > EXACT):
         return
     lost = lost_motions(case)
     if not lost:
         return
     numbers: dict[str, Any] = {joint: size for joint, (size, _) in lost.items()}
-    said = []
+    sizes = []
     for joint, (size, sigma) in lost.items():
         unit = "mrad" if case.unit(joint) == "rad" else "mm"
-        said.append(f"'{joint}' {1e3 * size:.2g} +- {1e3 * sigma:.1g} {unit}")
+        sizes.append(f"'{joint}' {1e3 * size:.2g} +- {1e3 * sigma:.1g} {unit}")
     words = "errors depend on the approach direction (backlash): "
-    words += enumerated(said) + f" ({BY_ORDER})" * (held.source == "order")
+    words += enumerated(sizes) + f" ({BY_ORDER})" * (conditions.source == "order")
     names, numbers["joints"] = [*case.setup.parameters, "hysteresis"], ", ".join(lost)
     how = f"estimate it: --parameters {','.join(names)}", {"parameters": names}
     yield told("backlash", words, numbers, *how, "by-joint")
@@ -363,7 +363,7 @@ def lost_motions(case: Case) -> dict[str, tuple[float, float]]:
     Its value and standard deviation [rad, m], of joints of which chance does not make
     as much, and where it makes a difference.
     """
-    fit, data, found = case.fit, case.fit.problem.data, {}
+    fit, data, lost = case.fit, case.fit.problem.data, {}
     row, by_joints = fit.problem.layout.row, fit.by_joints
     sides, order = data.conditions.direction, np.argsort(case.rank)
     place = np.argsort(order)[row]  # Of each residual, in the order of the files.
@@ -374,12 +374,12 @@ def lost_motions(case: Case) -> dict[str, tuple[float, float]]:
     beside = fit.explaining(smooth if fit.score(smooth).chance < CHANCE else usual)
     X = beside.beyond(columns)
     seen = np.flatnonzero(np.sum(X**2, axis=0) > LEAST * np.sum(columns**2, axis=0))
-    dof = beside.left - len(seen)
+    dof = beside.dof - len(seen)
     if not len(seen) or dof < 1:
         return {}
-    every = beside.explaining(columns[:, seen])
+    whole = beside.explaining(columns[:, seen])
     # Each lost motion is a weighted sum of residuals.
-    weights, rest = np.linalg.pinv(X[:, seen]).T, every.unexplained[1]
+    weights, rest = np.linalg.pinv(X[:, seen]).T, whole.unexplained[1]
     values = -(weights.T @ beside.unexplained[1])
     squares = np.sum(weights**2, axis=0)
     deviations = np.sqrt(float(rest @ rest) / dof * squares)
@@ -397,7 +397,7 @@ def lost_motions(case: Case) -> dict[str, tuple[float, float]]:
         count = min(LAGS, len(side) - 1)
         lags = np.arange(1, count + 1) * len(side) // (count + 1)
         lagged = np.column_stack([np.roll(side, lag) for lag in lags])[place]
-        others = every.beyond(by_joints[:, [j]] * lagged)
+        others = whole.beyond(by_joints[:, [j]] * lagged)
         norms = np.maximum(np.sum(others**2, axis=0), 1e-300)
         theirs = max(float(np.mean((others.T @ rest) ** 2 / norms)), 1e-300)
         ratio = float(value**2 / squares[k]) / theirs
@@ -406,18 +406,18 @@ def lost_motions(case: Case) -> dict[str, tuple[float, float]]:
         by_others = f_tail(ratio, 1, min(count, runs - 1))
         chance = max(student_tail(t, dof), by_runs, by_others)
         if chance * len(data.joints) < CHANCE:
-            found[data.joints[j]] = value, max(float(deviations[k]), of_runs)
-    return dict(sorted(found.items(), key=lambda one: -one[1][0] / one[1][1]))
+            lost[data.joints[j]] = value, max(float(deviations[k]), of_runs)
+    return dict(sorted(lost.items(), key=lambda item: -item[1][0] / item[1][1]))
 
 
 def _usual_sides(q: Floats, sides: Signs) -> Floats:
     """The mean side at the position of each joint, a polynomial of it, (N, n)."""
-    found = np.zeros(q.shape)
-    for x, side, usual in zip(q.T, sides.T, found.T, strict=True):
+    means = np.zeros(q.shape)
+    for x, side, usual in zip(q.T, sides.T, means.T, strict=True):
         center, width = 0.5 * (x.max() + x.min()), 0.5 * float(np.ptp(x))
         V = np.polynomial.chebyshev.chebvander((x - center) / (width or 1.0), DEGREE)
         usual[:] = V @ np.linalg.lstsq(V, side.astype(float), rcond=None)[0]
-    return found
+    return means
 
 
 def _smooth(case: Case, by_joints: Floats, q: Floats) -> Floats:
@@ -436,7 +436,7 @@ def ripples(case: Case) -> Iterator[Finding]:
     if not case.informed:
         return
     joints = [name for name in case.data.joints if case.unit(name) == "rad"]
-    fit, words, ratios, left = case.fit, list[str](), dict[str, float](), 1.0
+    fit, words, ratios, part = case.fit, list[str](), dict[str, float](), 1.0
     numbers: dict[str, Any] = {}
     # Eccentric and elliptic wheels are no ripple.
     low = [_waves(fit, joint, k) for joint in joints for k in (1.0, 2.0)]
@@ -445,18 +445,18 @@ def ripples(case: Case) -> Iterator[Finding]:
     while len(ratios) < len(joints):
         # One after the other: a large one leaks into the other joints.
         rest = [joint for joint in joints if joint not in ratios]
-        found = {joint: one for joint in rest if (one := _ripple(fit, joint))}
-        joint = min(found, key=lambda joint: found[joint][0], default="")
-        if not joint or found[joint][0] * len(joints) > CHANCE:
+        waves = {joint: wave for joint in rest if (wave := _ripple(fit, joint))}
+        joint = min(waves, key=lambda joint: waves[joint][0], default="")
+        if not joint or waves[joint][0] * len(joints) > CHANCE:
             break
-        chance, frequency, score = found[joint]
+        chance, frequency, score = waves[joint]
         fit = fit.explaining(_waves(fit, joint, frequency))
         # The wave generator of a strain-wave gear comes twice per turn of its motor,
         # which has an error of its own: half the frequency where that is seen as well.
         half = 0.5 * frequency
-        seen = chance_of(fit, fit.score(_waves(fit, joint, half)).left) < CHANCE
+        seen = chance_of(fit, fit.score(_waves(fit, joint, half)).remaining) < CHANCE
         ratios[joint] = float(f"{half if seen else frequency:.4g}")
-        size, left = float(np.linalg.norm(score.values)), left * score.left
+        size, part = float(np.linalg.norm(score.values)), part * score.remaining
         words += [f"'{joint}' {frequency:.4g} times per turn by {shown(size, 'rad')}"]
         first = {"frequency": frequency, "amplitude": size, "chance": chance}
         numbers = numbers or {"joint": joint, **first}
@@ -465,12 +465,12 @@ def ripples(case: Case) -> Iterator[Finding]:
     names = case.setup.parameters
     if not {Transmission.name, MotorRipple.name}.intersection(names):
         names = (*names, MotorRipple.name)
-    every = {**case.setup.gear_ratios, **ratios}
-    lines = {"parameters": [*names], "gear_ratios": every}
+    gear_ratios = {**case.setup.gear_ratios, **ratios}
+    lines = {"parameters": [*names], "gear_ratios": gear_ratios}
     remedy = "look up the gear ratios (a strain-wave gear ripples twice per turn of "
     remedy += "its motor)"
-    said = f"joints ripple as gears do: {', '.join(words)}"
-    yield told("gear-ripple", said, {**numbers, "left": left}, remedy, lines, info=True)
+    text = f"joints ripple as gears do: {', '.join(words)}"
+    yield told("gear-ripple", text, {**numbers, "left": part}, remedy, lines, info=True)
 
 
 def _motion(fit: QuickFit, joint: str) -> tuple[Floats, Floats]:
@@ -496,7 +496,7 @@ def _ripple(fit: QuickFit, joint: str) -> tuple[float, float, Score] | None:
     q, motion = _motion(fit, joint)
     span = float(np.ptp(q)) if len(q) else 0.0
     lowest = max(LOWEST, 2.0 * np.pi * WAVES / max(span, 1e-300))
-    usable = np.isfinite(motion).all() and motion.any() and fit.left > 2
+    usable = np.isfinite(motion).all() and motion.any() and fit.dof > 2
     if lowest >= HIGHEST or not usable:
         return None
     step = 2.0 * np.pi / (FINER * span)
@@ -506,27 +506,27 @@ def _ripple(fit: QuickFit, joint: str) -> tuple[float, float, Score] | None:
     around = [frequencies[k] + step * AROUND for k in peaks[:PEAKS]]
     tried = [f[np.argmax(periodogram(q, motion, rest, f))].item() for f in around]
     scores = {f: fit.score(_waves(fit, joint, f)) for f in tried}
-    best = min(tried, key=lambda f: scores[f].left)
+    best = min(tried, key=lambda f: scores[f].remaining)
     score, whole = scores[best], float(round(best))
     even = fit.score(_waves(fit, joint, whole))
-    if chance_of(fit, score.left / max(even.left, 1e-300)) > EVEN:
+    if chance_of(fit, score.remaining / max(even.remaining, 1e-300)) > EVEN:
         best, score = whole, even
     # Effective length of the motion and width of the band, in waves.
     width = np.sqrt(4.0 * np.pi * np.var(q)) * (HIGHEST - lowest) / (2.0 * np.pi)
-    alone = max(chance_of(fit, score.left), 1e-300)
+    alone = max(chance_of(fit, score.remaining), 1e-300)
     chance = float(width * alone * np.sqrt(max(-np.log(alone), 1.0)))
     return min(1.0, chance), best, score
 
 
-def chance_of(fit: QuickFit, left: float) -> float:
+def chance_of(fit: QuickFit, part: float) -> float:
     """Probability that one frequency leaves such a part of squares by chance (F test).
 
     A configuration counts as one value whatever is measured there: what a model lacks
     is no white noise, it moves all values of a configuration.
     """
     rows = len(fit.problem.layout.row)
-    values = fit.left * len(fit.problem.data) / max(rows, 1)
-    return float(min(left, 1.0) ** (0.5 * values))
+    values = fit.dof * len(fit.problem.data) / max(rows, 1)
+    return float(min(part, 1.0) ** (0.5 * values))
 
 
 Waves: TypeAlias = NDArray[np.complex128]

@@ -77,26 +77,25 @@ def registered_if_moved(
         The errors, None if the measurements suffice for no more than the registration;
         and a finding for every instrument that was moved.
     """
-    found = errors_of_registered(model, before, after, positions)
-    data, findings, kept = after.problem.data, [], np.ones(len(positions), bool)
+    errors = errors_of_registered(model, before, after, positions)
+    data, findings, mask = after.problem.data, [], np.ones(len(positions), bool)
     fitted = {term.frames.station for term in model.problem.terms.values()}
     named = [after.problem.terms[key].frames.station for key in data.keys]
     of_row = np.array(named)[data.block_of]
-    both = [(*at.problem.rebased(at.theta), at.new) for at in (before, after)]
+    both = [(*r.problem.rebased(r.theta), r.new) for r in (before, after)]
     for station in dict.fromkeys(filter(fitted.__contains__, named)):
-        own = np.flatnonzero(of_row == station)
+        rows = np.flatnonzero(of_row == station)
         nominal, calibrated = (
-            Registered(replace(problem, data=data.rows(own)), theta, new)
+            Registered(replace(problem, data=data.rows(rows)), theta, new)
             for problem, theta, new in both
         )
-        some = found.at(own)
-        anew, moved = _if_moved(model, some, nominal, calibrated, station)
+        anew, moved = _if_moved(model, errors.at(rows), nominal, calibrated, station)
         findings += moved
         if anew is None:
-            kept[own] = False
+            mask[rows] = False
         else:
-            found = found.replaced(own, anew)
-    return found.at(kept) if kept.any() else None, findings
+            errors = errors.replaced(rows, anew)
+    return errors.at(mask) if mask.any() else None, findings
 
 
 def _if_moved(
@@ -119,48 +118,49 @@ def _if_moved(
     if here is None:
         return errors, []
     values, unknowns = measured_count(here.problem), len(here.refitted)
-    left, was, now = max(values - unknowns, 1), _chi_square(after), _chi_square(here)
-    ratio = np.sqrt(was * left / max(now * values, 1e-300))
+    dof, was, now = max(values - unknowns, 1), _chi_square(after), _chi_square(here)
+    ratio = np.sqrt(was * dof / max(now * values, 1e-300))
     nominal = _elsewhere(before, station) if ratio > SUSPICIOUS else None
     if nominal is None:
         return errors, []
-    own: ModelErrors | None
-    own = errors_of_registered(model, nominal, here, errors.positions)
+    errors_here: ModelErrors | None
+    errors_here = errors_of_registered(model, nominal, here, errors.positions)
     owner = "" if station == BASE else f" from '{station.rpartition('.')[0]}'"
     off, anew = (float(np.sqrt(square / values)) for square in (was, now))
     end, remedy = "has moved, and both robots are registered on them", STATION
     distinct = distinct_values(here.problem)
-    if ratio <= MOVED or not _alike(errors, own, here.problem):
-        if anew > SUSPICIOUS or by_chance(was, now, unknowns, left) > CHANCE:
+    if ratio <= MOVED or not _alike(errors, errors_here, here.problem):
+        if anew > SUSPICIOUS or by_chance(was, now, unknowns, dof) > CHANCE:
             return errors, []
         # Where the fit does not know the robot as well, it is that far off.
-        some = replace(after.problem, data=after.problem.data.sample(MEASUREMENTS))
-        square, count = mahalanobis(model.fit, some, after.theta), measured_count(some)
-        if chi_square_tail(square, count) > CHANCE:
+        sample = replace(after.problem, data=after.problem.data.sample(MEASUREMENTS))
+        square = mahalanobis(model.fit, sample, after.theta)
+        if chi_square_tail(square, measured_count(sample)) > CHANCE:
             return errors, []
-        own, end = errors, "may have moved before them"
+        errors_here, end = errors, "may have moved before them"
     elif distinct <= unknowns or here.problem.data.configurations < FEWEST_HELD_OUT:
-        own, remedy = None, "measure more validation configurations from one station"
+        errors_here = None
+        remedy = "measure more validation configurations from one station"
         end = "has moved, and they are too few for a check from there: "
         end += f"{distinct} distinct values, {unknowns} unknowns"
     numbers = {"chi-square as it is": was, "chi-square registered": now}
     numbers |= {"values": values, "unknowns": unknowns}
-    said = f"the validation measurements{owner} are off by {off:.3g} standard "
-    said += f"deviations, from another station by {anew:.3g}: the instrument {end}"
-    return own, [told("moved-instrument", said, numbers, remedy)]
+    text = f"the validation measurements{owner} are off by {off:.3g} standard "
+    text += f"deviations, from another station by {anew:.3g}: the instrument {end}"
+    return errors_here, [told("moved-instrument", text, numbers, remedy)]
 
 
-def _elsewhere(there: Registered, station: str) -> Registered | None:
+def _elsewhere(registered: Registered, station: str) -> Registered | None:
     """A problem with a station estimated anew from its measurements.
 
     The base and the stationary references of the instrument are estimated; tool and
     robot stay. None if nothing of the station is free.
 
     Args:
-        there: The problem of measurements from there, about its frames.
+        registered: The problem of measurements from there, about its frames.
         station: Owner and kind of the station's frame.
     """
-    problem, theta = there.problem, there.theta
+    problem, theta = registered.problem, registered.theta
     parameters = problem.parameters
     base, outer = np.zeros((2, len(parameters)), bool)
     for term, _, _, _ in problem.blocks:
@@ -175,13 +175,13 @@ def _elsewhere(there: Registered, station: str) -> Registered | None:
     relative = any(block.start.size for block in problem.data.blocks)
     loose = bool(parameters.free[base].all()) and not relative
     here, theta = at_another_station(problem, theta, station, free, loose)
-    return Registered(here, theta, there.new, tuple(free.tolist()))
+    return Registered(here, theta, registered.new, tuple(free.tolist()))
 
 
-def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
+def _alike(errors: ModelErrors, anew: ModelErrors, problem: Problem) -> bool:
     """Whether both robots see about the same displacement, in the median."""
     unit = problem.layout.table(problem.sigma, len(problem.data))
-    pairs = (errors.before, own.before), (errors.after, own.after)
+    pairs = (errors.before, anew.before), (errors.after, anew.after)
     with np.errstate(invalid="ignore"):
         moves = [
             np.nan_to_num((a - b) / unit, posinf=0.0, neginf=0.0) for a, b in pairs
@@ -191,9 +191,9 @@ def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
     return bool(apart < ALIKE * moved)
 
 
-def _chi_square(there: Registered) -> float:
+def _chi_square(registered: Registered) -> float:
     """Sum of squared errors in standard deviations; infinite where one is lost."""
-    present = np.isfinite(there.problem.sigma)
-    sigma = there.problem.sigma[present]
-    errors = there.problem.errors(there.theta)[present] / sigma
+    present = np.isfinite(registered.problem.sigma)
+    sigma = registered.problem.sigma[present]
+    errors = registered.problem.errors(registered.theta)[present] / sigma
     return float(np.nan_to_num(errors @ errors, nan=np.inf, posinf=np.inf))

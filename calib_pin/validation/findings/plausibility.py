@@ -66,7 +66,7 @@ from calib_pin.validation.findings.case import (
 from calib_pin.validation.findings.readings import (
     FACTORS,
     STRETCH,
-    held,
+    held_numbers,
     still_stretches,
 )
 from calib_pin.validation.findings.sentences import (
@@ -147,24 +147,24 @@ def outliers(case: Case) -> Iterator[Finding]:
     pairs = _pairs(data, out)
     if pairs:
         places = tuple(places_of(data, pair) for pair in pairs)
-        said = f"measurements {' and '.join(places[0])}"
-        said += f", and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
-        said += f" fit if exchanged, and were excluded{keeping}"
+        text = f"measurements {' and '.join(places[0])}"
+        text += f", and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+        text += f" fit if exchanged, and were excluded{keeping}"
         lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
         numbers |= {"pairs": len(pairs)}
-        yield told("measurements-exchanged", said, numbers, "", lines, "over-order")
+        yield told("measurements-exchanged", text, numbers, "", lines, "over-order")
     alone = [o for o in out if not any(o.row in pair for pair in pairs)]
     if not alone:
         return
     rest = np.array([o.row for o in alone])
-    for code, words, some in _stretches(data, rest):
-        rows = some[np.argsort(np.argsort(data.in_order)[some])].tolist()
-        targets, told_of = {data.target[row] for row in rows}, {**numbers}
+    for code, words, stretch in _stretches(data, rest):
+        rows = stretch[np.argsort(np.argsort(data.in_order)[stretch])].tolist()
+        targets, evidence = {data.target[row] for row in rows}, {**numbers}
         if len(targets) <= NAMED and all(targets):
-            told_of["target"] = ", ".join(sorted(targets))
+            evidence["target"] = ", ".join(sorted(targets))
         why = f" excluded as outliers{words}{keeping}"
         error, info = bool(words), moved <= LENGTH_SCALE
-        yield _aside(code, data, rows, why, told_of, error=error, info=info)
+        yield _aside(code, data, rows, why, evidence, error=error, info=info)
 
 
 def _aside(
@@ -176,11 +176,11 @@ def _aside(
     **severity: bool,
 ) -> Finding:
     """The finding of measurements, in the order of the files, to leave out."""
-    said = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{why}"
+    text = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{why}"
     numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
     lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
     remedy = "measure them again"
-    return told(code, said, numbers, remedy, lines, "over-order", **severity)
+    return told(code, text, numbers, remedy, lines, "over-order", **severity)
 
 
 def _stretches(data: Observations, rows: Indices) -> Iterator[tuple[str, str, Indices]]:
@@ -189,22 +189,22 @@ def _stretches(data: Observations, rows: Indices) -> Iterator[tuple[str, str, In
     There a joint stands still that moves elsewhere, or something else was measured.
     """
 
-    def long(some: Indices, stretch: int) -> bool:
-        several = len(np.unique(data.groups()[some])) >= CONFIGURATIONS
-        full = len(some) >= FULL * stretch
-        return several and full and len(some) >= STRETCH * len(data)
+    def long(part: Indices, stretch: int) -> bool:
+        several = len(np.unique(data.groups()[part])) >= CONFIGURATIONS
+        full = len(part) >= FULL * stretch
+        return several and full and len(part) >= STRETCH * len(data)
 
     for _, stretch in still_stretches(data):
-        own = np.intersect1d(stretch, rows)
+        inside = np.intersect1d(stretch, rows)
         # Where it stopped it is read rightly.
         behind = data.groups()[stretch] != data.groups()[stretch[0]]
-        if long(own, int(behind.sum())):
-            still = np.ptp(data.q[own], axis=0) == 0.0
+        if long(inside, int(behind.sum())):
+            still = np.ptp(data.q[inside], axis=0) == 0.0
             still &= np.ptp(data.q, axis=0) > 0.0
             names = enumerated([f"'{data.joints[j]}'" for j in np.flatnonzero(still)])
             words = f": there the reading of joint {names} does not change"
-            yield "stuck-encoder", words, own
-            rows = np.setdiff1d(rows, own)
+            yield "stuck-encoder", words, inside
+            rows = np.setdiff1d(rows, inside)
             break
     if not len(rows):
         return
@@ -242,17 +242,17 @@ def units_of_some(case: Case) -> Iterator[Finding]:
     def sizes(data: Observations) -> Floats:
         return np.sqrt(mean_squares(replace(problem, data=data), theta))
 
-    counted, some = sizes(data.rows(data.weight > 0.0)), data.rows(aside)
-    usual, now = max(float(np.sqrt(np.mean(counted**2))), 1e-9), sizes(some)
-    lengths = [np.full(len(b), measured_lengths(b).sum()) for b in some.blocks]
+    counted, excluded = sizes(data.rows(data.weight > 0.0)), data.rows(aside)
+    usual, before = max(float(np.sqrt(np.mean(counted**2))), 1e-9), sizes(excluded)
+    lengths = [np.full(len(b), measured_lengths(b).sum()) for b in excluded.blocks]
     values = np.concatenate(lengths)
     best = (unlikely(len(FACTORS)), 0.0, np.zeros(0, np.int64))
     for factor in FACTORS:
-        there = scaled(some, np.full(len(some), factor))
-        left = np.maximum(sizes(there), usual)
-        fits = (left < FITS * usual) & (now > FITS * left)
-        ratio = float(np.sum((values * np.log(now / left))[fits]))
-        best = max(best, (ratio, factor, aside[fits]), key=lambda found: found[0])
+        rescaled = scaled(excluded, np.full(len(excluded), factor))
+        after = np.maximum(sizes(rescaled), usual)
+        fits = (after < FITS * usual) & (before > FITS * after)
+        ratio = float(np.sum((values * np.log(before / after))[fits]))
+        best = max(best, (ratio, factor, aside[fits]), key=lambda trial: trial[0])
     ratio, factor, rows = best
     if not len(rows):
         return
@@ -263,11 +263,11 @@ def units_of_some(case: Case) -> Iterator[Finding]:
     if len(rows) > 1 and np.ptp(rank[rows]) == len(rows) - 1:
         converted = ConvertedSetup(factor, (places[0], places[-1]))
     lines = {"reading": lines_of(ReadingSetup(converted=(converted,)))}
-    said = f"{len(rows)} of {len(data)} measurements that were set aside, the first in "
-    said += f"line {places[0]}, fit if their lengths are {FACTORS[factor]}"
+    text = f"{len(rows)} of {len(data)} measurements that were set aside, the first in "
+    text += f"line {places[0]}, fit if their lengths are {FACTORS[factor]}"
     numbers = {"factor": factor, "measurements": len(rows), "first": places[0]}
     numbers |= {"log_likelihood_ratio": ratio}
-    yield told("unit-of-some", said, numbers, lines=lines)
+    yield told("unit-of-some", text, numbers, lines=lines)
 
 
 def noise(case: Case) -> Iterator[Finding]:
@@ -279,8 +279,8 @@ def noise(case: Case) -> Iterator[Finding]:
     fitted = case.fitted
     known = [(part, *_scatter(part)) for part in (fitted.noise if fitted else ())]
     known = [(part, scatter, sure) for part, scatter, sure in known if scatter > 0.0]
-    stated = {part.quantity: float(f"{scatter:.3g}") for part, scatter, _ in known}
-    lines: dict[str, Any] = {"noise": stated}
+    sigmas = {part.quantity: float(f"{scatter:.3g}") for part, scatter, _ in known}
+    lines: dict[str, Any] = {"noise": sigmas}
     if states_sigmas(case.data):
         lines["reading"] = {"sigmas": False}
     for part, scatter, repeated in known:
@@ -291,21 +291,21 @@ def noise(case: Case) -> Iterator[Finding]:
         wrong = part.stated and part.contradicted and not near
         if not wrong or (unclear and case.doubtful):
             continue
-        was, found = (shown(sigma, part.unit) for sigma in (part.given, scatter))
+        given, estimated = (shown(sigma, part.unit) for sigma in (part.given, scatter))
         times = f"{factor:.2g} times too small"
         times = times if factor > 1.0 else f"{1.0 / factor:.2g} times too large"
-        said = f"the stated sigma of {part.quantity}, {was}, is {times}: the "
-        said, remedy = f"{said}measurements scatter by {found}", ""
+        text = f"the stated sigma of {part.quantity}, {given}, is {times}: the "
+        text, remedy = f"{text}measurements scatter by {estimated}", ""
         if unclear:
-            said = f"the errors of {part.quantity} are {factor:.3g} times the stated "
-            said += f"{was}: sigma is too small, or no parameter describes them"
+            text = f"the errors of {part.quantity} are {factor:.3g} times the stated "
+            text += f"{given}: sigma is too small, or no parameter describes them"
             remedy = "repeat some configurations, which tells noise from unmodeled "
             remedy += "errors"
         # What shows as gears or as lack of fit is no fault of sigma.
         robot = fitted and (fitted.effects is not None or part.pure is not None)
         numbers = {"quantity": part.quantity, "stated": part.given}
         numbers |= {"estimated": scatter, "factor": factor}
-        yield told("noise", said, numbers, remedy, lines, info=bool(unclear and robot))
+        yield told("noise", text, numbers, remedy, lines, info=bool(unclear and robot))
 
 
 def _scatter(part: VarianceComponent) -> tuple[float, bool]:
@@ -369,8 +369,8 @@ class _Linear(NamedTuple):
         grown[: len(problem.sigma)] = growth(problem, fitted.theta)
         A = J[:, _of_robot(parameters)]
         y = A @ (fitted.theta / parameters.scales)[_of_robot(parameters)] - r
-        for own in (case.beside[name] for name in lacking):
-            A = np.column_stack([A, np.pad(own, [(0, len(r) - len(own)), (0, 0)])])
+        for X in (case.beside[name] for name in lacking):
+            A = np.column_stack([A, np.pad(X, [(0, len(r) - len(X)), (0, 0)])])
         system = projected(np.column_stack([A, grown, y]), J, parameters)
         R = np.asarray(np.linalg.qr(system, mode="r"))
         U, s, V = np.linalg.svd(R[:, :-2])
@@ -413,9 +413,9 @@ class _Linear(NamedTuple):
 
     def misfit(self, x: Floats) -> float:
         """Errors that are left with these of the robot, shape (n,)."""
-        left, k = self.y.copy(), len(self.V)
-        left[:k] -= self.s[:k] * (self.V @ x)
-        return float(np.linalg.norm(left))
+        r, k = self.y.copy(), len(self.V)
+        r[:k] -= self.s[:k] * (self.V @ x)
+        return float(np.linalg.norm(r))
 
 
 def _of_robot(parameters: ParameterSet) -> NDArray[np.bool_]:
@@ -441,12 +441,12 @@ def _scale(case: Case, fitted: Fit) -> Iterator[Finding]:
         return
     # The derivative is that of the lengths found, which have grown already.
     part = s / (1.0 - s)
-    said = f"all lengths of the robot came out {100 * abs(part):.2g} % "
-    said += f"{'longer' if part > 0.0 else 'shorter'} ({abs(s) / deviation:.0f} "
-    said += "standard deviations), which is implausible"
+    text = f"all lengths of the robot came out {100 * abs(part):.2g} % "
+    text += f"{'longer' if part > 0.0 else 'shorter'} ({abs(s) / deviation:.0f} "
+    text += "standard deviations), which is implausible"
     numbers = {"scale": part, "sigma": deviation, "size": size}
     remedy = f"check {_yardstick(fitted)}"
-    yield told("scale", said, numbers, remedy, error=abs(s) > most)
+    yield told("scale", text, numbers, remedy, error=abs(s) > most)
 
 
 def _yardstick(fitted: Fit) -> str:
@@ -455,9 +455,9 @@ def _yardstick(fitted: Fit) -> str:
     known = problem.further.distances.stated
     more = ", ..." * (len(known) > 1)
     lengths = [f"the known distance {' - '.join(d.between)}{more}" for d in known[:1]]
-    stated = dict.fromkeys(declared(model).yardstick for model in problem.data.models)
+    others = dict.fromkeys(declared(model).yardstick for model in problem.data.models)
     # The setup states the others, and can be checked first.
-    lengths += sorted(filter(None, stated), key=lambda words: words == INSTRUMENT)
+    lengths += sorted(filter(None, others), key=lambda words: words == INSTRUMENT)
     return ", ".join([*lengths, "the unit of the lengths in the URDF"])
 
 
@@ -484,34 +484,34 @@ def _corrections(case: Case, fitted: Fit) -> Iterator[Finding]:
     place = int(np.argmax(sizes.max(axis=1)))
     name = [name for of_chain in names for name in of_chain][place]
     move, turn = (sizes[place] * (LENGTH_SCALE, turn_of_one)).tolist()
-    said = f"the origin of {name} came out moved by {1e3 * move:.1f} mm and "
-    said += f"{np.degrees(turn):.2f} deg"
+    text = f"the origin of {name} came out moved by {1e3 * move:.1f} mm and "
+    text += f"{np.degrees(turn):.2f} deg"
     numbers: dict[str, Any] = {"joint": name, "move": move, "turn": turn}
     frames = [case.setup.base_frame, *case.setup.stations.values()]
     frames += [case.setup.tool_frame, *case.setup.tools.values()]
     # Frames at an origin, or one away, share its errors.
-    ends = {name for of in names for name in (*of[:2], *of[-2:])}
+    ends = {name for joints in names for name in (*joints[:2], *joints[-2:])}
     at_frame = name in ends and any(frame.estimate is False for frame in frames)
     if factor < BOUGHT:
-        said += f", although with no more than {shown(LARGE * LENGTH_SCALE, 'm')} and "
-        said += f"{shown(LARGE * turn_of_one, 'rad')} the remaining errors are only "
-        said += f"{max(factor, 1.0):.2f} times as large"
+        text += f", although with no more than {shown(LARGE * LENGTH_SCALE, 'm')} and "
+        text += f"{shown(LARGE * turn_of_one, 'rad')} the remaining errors are only "
+        text += f"{max(factor, 1.0):.2f} times as large"
         numbers["errors_without"] = factor
         remedy = "measure more configurations, or estimate fewer parameters"
         remedy += "; check the frames that the setup states" if at_frame else ""
         error = bool(sizes.max() > IMPLAUSIBLE)
-        yield told("implausible-correction", said, numbers, remedy, error=error)
+        yield told("implausible-correction", text, numbers, remedy, error=error)
         return
     remedy = "check this origin in the URDF, and how the joint is mounted"
     remedy += ", and the frames that the setup states" if at_frame else ""
-    left, joint, offset = _offset_within(case, fitted, x)
-    if left < LARGE:
+    largest, joint, offset = _offset_within(case, fitted, x)
+    if largest < LARGE:
         unit = case.unit(joint)
-        said = f"the zero of joint '{joint}' came out moved by {shown(offset, unit, 3)}"
+        text = f"the zero of joint '{joint}' came out moved by {shown(offset, unit, 3)}"
         numbers = {"joint": joint, "turn" if unit == "rad" else "move": offset}
         remedy = "check the mastering of this joint, and its origin in the URDF"
-    said += ", and the measurements confirm it"
-    yield told("large-correction", said, numbers, remedy)
+    text += ", and the measurements confirm it"
+    yield told("large-correction", text, numbers, remedy)
 
 
 def _offset_within(case: Case, fitted: Fit, x: Floats) -> tuple[float, str, float]:
@@ -527,8 +527,8 @@ def _offset_within(case: Case, fitted: Fit, x: Floats) -> tuple[float, str, floa
     along[:, ~_of_robot(parameters)] = 0.0
     offsets = (along @ x / np.maximum(np.sum(along**2, axis=1), 1e-300)).tolist()
     rest = x - np.array(offsets)[:, None] * along
-    left = [float(_sizes(fitted, without).max()) for without in rest]
-    return min(zip(left, joints, offsets, strict=True))
+    sizes = [float(_sizes(fitted, without).max()) for without in rest]
+    return min(zip(sizes, joints, offsets, strict=True))
 
 
 def _expected_turn(setup: Setup) -> float:
@@ -575,15 +575,15 @@ def contradicted(
     # By noise alone, or what a distance decides would be more than all.
     _, result, moved = fitted.held
     half = half_covariance(result.jac, moved, problem.parameters)
-    left = np.maximum(1.0 - np.sum((J @ half) ** 2, axis=1), ROUNDING)
-    if fitted.robust.squared is not None and left.min() <= ROUNDING:
+    redundancy = np.maximum(1.0 - np.sum((J @ half) ** 2, axis=1), ROUNDING)
+    if fitted.robust.squared is not None and redundancy.min() <= ROUNDING:
         # All measurements of an end are set aside, for one of both must be wrong.
         yield from contradicted(fitted.robust.squared, errors, fitted)
         return
-    w = np.abs(v) / np.sqrt(left)
+    w = np.abs(v) / np.sqrt(redundancy)
     k = int(np.argmax(w))
-    stated = known.stated[k]
-    apart = float(v[k] * stated.sigma / left[k])
+    distance = known.stated[k]
+    apart = float(v[k] * distance.sigma / redundancy[k])
     metric = problem.layout.quantities[0].unit == "m"
     least = max(MISSED, BEYOND * errors if metric else 0.0)
     if abs(apart) < min(least, CONTRADICTED):
@@ -593,49 +593,49 @@ def contradicted(
     # A wrong distance takes all measurements for coarse ones.
     if not _scaled_without(robust or fitted, k):
         return
-    ends = " - ".join(stated.between)
-    (unit, factor), found = DISPLAY["m"], stated.value + apart
-    sizes = [f"{factor * size:.1f} {unit}" for size in (found, stated.value)]
-    said = f"the measurements contradict the known distance {ends}: without it they "
-    said += f"find {sizes[0]} instead of {sizes[1]} ({w[k]:.0f} standard deviations)"
-    numbers = {"between": ends, "value": stated.value, "sigma": stated.sigma}
-    numbers |= {"found": found, "normalized_residual": w[k]}
+    ends = " - ".join(distance.between)
+    (unit, factor), measured = DISPLAY["m"], distance.value + apart
+    sizes = [f"{factor * size:.1f} {unit}" for size in (measured, distance.value)]
+    text = f"the measurements contradict the known distance {ends}: without it they "
+    text += f"find {sizes[0]} instead of {sizes[1]} ({w[k]:.0f} standard deviations)"
+    numbers = {"between": ends, "value": distance.value, "sigma": distance.sigma}
+    numbers |= {"found": measured, "normalized_residual": w[k]}
     remedy = "measure this distance again, or state its true sigma"
     error = abs(apart) > CONTRADICTED
-    yield told("known-distance", said, numbers, remedy, error=error)
+    yield told("known-distance", text, numbers, remedy, error=error)
 
 
-def _scaled_without(fitted: Fit, distance: int) -> bool:
-    """Whether the scale is known without a distance; else it is what gives it.
+def _scaled_without(fitted: Fit, k: int) -> bool:
+    """Whether the scale is known without distance k; else it is what gives it.
 
     Contacts alone draw a robot together, so what they say of the scale is no check.
     """
     problem = fitted.problem
-    stated = problem.further.distances.stated[distance]
-    others = tuple(d for d in problem.setup.distances if d is not stated)
+    distance = problem.further.distances.stated[k]
+    others = tuple(d for d in problem.setup.distances if d is not distance)
     setup = replace(problem.setup, distances=others)
     return scale_known(replace(problem, setup=setup, expected=None), fitted.before)
 
 
 def families(case: Case) -> tuple[Finding, ...]:
     """Parameters of gears and compliance, and held numbers, that the fit lacks."""
-    names, left = case.lacking
-    before, part = case.fit.errors, float(np.sqrt(left))
+    names, remaining = case.lacking
+    before, part = case.fit.errors, float(np.sqrt(remaining))
     judged: Severity = "info" if part >= FITTED else "warning"
-    numbers = held(case) if names else {}
+    numbers = held_numbers(case) if names else {}
     faults = [numbers[name] for name in names if name in numbers]
     if new := [name for name in names if name not in numbers]:
         # Placements have the offsets of joints.
         covered = {JointOffset.name} if Placement.name in new else set()
-        every = [name for name in case.setup.parameters if name not in covered]
-        every += new
+        parameters = [name for name in case.setup.parameters if name not in covered]
+        parameters += new
         missing = Alternative(
             "model-lacks",
             f"{enumerated(new)}, not estimated here, explain{'s' * (len(new) == 1)} "
             f"{'most' if judged == 'warning' else 'a part'} of it",
             "the model",
-            stated={"parameters": every},
-            advice=f"estimate them: --parameters {','.join(every)}",
+            lines={"parameters": parameters},
+            advice=f"estimate them: --parameters {','.join(parameters)}",
             figure="by-joint",
             numbers={"families": ", ".join(new)},
         )
@@ -644,8 +644,8 @@ def families(case: Case) -> tuple[Finding, ...]:
         judged = "error"  # Numbers that somebody has stated are wrong.
     if not faults:
         return ()
-    found = Explanation(tuple(faults), before, part * before, judged=judged)
-    return findings_of(case, found)
+    explanation = Explanation(tuple(faults), before, part * before, judged=judged)
+    return findings_of(case, explanation)
 
 
 def population(case: Case) -> Iterator[Finding]:
@@ -677,14 +677,14 @@ def population(case: Case) -> Iterator[Finding]:
     k = int(np.argmax(np.abs(off)))
     name = str(np.array(parameters.names)[robot][k])
     pairs = zip(fitted.noise, plain.noise, strict=False)
-    spoiled = any(with_it.estimate > SPOILED * own.estimate for with_it, own in pairs)
-    said = f"this robot is not like the {prior.robots} of its prior: chi-square "
-    said += f"{square:.0f} where {len(rest)} is expected, '{name}' {abs(off[k]):.1f} "
-    said += "standard deviations from their mean"
+    spoiled = any(noise.estimate > SPOILED * alone.estimate for noise, alone in pairs)
+    text = f"this robot is not like the {prior.robots} of its prior: chi-square "
+    text += f"{square:.0f} where {len(rest)} is expected, '{name}' {abs(off[k]):.1f} "
+    text += "standard deviations from their mean"
     numbers = {"chi2": square, "dof": len(rest), "parameter": name}
     numbers |= {"deviations": off[k]}
     remedy = "look for damage or another type, and calibrate it without the prior"
-    yield told("unlike-fleet", said, numbers, remedy, error=spoiled)
+    yield told("unlike-fleet", text, numbers, remedy, error=spoiled)
 
 
 KINDS = (units_of_some, plausibility, outliers, noise, population, families)

@@ -171,8 +171,8 @@ def joint_columns(case: Case) -> Iterator[Alternative]:
     # Smaller angles would be next to none in degrees, and any wrong joint looks better
     # where it stands still.
     large = [j for j in turning if np.abs(case.data.q[:, j]).max() > 2.0 * np.pi]
-    for some in dict.fromkeys([*((j,) for j in large), tuple(large)] if large else ()):
-        names = tuple(joints[j] for j in some)
+    for group in dict.fromkeys([*((j,) for j in large), tuple(large)] if large else ()):
+        names = tuple(joints[j] for j in group)
         words = f"joints '{names[0]}' to '{names[-1]}' are in degrees"
         words = words if len(names) > 1 else f"joint '{names[0]}' is in degrees"
         reading = ReadingSetup(converted=(ConvertedSetup(DEGREE, joints=names),))
@@ -195,8 +195,8 @@ def offset_by(
 def geared(joints: Sequence[str], joint: int, factor: float) -> Alternative:
     """A joint that moves some times as far as its column says."""
     words = f"moves {factor:.5g} times as far as read"
-    found = _joint("joint-gear", joints, joint, words, {joint: factor})
-    return replace(found, joint="")
+    fault = _joint("joint-gear", joints, joint, words, {joint: factor})
+    return replace(fault, joint="")
 
 
 def coupled(
@@ -220,9 +220,9 @@ def _joint(
     read.offsets[joint] = offset
     for column, factor in factors.items():
         read.factors[joint, column] = factor
-    of = f"{code} {name}"
-    found = Alternative(code, f"joint '{name}' {words}", of, joints=read, joint=name)
-    return replace(found, figure="by-joint")
+    words, subject = f"joint '{name}' {words}", f"{code} {name}"
+    fault = Alternative(code, words, subject, joints=read, joint=name)
+    return replace(fault, figure="by-joint")
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:
@@ -241,7 +241,7 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
 def line_order(case: Case) -> Iterator[Alternative]:
     """Explanations by the order of the joint positions, the likeliest kinds first."""
     files = in_files(case.data)
-    count = sum(int(postures(case.data.q[own])[-1]) + 1 for own in files)
+    count = sum(int(postures(case.data.q[rows])[-1]) + 1 for rows in files)
     for lines in range(1, min(FARTHEST, max(map(len, files)) // 2) + 1):
         yield _shifted(lines)
         yield _shifted(-lines)
@@ -249,20 +249,20 @@ def line_order(case: Case) -> Iterator[Alternative]:
         for k in range(1, min(NEAREST, count // 2) + 1):
             yield _shifted(k, "shift_configurations")
             yield _shifted(-k, "shift_configurations")
-    said, of = "the joint positions stand in reversed order", "order of the lines"
-    yield Alternative("lines-reversed", said, of, ReadingSetup(reversed=True))
+    words, subject = "the joint positions stand in reversed order", "order of the lines"
+    yield Alternative("lines-reversed", words, subject, ReadingSetup(reversed=True))
 
 
 def _shifted(number: int, key: str = "shift", place: str = "") -> Alternative:
     """Joint positions so many lines, or configurations, below or above their own."""
     where, far = "below" if number > 0 else "above", abs(number)
-    said = f"from line {place} on " if place else ""
-    said += f"the joint positions stand {far} {SHIFTED[key]}{'s' * (far > 1)} {where} "
-    said += "their measurement"
-    stated: dict[str, Any] = {key: number, "shift_from": (place,) if place else ()}
-    read = ReadingSetup(**stated)
-    found = Alternative("lines-shifted", said, "order of the lines", read)
-    return replace(found, figure="over-order" if place else "")
+    words = f"from line {place} on " if place else ""
+    words += f"the joint positions stand {far} {SHIFTED[key]}{'s' * (far > 1)} {where} "
+    words += "their measurement"
+    shift: dict[str, Any] = {key: number, "shift_from": (place,) if place else ()}
+    reading = ReadingSetup(**shift)
+    fault = Alternative("lines-shifted", words, "order of the lines", reading)
+    return replace(fault, figure="over-order" if place else "")
 
 
 def lost_line(case: Case) -> Explanation | None:
@@ -285,10 +285,10 @@ def lost_line(case: Case) -> Explanation | None:
     shifts += [("shift_configurations", 1)] * (of_each >= SEVERAL)
     signed = ((key, sign * far) for (key, far), sign in product(shifts, (1, -1)))
     last = third == 2
-    found = (one for by in signed for one in _shifted_from(case, *by, robots, last))
+    trials = (_shifted_from(case, *by, robots, last) for by in signed)
     # What leaves most of the errors is another fault.
-    clear = (one for one in found if one.part < FITTED)
-    return min(clear, key=lambda one: one.after, default=None)
+    clear = (e for explanations in trials for e in explanations if e.part < FITTED)
+    return min(clear, key=lambda explanation: explanation.after, default=None)
 
 
 def _shifted_from(
@@ -309,25 +309,25 @@ def _shifted_from(
     data, quantity = case.data, case.fit.quantity
     has = [quantity in declared(block.model).quantities for block in data.blocks]
     measured, unit = np.array(has)[data.block_of], expected_size(quantity.unit)
-    there = from_below(data, shift, SHIFTS[key])
-    shifted = with_positions(data, data.q[there])
-    behind_it = _standing(case, shifted, last & (there >= 0)) if case.doubtful else ()
+    source = from_below(data, shift, SHIFTS[key])
+    shifted = with_positions(data, data.q[source])
+    behind_it = _standing(case, shifted, last & (source >= 0)) if case.doubtful else ()
     for robot in (*robots, *behind_it):
         here, other = (_errors_of(robot, read) for read in (data, shifted))
-        other[there < 0] = np.nan
-        for own in in_files(data):
-            number = SHIFTS[key](data.q[own])
+        other[source < 0] = np.nan
+        for rows in in_files(data):
+            number = SHIFTS[key](data.q[rows])
             behind = np.searchsorted(number, number + max(-shift, 0))
-            first = _lost(here[own], other[own], behind)
+            first = _lost(here[rows], other[rows], behind)
             if first < 0 or (first == 0 and case.doubtful):
                 continue
-            left, later = here.copy(), own[behind[first] :]
-            left[own[first:]] = np.nan
-            left[later] = other[later]
-            sizes = (np.sqrt(np.nanmean(e[measured] ** 2)) for e in (here, left))
+            errors, later = here.copy(), rows[behind[first] :]
+            errors[rows[first:]] = np.nan
+            errors[later] = other[later]
+            sizes = (np.sqrt(np.nanmean(e[measured] ** 2)) for e in (here, errors))
             before, after = (float(unit * size) for size in sizes)
-            every = first == 0 and len(own) == len(data)
-            place = "" if every else place_of(data, int(own[first]))
+            every = first == 0 and len(rows) == len(data)
+            place = "" if every else place_of(data, int(rows[first]))
             fault = (_shifted(shift, key, place),)
             yield Explanation(fault, before, after, robot.robot, judged="error")
 
@@ -347,12 +347,12 @@ def _standing(case: Case, data: Observations, part: Booleans) -> Iterator[QuickF
 def _errors_of(fit: QuickFit, data: Observations) -> Floats:
     """Errors of the first quantity of each measurement, in expected sizes, (N,)."""
     problem = replace(fit.problem, data=data, expected=None)
-    table, found = error_table(problem, fit.theta), np.full(len(data), np.nan)
+    table, errors = error_table(problem, fit.theta), np.full(len(data), np.nan)
     for quantity in reversed(problem.layout.quantities):
         sizes = np.linalg.norm(table[:, quantity.columns], axis=1)
         sizes /= expected_size(quantity.unit)
-        found = np.where(np.isnan(sizes), found, sizes)
-    return np.asarray(np.minimum(found, ABSURD))
+        errors = np.where(np.isnan(sizes), errors, sizes)
+    return np.asarray(np.minimum(errors, ABSURD))
 
 
 def _lost(here: Floats, other: Floats, behind: Indices) -> int:
@@ -386,12 +386,12 @@ def units(case: Case) -> Iterator[Alternative]:
     blocks = [b for b in case.data.blocks if not declared(b.model).contact]
     filed = any(case.data.files.distinct)
     if any(measured_lengths(block).any() for block in blocks):
-        for factor, words in FACTORS.items():
-            said, read = f"the measured lengths are {words}", ReadingSetup(scale=factor)
-            unit = Alternative("unit", said, "unit of lengths", read, gross=True)
+        for factor, mistake in FACTORS.items():
+            words = f"the measured lengths are {mistake}"
+            fault = Alternative("unit", words, "unit of lengths", gross=True)
             # Arrays are multiplied more easily than read otherwise.
             advice = "" if filed else f"multiply values by {factor:g}"
-            yield replace(unit, advice=advice)
+            yield replace(fault, reading=ReadingSetup(scale=factor), advice=advice)
 
 
 def axes(case: Case) -> Iterator[Alternative]:
@@ -412,21 +412,21 @@ def axes(case: Case) -> Iterator[Alternative]:
     if flipped := [] if turned or not blocks else mirrored_joints(case):
         # A point of the tool that is known beside the plane of the arm tells the sides.
         ends = [t.index[len(t.error.screws) - FRAME :] for t in terms.values()]
-        alike = all(free[index].any() for index in ends)
-        yield _mirrored(case.data.joints, flipped, alike)
-        if alike:
+        ambiguous = all(free[index].any() for index in ends)
+        yield _mirrored(case.data.joints, flipped, ambiguous)
+        if ambiguous:
             return
     negated = [*product(*((axis, f"-{axis}") for axis in AXES))]
-    ways = [held for axes in negated for held in permutations(axes)]
-    for held in ways if turned else [mirrored] * bool(blocks):
-        reading, of = ReadingSetup(axes=held), "axes of positions"
-        words = f"the columns x, y and z hold {', '.join(held)}"
-        code = "axes-negated" if held in negated else "axes-exchanged"
-        if held == mirrored:
+    orders = [order for axes in negated for order in permutations(axes)]
+    for order in orders if turned else [mirrored] * bool(blocks):
+        reading, subject = ReadingSetup(axes=order), "axes of positions"
+        words = f"the columns x, y and z hold {', '.join(order)}"
+        code = "axes-negated" if order in negated else "axes-exchanged"
+        if order == mirrored:
             code, words = "left-handed-frame", "the frame of x, y and z is left-handed "
             words += "(two are exchanged, or one is negated)"
-        if held != AXES:
-            yield Alternative(code, words, of, reading, gross=True)
+        if order != AXES:
+            yield Alternative(code, words, subject, reading, gross=True)
 
 
 def mirrored_joints(case: Case) -> list[int]:
@@ -457,7 +457,7 @@ def mirrored_joints(case: Case) -> list[int]:
 
 
 def _mirrored(
-    joints: Sequence[str], flipped: Sequence[int], alike: bool
+    joints: Sequence[str], flipped: Sequence[int], ambiguous: bool
 ) -> Alternative:
     """Joints that are reversed, which a left-handed frame may look like."""
     signs = np.ones(len(joints))
@@ -466,12 +466,12 @@ def _mirrored(
     names = enumerated([f"'{joints[j]}'" for j in flipped])
     words = f"joint{'s' * (len(flipped) > 1)} {names} "
     words += f"{'are' if len(flipped) > 1 else 'is'} reversed"
-    found = Alternative("joint-reversed", words, "axes of positions", joints=read)
-    if not alike:
-        return found
+    fault = Alternative("joint-reversed", words, "axes of positions", joints=read)
+    if not ambiguous:
+        return fault
     words += ", or the frame of x, y and z is left-handed, which looks the same"
     advice = "if it is the frame, state in the setup file: reading: {axes: [x, y, -z]}"
-    return replace(found, words=words, gross=True, advice=advice)
+    return replace(fault, words=words, gross=True, advice=advice)
 
 
 def orientations(case: Case, likely: float = LIKELY) -> Iterator[Alternative]:
@@ -497,22 +497,22 @@ def orientations(case: Case, likely: float = LIKELY) -> Iterator[Alternative]:
         terms = _located(case, blocks)
     except (CalibPinError, np.linalg.LinAlgError):
         return
-    some = {block.key: block.sample(ROWS) for block in blocks}
+    sampled = {block.key: block.sample(ROWS) for block in blocks}
     columns = {block.orientation or "quaternion" for block in blocks}
     trials = [
-        (reading, {key: _agreed(terms[key], reading, some[key]) for key in some})
+        (reading, {key: _agreed(terms[key], reading, sampled[key]) for key in sampled})
         for reading in (OrientationSetup(), *_conventions(columns))
     ]
-    left = [max(apart for apart, _ in found.values()) for _, found in trials]
-    for k in 1 + np.argsort(left[1:], kind="stable")[:MOST]:
-        reading, found = trials[k]
-        if left[k] < likely * left[0]:
-            tools = {key: (terms[key], tool) for key, (_, tool) in found.items()}
+    angles = [max(apart for apart, _ in agreed.values()) for _, agreed in trials]
+    for k in 1 + np.argsort(angles[1:], kind="stable")[:MOST]:
+        reading, agreed = trials[k]
+        if angles[k] < likely * angles[0]:
+            tools = {key: (terms[key], tool) for key, (_, tool) in agreed.items()}
             words = f"orientations are written otherwise ({written(lines_of(reading))})"
-            held = ReadingSetup(orientation=reading)
-            of, change = "orientations", partial(_nearest, reading=reading, tools=tools)
-            one = Alternative("orientation-convention", words, of, held, gross=True)
-            yield replace(one, change=change)
+            fault = Alternative("orientation-convention", words, "orientations")
+            setup = ReadingSetup(orientation=reading)
+            change = partial(_nearest, reading=reading, tools=tools)
+            yield replace(fault, reading=setup, change=change, gross=True)
 
 
 def _conventions(columns: Iterable[str]) -> Iterator[OrientationSetup]:
@@ -523,20 +523,20 @@ def _conventions(columns: Iterable[str]) -> Iterator[OrientationSetup]:
         for factor in (DEGREE, 1.0 / DEGREE) if angles else ():
             yield OrientationSetup(way, factor=factor)
         for hold in HELD:
-            said = hold == way or (way, hold) == ("roll-pitch-yaw", "extrinsic-xyz")
-            if not said and (hold != "wxyz") == angles:
+            same = hold == way or (way, hold) == ("roll-pitch-yaw", "extrinsic-xyz")
+            if not same and (hold != "wxyz") == angles:
                 yield OrientationSetup(way, hold)
                 yield OrientationSetup(way, hold, inverse=True)
 
 
 def _located(case: Case, blocks: Sequence[Measurements]) -> dict[BlockKey, Term]:
     """The terms of blocks where positions alone find the robot."""
-    some = [replace(b.sample(ROWS), model="position", sigma=None) for b in blocks]
-    data = Observations.of(*(replace(b, values=b.values[:, :3]) for b in some))
+    sampled = [replace(b.sample(ROWS), model="position", sigma=None) for b in blocks]
+    data = Observations.of(*(replace(b, values=b.values[:, :3]) for b in sampled))
     setup = replace(case.setup, parameters=(), learned=None, fixed=(), bounds={})
     problem = make_problem(case.chains, data, replace(setup, prior={}))
-    problem, found = register(problem, np.zeros(len(problem.parameters)))
-    terms = problem.rebased(found.x)[0].terms
+    problem, solution = register(problem, np.zeros(len(problem.parameters)))
+    terms = problem.rebased(solution.x)[0].terms
     return {b.key: terms[b.key._replace(model="position")] for b in blocks}
 
 
@@ -545,11 +545,11 @@ def _tools(
 ) -> tuple[Floats, Floats]:
     """Quaternions that orientations may be, and the tool's with each, (A, N, 4)."""
     columns = block.orientation or "quaternion"
-    stated = numbers_of(block.values[:, 3:], columns, turns=reading.factor != 1.0)
-    found = np.stack([quaternions(numbers, columns, reading) for numbers in stated])
+    values = numbers_of(block.values[:, 3:], columns, turns=reading.factor != 1.0)
+    rotations = np.stack([quaternions(numbers, columns, reading) for numbers in values])
     tip = term.error.chain.poses(block.q[:, term.columns])[:, :3, :3]
     to_tip = np.swapaxes(term.error.base.rotation @ tip, 1, 2)
-    return found, to_quaternion(to_tip @ from_quaternion(found))
+    return rotations, to_quaternion(to_tip @ from_quaternion(rotations))
 
 
 def _agreed(
@@ -575,9 +575,9 @@ def _nearest(
         if block.key not in tools:
             return block.values
         term, tool = tools[block.key]
-        found, of_tool = _tools(term, reading, block)
+        rotations, of_tool = _tools(term, reading, block)
         near = np.abs(of_tool @ tool).argmax(axis=0)
-        return np.hstack([block.values[:, :3], found[near, np.arange(len(block))]])
+        return np.hstack([block.values[:, :3], rotations[near, np.arange(len(block))]])
 
     return with_values(data, change)
 
@@ -588,13 +588,13 @@ def targets(case: Case) -> Iterator[Alternative]:
     counts = np.bincount(target.codes, minlength=len(target.names))
     if len(data) > NEIGHBORS or not 1 < np.count_nonzero(counts) <= TARGETS:
         return
-    some = (counts >= FEWEST) & (counts < len(data) / 2)
-    for code in np.flatnonzero(some).tolist():
+    enough = (counts >= FEWEST) & (counts < len(data) / 2)
+    for code in np.flatnonzero(enough).tolist():
         rows = np.flatnonzero(target.codes == code).tolist()
         words = f"the measurements of target '{target.names[code]}' contradict all "
         reading = ReadingSetup(without=places_of(data, rows))
-        found = Alternative("target", f"{words}others", "target", reading)
-        yield replace(found, figure="over-order")
+        fault = Alternative("target", f"{words}others", "target", reading)
+        yield replace(fault, figure="over-order")
 
 
 def standing(case: Case) -> Iterator[Alternative]:
@@ -607,8 +607,8 @@ def standing(case: Case) -> Iterator[Alternative]:
         words = f"the reading of joint '{joint}' does not change in "
         reading = ReadingSetup(without=places_of(data, rows.tolist()))
         words += f"{len(rows)} measurements from line {reading.without[0]} on"
-        found = Alternative("stuck-encoder", words, "stretch", reading, gross=True)
-        yield replace(found, figure="over-order")
+        fault = Alternative("stuck-encoder", words, "stretch", reading, gross=True)
+        yield replace(fault, figure="over-order")
 
 
 def still_stretches(data: Observations) -> Iterator[tuple[str, Indices]]:
@@ -627,13 +627,13 @@ def target_names(case: Case) -> Iterator[Alternative]:
     if board is not None and "0" not in names and all(map(str.isdigit, names)):
         words = "the numbers of the targets begin with 1, and those of the board with 0"
         change = partial(_renamed, names={name: str(int(name) - 1) for name in names})
-        found = Alternative("targets-exchanged", words, "target", change=change)
-        yield replace(found, gross=True, advice="subtract 1 from each of them")
+        fault = Alternative("targets-exchanged", words, "target", change=change)
+        yield replace(fault, gross=True, advice="subtract 1 from each of them")
     for first, second in combinations(names, 2) if len(names) <= TARGETS else ():
         words = f"the targets '{first}' and '{second}' have the name of each other"
         change = partial(_renamed, names={first: second, second: first})
-        found = Alternative("targets-exchanged", words, "target", change=change)
-        yield replace(found, advice="exchange the two names", figure="over-order")
+        fault = Alternative("targets-exchanged", words, "target", change=change)
+        yield replace(fault, advice="exchange the two names", figure="over-order")
 
 
 def _corners_of_tags(names: Iterable[str]) -> Iterator[Alternative]:
@@ -645,8 +645,8 @@ def _corners_of_tags(names: Iterable[str]) -> Iterator[Alternative]:
         pairs = product(tags, enumerate(order))
         renamed = {f"{tag}/{k}": f"{tag}/{corner}" for tag, (k, corner) in pairs}
         change = partial(_renamed, names=renamed)
-        found = Alternative("targets-exchanged", words, "target", change=change)
-        yield replace(found, advice="name them so")
+        fault = Alternative("targets-exchanged", words, "target", change=change)
+        yield replace(fault, advice="name them so")
 
 
 def _renamed(data: Observations, names: Mapping[str, str]) -> Observations:
@@ -669,10 +669,10 @@ def target_frames(case: Case) -> Iterator[Alternative]:
         words = f"the targets {enumerated([f'{name}/..' for name in names])} do not "
         words += "fit together, and each fits alone"
         for frame in FRAMES:
-            found = Alternative("target-frames", words, "frames of targets")
+            fault = Alternative("target-frames", words, "frames of targets")
             change = partial(_apart, group=group, frame=frame)
             advice = f"give each a {frame} of its own (a column '{frame}')"
-            yield replace(found, change=change, advice=advice, absorbs=ABSORBED)
+            yield replace(fault, change=change, advice=advice, absorbs=ABSORBED)
 
 
 def _groups(data: Observations) -> Iterator[dict[str, str]]:
@@ -701,7 +701,7 @@ def _apart(data: Observations, group: Mapping[str, str], frame: Frame) -> Observ
 
 def instruments(case: Case) -> Iterator[Alternative]:
     """Explanations by what is known of an instrument, and by how its images stand."""
-    yield from (one for key, one in held(case).items() if key != Plane.kind)
+    yield from (f for key, f in held_numbers(case).items() if key != Plane.kind)
     if (camera := case.setup.camera) is not None:
         (mount,) = MOUNTS.keys() - {camera.mount}
         yield Alternative(
@@ -709,30 +709,30 @@ def instruments(case: Case) -> Iterator[Alternative]:
             f"the camera {MOUNTS[mount]}, and is not one that {MOUNTS[camera.mount]}",
             "the chain",
             setup={"camera": replace(camera, mount=mount)},
-            stated={"camera": {"mount": mount}},
+            lines={"camera": {"mount": mount}},
         )
         words, advice = "u and v are exchanged", "exchange the names of these columns"
-        found = Alternative("image-axes", words, "the camera", change=_turned)
-        yield replace(found, advice=advice)
+        fault = Alternative("image-axes", words, "the camera", change=_turned)
+        yield replace(fault, advice=advice)
         if camera.size is not None:
             words = "v counts from the lower edge of the image, and not from the upper"
             advice = f"take {camera.size[1] - 1:g} - v"
             change = partial(_upright, last=camera.size[1] - 1.0)
-            yield replace(found, words=words, advice=advice, change=change)
+            yield replace(fault, words=words, advice=advice, change=change)
 
 
-def held(case: Case) -> dict[str, Alternative]:
+def held_numbers(case: Case) -> dict[str, Alternative]:
     """Alternatives of what is held of instruments, by its names, see `held_as`."""
-    found, groups = dict[str, Alternative](), defaultdict[str, list[Any]](list)
+    faults, groups = dict[str, Alternative](), defaultdict[str, list[Any]](list)
     for reference in case.fit.problem.references.values():
         groups[held_as(reference)].append(reference)
     if (camera := case.setup.camera) is not None and Camera.kind in groups:
-        found[Camera.kind] = Alternative(
+        faults[Camera.kind] = Alternative(
             "camera-intrinsics",
             "the camera has other focal lengths or another center than stated",
             "the camera",
             setup={"camera": replace(camera, estimate=True)},
-            stated={"camera": {"estimate": True}},
+            lines={"camera": {"estimate": True}},
         )
     for key, references in groups.items():
         if key in ("", Camera.kind):
@@ -743,23 +743,23 @@ def held(case: Case) -> dict[str, Alternative]:
             words = f"the {key} of the {section} is not the one that is held"
             free = f"estimate_{key}"
         changed: dict[str, Any] = {free: True}
-        stated = {r.name: replace(r.stated(), **changed) for r in references}
-        setup = {section: {**getattr(case.setup, section), **stated}}
-        lines = {section: {name: changed for name in stated}}
-        found[key] = Alternative("held-number", words, key, setup=setup, stated=lines)
-    return found
+        entries = {r.name: replace(r.stated(), **changed) for r in references}
+        setup = {section: {**getattr(case.setup, section), **entries}}
+        lines = {section: {name: changed for name in entries}}
+        faults[key] = Alternative("held-number", words, key, setup=setup, lines=lines)
+    return faults
 
 
 def robots(case: Case) -> Iterator[Alternative]:
     """Explanations by what was measured: the robot, its links, the tool."""
     for code, end in (("tool-frame", "tool"), ("base-frame", "base")):
         if getattr(case.setup, f"{end}_frame").estimate is False:
-            words, of = f"the frame of the {end} is not the stated one", f"{end} frame"
-            found = Alternative(code, words, of, absorbs=ABSORBED)
+            words = f"the frame of the {end} is not the stated one"
+            fault = Alternative(code, words, f"{end} frame", absorbs=ABSORBED)
             # Half a turn away the stated one is no start.
             setup = {f"{end}_frame": FrameSetup(estimate=True)}
-            stated = {"frames": {end: {"estimate": True}}}
-            yield replace(found, setup=setup, stated=stated)
+            lines = {"frames": {end: {"estimate": True}}}
+            yield replace(fault, setup=setup, lines=lines)
     if case.chains.names == ("",):
         yield from _ends(case.chains[""], case)
     robot = case.chains.robot
@@ -821,30 +821,30 @@ def _ends(chain: Chain, case: Case) -> Iterator[Alternative]:
                 seen.append(body)
                 if link != links[k]:
                     words = f"the {end} link is '{link}', not '{links[k]}'"
-                    found = Alternative(code, words, "the chain", stated={end: link})
-                    yield replace(found, chains=Chains.of(other))
+                    fault = Alternative(code, words, "the chain", lines={end: link})
+                    yield replace(fault, chains=Chains.of(other))
 
 
 def joint_sets(case: Case) -> Explanation | None:
     """Other columns of the joints, commanded or measured ones, that fit better."""
-    setup, some = replace(case.setup, learned=None), case.fit.problem.data
-    near, found = defaultdict[str, list[str]](list), list[Explanation]()
-    stated = {given.joint: given for given in setup.joints.values()}
-    if any(given.coupled for given in stated.values()):
+    setup, sample = replace(case.setup, learned=None), case.fit.problem.data
+    near, explanations = defaultdict[str, list[str]](list), list[Explanation]()
+    joint_maps = {given.joint: given for given in setup.joints.values()}
+    if any(given.coupled for given in joint_maps.values()):
         return None  # Their own columns are coupled to those that were read.
-    for joint, column in some.conditions.spare:
-        if joint in some.joints:
+    for joint, column in sample.conditions.spare:
+        if joint in sample.joints:
             near[joint].append(column)
     for k in range(min(max(map(len, near.values()), default=0), MOST)):
-        columns = {j: near[j][k] for j in some.joints if k < len(near[j])}
-        maps = {column: stated.get(j, JointMap(j)) for j, column in columns.items()}
+        columns = {j: near[j][k] for j in sample.joints if k < len(near[j])}
+        maps = {column: joint_maps.get(j, JointMap(j)) for j, column in columns.items()}
         try:
-            both = [some, _moved(some, columns)]
+            both = [sample, _moved(sample, columns)]
             problems = [make_problem(case.chains, data, setup) for data in both]
             here, there = (QuickFit.of(problem, COMPARED) for problem in problems)
         except CalibPinError:
             continue  # No robot is there.
-        ratio = here.left * float(np.log(here.rms / there.rms))
+        ratio = here.dof * float(np.log(here.rms / there.rms))
         if not (here.redundant and ratio > unlikely()):
             continue
         names = [*columns.values()]
@@ -853,13 +853,13 @@ def joint_sets(case: Case) -> Explanation | None:
             "joint-columns",
             f"the joint positions stand in {ends} as well, which fit better",
             "columns of the joints",
-            stated={"joints": {column: lines_of(j) for column, j in maps.items()}},
+            lines={"joints": {column: lines_of(j) for column, j in maps.items()}},
             figure="by-joint",
             numbers={"columns": ", ".join(names)},
         )
-        found.append(Explanation((better,), here.errors, there.errors))
+        explanations.append(Explanation((better,), here.errors, there.errors))
     # What one column lags behind another is no lag of its joint.
-    return min(found, key=lambda one: one.after, default=None)
+    return min(explanations, key=lambda explanation: explanation.after, default=None)
 
 
 def _moved(data: Observations, columns: Mapping[str, str]) -> Observations:

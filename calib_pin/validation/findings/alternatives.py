@@ -43,8 +43,8 @@ from calib_pin.validation.findings.case import (
     Case,
     QuickFit,
     below_sheet,
-    counted,
-    trimmed,
+    counted_part,
+    trimmed_errors,
     unlikely,
 )
 from calib_pin.validation.findings.sentences import (
@@ -67,7 +67,7 @@ SEVERAL = 2
 """Measurements at each configuration from which they are images."""
 
 NEIGHBORS = 2000
-"""Measurements that are read otherwise before these are picked, see `_picked`."""
+"""Measurements that are read otherwise before these are picked, see `_runs`."""
 
 MOST = 3
 """Faults that may occur at once."""
@@ -218,7 +218,7 @@ class Alternative:
         return self.change is not None or self.reading != ReadingSetup()
 
 
-def read_so(data: Observations, faults: Iterable[Alternative]) -> Observations:
+def read_with(data: Observations, faults: Iterable[Alternative]) -> Observations:
     """Measurements as they are to be read if they have some faults.
 
     Raises:
@@ -349,8 +349,11 @@ def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
     return search.combined() or search.of_one_joint() or search.fitted()
 
 
-_Trial = tuple[float, tuple[Alternative, ...]]
-"""Errors that are left with some faults, in standard deviations, and these."""
+_Faults = tuple[Alternative, ...]
+"""Faults that measurements may have at once."""
+
+_Trial = tuple[float, _Faults]
+"""Error that is left with some faults, rms in standard deviations, and these."""
 
 
 class _Search:
@@ -366,16 +369,16 @@ class _Search:
 
     def __init__(self, case: Case, faults: Sequence[Alternative]) -> None:
         self.case, self.faults, self.tried = case, faults, 0
-        self.data = _picked(case.data.weighted(np.ones(len(case.data))))
+        self.data = _runs(case.data.weighted(np.ones(len(case.data))))
         self.whole = replace(case.setup, learned=None)
         self.plain = replace(self.whole, parameters=(), fixed=(), bounds={}, prior={})
         self.contact = any(declared(model).contact for model in self.data.models)
-        self.few = self._few(self.data)
+        self.sample = self._sample(self.data)
         problem, self.first = case.fit.problem, np.inf
         sigma = problem.given_sigma[problem.layout.component == 0]
         self.unit = float(np.sqrt(np.mean(sigma**2)))
         self.usual = expected_size(case.fit.quantity.unit) / self.unit
-        self.first = self._nominal((), thorough=True)
+        self.first = self._nominal_rms((), thorough=True)
 
     def combined(self) -> Explanation | None:
         """Faults with which the nominal robot fits far better."""
@@ -393,12 +396,12 @@ class _Search:
                 joint = (*faults, more)
                 key = frozenset(map(id, joint))
                 if key not in trials and all(f.subject != more.subject for f in faults):
-                    trials[key] = self._nominal(joint), joint
+                    trials[key] = self._nominal_rms(joint), joint
                     most[key] = CLEARER * error / more.absorbs
             ranked = sorted(trials, key=lambda key: _rank(trials[key]))
             for key in ranked[:LIKELY]:
                 faults = trials[key][1]
-                trials[key] = self._nominal(faults, thorough=True), faults
+                trials[key] = self._nominal_rms(faults, thorough=True), faults
             # Of those that leave the same, the likelier kind comes first.
             clear = [trials[key] for key in ranked if trials[key][0] < most[key]]
             beam = sorted(clear, key=_rank)[:WIDTH]
@@ -425,7 +428,7 @@ class _Search:
         sets = [faults for faults in sets if len(faults) > 1]
         if not 0 < len(sets) <= TOGETHER:
             return None
-        trials = [(self._nominal(faults), faults) for faults in sets]
+        trials = [(self._nominal_rms(faults), faults) for faults in sets]
         return self._best(sorted(trials, key=lambda trial: trial[0]))
 
     def fitted(self) -> Explanation | None:
@@ -434,7 +437,7 @@ class _Search:
         complete = [trial for trial in singles if not trial[1][0].reading.without]
         if complete and complete[0][0] < CLOSE * singles[0][0]:
             singles = complete
-        return self._of_fits(singles[0][1], FITTED) if singles else None
+        return self._by_fits(singles[0][1], FITTED) if singles else None
 
     def _singles(self) -> list[_Trial]:
         """Errors that fits leave with each fault, the least first.
@@ -442,7 +445,7 @@ class _Search:
         A robot that is fitted shrinks with its measurements, or turns into another.
         """
         faults = [f for f in self.faults if not (f.gross or f.chains)]
-        trials = [(self._fitted((fault,)), (fault,)) for fault in faults]
+        trials = [(self._fit_rms((fault,)), (fault,)) for fault in faults]
         return sorted(trials, key=lambda trial: trial[0])
 
     def _best(self, trials: Sequence[_Trial]) -> Explanation | None:
@@ -451,64 +454,57 @@ class _Search:
         A robot whose errors are fitted tells those that leave about the same, and is
         asked where what the nominal one leaves is too much.
         """
-        if self.contact and not trials[0][0] < self._most(DECISIVE, fitted=False)[1]:
+        if self.contact and not trials[0][0] < self._limits(DECISIVE, fitted=False)[1]:
             return None  # Fits are not asked, and are slow.
         # What leaves no more than a robot errs explains all.
         limit = max(CLOSE * trials[0][0], self.usual)
         near = [p for p in trials if p[1] and p[0] <= limit][:ALIKE]
-        close = [self._needed(*p) for p in near] or trials[:1]
+        close = [self._necessary(*p) for p in near] or trials[:1]
         # What leaves none out explains more.
         close = [p for p in close if not any(h.reading.without for h in p[1])] or close
         error, faults = close[0]
         fittable = not any(fault.gross for _, some in close for fault in some)
         if fittable and len(close) > 1:
             # A fit that gets lost leaves no more than the nominal robot.
-            fits = [(min(self._fitted(some), size), some) for size, some in close]
+            fits = [(min(self._fit_rms(some), size), some) for size, some in close]
             error, faults = close[int(np.argmin([*map(_rank, fits)]))]
-        explanation = self._decided(faults, error, DECISIVE, fitted=False)
+        explanation = self._accepted(faults, error, DECISIVE, fitted=False)
         fittable = fittable and not any(h.chains or h.reading.without for h in faults)
-        return explanation or (self._of_fits(faults, DECISIVE) if fittable else None)
+        return explanation or (self._by_fits(faults, DECISIVE) if fittable else None)
 
-    def _needed(self, error: float, faults: tuple[Alternative, ...]) -> _Trial:
+    def _necessary(self, error: float, faults: _Faults) -> _Trial:
         """Those of some faults without which far more is left, and what they leave."""
         for fault in faults if len(faults) > 1 else ():
             rest = tuple(other for other in faults if other is not fault)
-            without = self._nominal(rest)
+            without = self._nominal_rms(rest)
             needless = without < CLOSE * error
             if without < error / DECISIVE and not fault.gross:
                 # Large errors of the robot hide it: its fit tells, if anything.
-                fit = self._fitted(faults)
+                fit = self._fit_rms(faults)
                 if np.isfinite(fit):
-                    needless = self._fitted(rest) < CLOSE * fit
+                    needless = self._fit_rms(rest) < CLOSE * fit
             if needless:
-                return self._needed(without, rest)
+                return self._necessary(without, rest)
         return error, faults
 
-    def _of_fits(
-        self, faults: tuple[Alternative, ...], most: float
-    ) -> Explanation | None:
+    def _by_fits(self, faults: _Faults, most: float) -> Explanation | None:
         """Faults with which a fit leaves far less.
 
         Contacts draw a robot together, the more so the less is known of it.
         """
         if self.contact or not faults:
             return None
-        after = self._fitted(faults)
+        after = self._fit_rms(faults)
         # The right reading of joints leaves a robot, which a fit knows better.
         if any(h.joints for h in faults) and after > FOREIGN * self.usual:
             return None
-        return self._decided(faults, after, most, fitted=True)
+        return self._accepted(faults, after, most, fitted=True)
 
-    def _decided(
-        self,
-        faults: tuple[Alternative, ...],
-        after: float,
-        part: float,
-        *,
-        fitted: bool,
+    def _accepted(
+        self, faults: _Faults, after: float, part: float, *, fitted: bool
     ) -> Explanation | None:
-        before, most = self._most(part, fitted)
-        if not faults or not after < most or not self._calmer(faults, after):
+        before, most = self._limits(part, fitted)
+        if not faults or not after < most or not self._corrects_less(faults, after):
             return None
         if self._ratio(faults, before, after) < unlikely(self.tried):
             return None
@@ -521,7 +517,7 @@ class _Search:
         unit = self.unit * float(np.sqrt(case.fit.quantity.dimension))
         return Explanation(faults, unit * before, unit * after, fitted, judged)
 
-    def _calmer(self, faults: Sequence[Alternative], after: float) -> bool:
+    def _corrects_less(self, faults: _Faults, after: float) -> bool:
         """Whether a robot need no longer be corrected as much, if numbers are fitted.
 
         A frame explains a part of large errors of joints, too, and then they are still
@@ -534,9 +530,9 @@ class _Search:
         corrected = np.inf if fit is None else fit.largest_correction
         return corrected < CALM * case.fit.largest_correction
 
-    def _most(self, part: float, fitted: bool) -> tuple[float, float]:
+    def _limits(self, part: float, fitted: bool) -> tuple[float, float]:
         """Errors as the measurements are read now, and those that may be left."""
-        before = self._fitted(()) if fitted else self.first
+        before = self._fit_rms(()) if fitted else self.first
         if self.case.fitted is not None:
             # A trial may get lost where the whole fit does not.
             known = self.case.errors_left if fitted else self.case.errors_nominal
@@ -545,27 +541,25 @@ class _Search:
         of_robot = self.usual * (DOUBTFUL if fitted else FOREIGN)
         return before, part * before if np.isfinite(before) else of_robot
 
-    def _ratio(
-        self, faults: Sequence[Alternative], before: float, after: float
-    ) -> float:
+    def _ratio(self, faults: _Faults, before: float, after: float) -> float:
         """Logarithm of the likelihood ratio of faults; they may leave out lines."""
         if not after < before:
             return 0.0
         problem = self._problem(faults, self.plain)
         return _redundancy(problem) * float(np.log(before / max(after, 1e-12)))
 
-    def _problem(self, faults: Sequence[Alternative], setup: Setup) -> Problem:
+    def _problem(self, faults: _Faults, setup: Setup) -> Problem:
         """The problem of some measurements that are read so."""
         chains = next((h.chains for h in faults if h.chains), self.case.chains)
         changes = {k: v for h in faults for k, v in h.setup.items()}
         setup = replace(setup, **changes) if changes else setup
         if any(fault.among_rows for fault in faults):
-            data = self._few(read_so(self.data, faults))
+            data = self._sample(read_with(self.data, faults))
         else:
-            data = read_so(self.few, faults)
+            data = read_with(self.sample, faults)
         return make_problem(chains, data, setup)
 
-    def _few(self, data: Observations) -> Observations:
+    def _sample(self, data: Observations) -> Observations:
         """Those measurements that trials are made on."""
         data = _thinned(data)
         if len(data) >= SEVERAL * data.configurations:
@@ -577,7 +571,7 @@ class _Search:
         # Each frame that is a new one needs as many.
         return data.sample(least * len(data.blocks) // len(self.data.blocks))
 
-    def _nominal(self, faults: Sequence[Alternative], thorough: bool = False) -> float:
+    def _nominal_rms(self, faults: _Faults, thorough: bool = False) -> float:
         """Error of the registered nominal robot, rms in standard deviations."""
         self.tried += 1
         try:
@@ -585,16 +579,16 @@ class _Search:
             if _redundancy(problem) < LEAST:
                 return np.inf
             scale = merged(fault.reading for fault in faults).scale
-            thorough = thorough or _of_unknowns(faults)
-            return trimmed(problem, self.first, scale, thorough)[0]
+            thorough = thorough or _adds_unknowns(faults)
+            return trimmed_errors(problem, self.first, scale, thorough)[0]
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf  # No beam meets its plane, say.
 
-    def _fit(self, faults: Sequence[Alternative]) -> QuickFit | None:
+    def _fit(self, faults: _Faults) -> QuickFit | None:
         """A robot whose errors were fitted in a few steps, if one can be."""
         try:
             problem = self._problem(faults, self.whole)
-            return QuickFit.of(problem, thorough=_of_unknowns(faults))
+            return QuickFit.of(problem, thorough=_adds_unknowns(faults))
         except (CalibPinError, np.linalg.LinAlgError):
             return None
 
@@ -604,7 +598,7 @@ class _Search:
         fit = self._fit(())
         return fit is not None and not fit.redundant
 
-    def _fitted(self, faults: Sequence[Alternative]) -> float:
+    def _fit_rms(self, faults: _Faults) -> float:
         """Error that it leaves, rms in standard deviations."""
         self.tried += 1
         fit = None if self._hopeless else self._fit(faults)
@@ -613,7 +607,7 @@ class _Search:
         return fit.rms if np.isfinite(fit.rms) else np.inf
 
 
-def _of_unknowns(faults: Iterable[Alternative]) -> bool:
+def _adds_unknowns(faults: Iterable[Alternative]) -> bool:
     """Whether other frames or numbers of instruments have to be located."""
     return any(fault.setup for fault in faults)
 
@@ -625,7 +619,7 @@ def _rank(trial: _Trial) -> float:
     return round(float(np.log(max(error, 1e-300))), 2)
 
 
-def _picked(data: Observations) -> Observations:
+def _runs(data: Observations) -> Observations:
     """Measurements in runs of neighbors, for those that a fault takes from others."""
     if len(data) <= NEIGHBORS:
         return data
@@ -648,4 +642,4 @@ def _redundancy(problem: Problem) -> float:
     """Values of the best part of the measurements beyond the unknowns of frames."""
     parameters = problem.parameters
     unknown = int((parameters.free & parameters.nuisance).sum())
-    return counted(problem) * measured_count(problem) - unknown
+    return counted_part(problem) * measured_count(problem) - unknown

@@ -93,7 +93,7 @@ def older_calibration(
         by += f"(promised: {shown(promised, 'm')})"
     for k, jump in enumerate(step.jumps, 1):
         numbers |= {f"joint {k}": jump.name or jump.kind, f"change {k}": jump.change}
-    holds = all(map(_aside, step.jumps)) and not error > HOLDS * promised
+    holds = all(map(_of_frame, step.jumps)) and not error > HOLDS * promised
     remedy = "; ".join(_remedies(step.jumps))
     if holds:
         better = f"use the older one: this one is off by {shown(expected, 'm')}"
@@ -107,7 +107,7 @@ def older_calibration(
     yield told(code, text, numbers, remedy, info=holds)
 
 
-def _aside(jump: Jump) -> bool:
+def _of_frame(jump: Jump) -> bool:
     """Whether a change is one of a frame, and cannot be one of the robot instead."""
     return jump.kind in SEPARATE and not any(w.startswith("j") for w in jump.instead)
 

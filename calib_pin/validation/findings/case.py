@@ -1,7 +1,7 @@
 """The measurements in which faults are sought, and a fit to them in a few steps.
 
 Faults are further columns of the Jacobian of this fit, whose gain is scored to first
-order (`QuickFit.score`) and fitted with the robot (`sized`), or other readings
+order (`QuickFit.score`) and fitted with the robot (`fit_factors`), or other readings
 of the file, of which such fits are compared (`alternatives`).
 """
 
@@ -188,7 +188,7 @@ def below_sheet(problem: Problem) -> bool:
     return bool(flat and max(up) < -0.5)
 
 
-def counted(problem: Problem) -> float:
+def counted_part(problem: Problem) -> float:
     """Part of the measurements that counts."""
     return KEPT if problem.data.configurations >= FEW else 1.0
 
@@ -207,7 +207,7 @@ def mean_squares(problem: Problem, theta: Floats, scale: float = 1.0) -> Floats:
     return np.asarray(np.nanmean(squares, axis=1))
 
 
-def trimmed(
+def trimmed_errors(
     problem: Problem, bound: float = np.inf, scale: float = 1.0, thorough: bool = False
 ) -> tuple[float, Floats]:
     """Errors of the nominal robot where the best part of the measurements has it.
@@ -226,7 +226,7 @@ def trimmed(
         if below_sheet(problem):
             return np.inf, best
         squares = mean_squares(problem, zero, scale)
-        limit = np.quantile(squares, counted(problem))
+        limit = np.quantile(squares, counted_part(problem))
         rms = float(np.sqrt(np.mean(squares[squares <= limit])))
         # A board that has lost some of its corners may be located worse.
         if not again or rms < size:
@@ -473,7 +473,7 @@ def stepped(fit: _Fitted, data: Observations | None = None) -> _Fitted:
     return replace(fit, theta=theta)
 
 
-def sized(
+def fit_factors(
     fit: _Fitted,
     sizes: Floats,
     columns: Callable[[_Fitted], Floats],
@@ -665,7 +665,7 @@ class Case:
         possible = self.fitted is not None and self.errors_left <= FOREIGN
         if not (possible and self.setup.parameters and fit.rms > EXACT):
             return (), 1.0
-        columns = {k: X for k, X in self.beside.items() if np.isfinite(X).all()}
+        columns = {k: X for k, X in self.omitted.items() if np.isfinite(X).all()}
         # All points of a configuration share the errors of its pose, and repetitions
         # those of their value.
         poses = FRAME * fit.problem.data.configurations
@@ -703,7 +703,7 @@ class Case:
         return scale_known(problem, before.x)
 
     @cached_property
-    def beside(self) -> dict[str, Floats]:
+    def omitted(self) -> dict[str, Floats]:
         """Change of the whitened residual by what is not estimated, each (M, k).
 
         By family of parameters, and by what is held of instruments, see `held_as`.
@@ -762,7 +762,7 @@ def _without_outliers(problem: Problem) -> Observations:
 
     Than others of the same instrument: pixels may fit where positions are far off.
     """
-    data, size = problem.data, np.sqrt(trimmed(problem, thorough=True)[1])
+    data, size = problem.data, np.sqrt(trimmed_errors(problem, thorough=True)[1])
     usual = np.ones(len(data))
     for model in {block.model for block in data.blocks}:
         of_model = np.array([b.model == model for b in data.blocks])[data.block_of]

@@ -57,7 +57,7 @@ from calib_pin.validation.findings.case import (
     QuickFit,
     Score,
     by_chance,
-    sized,
+    fit_factors,
     squares,
     surpasses,
     unlikely,
@@ -144,7 +144,7 @@ class Change(NamedTuple):
     size: float = 0.0
 
     @property
-    def what(self) -> tuple[Kind, frozenset[BlockKey], int]:
+    def key(self) -> tuple[Kind, frozenset[BlockKey], int]:
         """Kind, blocks and joint: all but the row and the size."""
         return self.kind, self.keys, self.joint
 
@@ -169,7 +169,7 @@ def concerned(data: Observations, change: Change) -> Booleans:
     return np.asarray(has[data.block_of])
 
 
-def changed(
+def with_changes(
     data: Observations, rank: Indices, changes: Sequence[Change]
 ) -> tuple[Observations, Indices]:
     """Measurements with names of their own for frames, and joints where they stood.
@@ -222,24 +222,24 @@ class Trial(QuickFit):
             CalibPinError: If a part of the measurements cannot be registered.
             LinAlgError: If their errors have no derivative where the robot is.
         """
-        data, index = changed(plain.data, rank, changes)
+        data, index = with_changes(plain.data, rank, changes)
         problem = make_problem(plain.chains, data, plain.setup)
         trial = Trial.of(problem, plain=plain, rank=rank, changes=changes, index=index)
         zeros = [k for k, change in enumerate(changes) if change.kind == "joint"]
 
-        def of(sizes: Floats) -> tuple[Change, ...]:
-            resized = [*changes]
+        def resized(sizes: Floats) -> tuple[Change, ...]:
+            result = [*changes]
             for k, size in zip(zeros, sizes.tolist(), strict=True):
-                resized[k] = resized[k]._replace(size=size)
-            return tuple(resized)
+                result[k] = result[k]._replace(size=size)
+            return tuple(result)
 
-        trial, sizes = sized(
+        trial, sizes = fit_factors(
             trial,
             np.array([changes[k].size for k in zeros]),
             lambda fit: np.hstack([fit.step(changes[k]) for k in zeros]),
-            lambda sizes: changed(plain.data, rank, of(sizes))[0],
+            lambda sizes: with_changes(plain.data, rank, resized(sizes))[0],
         )
-        return replace(trial, changes=of(sizes)) if zeros else trial
+        return replace(trial, changes=resized(sizes)) if zeros else trial
 
     def settled(self, changes: tuple[Change, ...]) -> Trial | None:
         """The trial of changes at the rows where both sides of each fit best.
@@ -300,7 +300,7 @@ class Trial(QuickFit):
             rows = np.flatnonzero(concerned(self.plain.data, subject)[self.index])
             rows = rows[np.argsort(rank[rows])]
             # What comes and goes within a few measurements is an outlier.
-            cuts = sorted(c.rank for c in self.changes if c.what == subject.what)
+            cuts = sorted(c.rank for c in self.changes if c.key == subject.key)
             parts = np.split(groups[rows], np.searchsorted(rank[rows], cuts))
             least = self._least(subject, columns.shape[1])
             allowed = np.concatenate([divisible(labels, least) for labels in parts])
@@ -372,16 +372,16 @@ class Trial(QuickFit):
             rank: Place of each in the order of the files, shape (N,).
         """
         change, others = self.changes[k], [*self.changes[:k], *self.changes[k + 1 :]]
-        ranks = [c.rank for c in others if c.what == change.what]
+        ranks = [c.rank for c in others if c.key == change.key]
         first = max((at for at in ranks if at <= change.rank), default=0)
         end = int(rank.max()) + 1
         last = min((at for at in ranks if at > change.rank), default=end)
         squares = np.zeros((2, len(rank)))
         for side, at in enumerate((last, first)):
-            there, index = changed(data, rank, [*others, change._replace(rank=at)])
-            if any(key not in self.problem.terms for key in there.keys):
+            moved, index = with_changes(data, rank, [*others, change._replace(rank=at)])
+            if any(key not in self.problem.terms for key in moved.keys):
                 return change.rank
-            problem = replace(self.problem, data=there)
+            problem = replace(self.problem, data=moved)
             row = problem.layout.row
             r = problem.residual(self.theta)[: len(row)]
             r = np.where(np.isfinite(r), r, 1e6)
@@ -471,11 +471,11 @@ def changes(case: Case) -> Explanation | None:
     places = np.searchsorted(np.sort(case.rank), [c.rank for c in steps])
     at_once = len({c.kind for c in steps}) > 1 and np.ptp(places) < CONFIGURATIONS
     part = trials[1].rms / trials[0].rms if trials else 0.0
-    another = _another(case, unchanged, part) if trials or case.doubtful else None
+    another = _another_robot(case, unchanged, part) if trials or case.doubtful else None
     if another and (not trials or at_once or another.part < FITTED * part):
         return another
     # Two or three things change on a bad day; more are what steps make of a drift.
-    if trials is None or len({c.what for c in steps}) > 3:
+    if trials is None or len({c.key for c in steps}) > 3:
         return None
     first, last = trials
     if last.errors > FOREIGN * expected_size(case.fit.quantity.unit):
@@ -485,12 +485,12 @@ def changes(case: Case) -> Explanation | None:
     # It may be a row that was not looked at.
     rows = [(last.place(k, data, rank), k) for k in range(len(steps))]
     faults = tuple(_change(case, last, k, at, rank) for at, k in sorted(rows))
-    large = _caused(case, first.errors, last.errors) > LARGE
+    large = _caused_errors(case, first.errors, last.errors) > LARGE
     judged: Severity | None = "error" if large else None
     return Explanation(faults, first.errors, last.errors, judged=judged)
 
 
-def _caused(case: Case, before: float, after: float) -> float:
+def _caused_errors(case: Case, before: float, after: float) -> float:
     """Errors that are caused by what leaves less of them, in expected sizes."""
     size = float(np.sqrt(max(before**2 - after**2, 0.0)))
     return size / expected_size(case.fit.quantity.unit)
@@ -508,7 +508,7 @@ def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alterna
     """
     data, change = case.data, trial.changes[k]
     kind, (code, words) = change.kind, CHANGED[change.kind]
-    before, behind = _sides(concerned(data, change), rank, at).tolist()
+    before, behind = _rows_around(concerned(data, change), rank, at).tolist()
     first = (place_of(data, behind),)
     if kind == "joint":
         name, reading = data.joints[change.joint], ReadingSetup()
@@ -540,7 +540,7 @@ def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alterna
     )
 
 
-def _another(case: Case, fit: Trial | None, changed: float) -> Explanation | None:
+def _another_robot(case: Case, fit: Trial | None, changed: float) -> Explanation | None:
     """Another robot, or whatever else was measured from some row on.
 
     All errors and frames are others there: to first order, each part has a fit of its
@@ -578,7 +578,7 @@ def _another(case: Case, fit: Trial | None, changed: float) -> Explanation | Non
     return Explanation((fault,), fit.errors, part * fit.errors, judged="error")
 
 
-def _sides(mask: Booleans, rank: Indices, at: int) -> Indices:
+def _rows_around(mask: Booleans, rank: Indices, at: int) -> Indices:
     """The last of some measurements before a rank, and the first one from it on."""
     rows = np.flatnonzero(mask)[np.argsort(rank[mask])]
     return rows[np.searchsorted(rank[rows], at) + np.array([-1, 0])]
@@ -588,7 +588,7 @@ def _frame(trial: Trial, k: int) -> tuple[str, dict[str, Any]]:
     """How far the frame of a change stands from where it stood."""
     change, (settled, _) = trial.changes[k], trial.problem.rebased(trial.theta)
     data, mask = trial.problem.data, concerned(trial.plain.data, change)[trial.index]
-    rows = _sides(mask, trial.rank[trial.index], change.rank)
+    rows = _rows_around(mask, trial.rank[trial.index], change.rank)
     before, behind = (settled.terms[data.keys[k]] for k in data.block_of[rows])
     A, B = before.error.tool, behind.error.tool
     if change.kind == "station":
@@ -633,7 +633,7 @@ def drift(case: Case) -> Explanation | None:
     before, part = fit.errors, float(np.linalg.norm(rest) / np.linalg.norm(r))
     if part > LASTING and not _as_stated(case, without):
         return None
-    large = _caused(case, before, part * before) > LARGE
+    large = _caused_errors(case, before, part * before) > LARGE
     judged: Severity | None = None if large else "warning"
     return Explanation((fault,), before, part * before, judged=judged)
 
@@ -648,13 +648,13 @@ def _as_stated(case: Case, fit: QuickFit) -> bool:
     return chi_square_tail(float(r @ r), fit.dof) > REJECTED
 
 
-Told = Callable[[Case, Score, Sequence[str]], Alternative]
+FaultOf = Callable[[Case, Score, Sequence[str]], Alternative]
 """Makes the row of a drift from its score and the names of its columns."""
 
 ALL_ALONG = "from the first measurement to the last"
 
 
-def _drifts(case: Case) -> Iterator[tuple[Told, Floats, Sequence[str]]]:
+def _drifts(case: Case) -> Iterator[tuple[FaultOf, Floats, Sequence[str]]]:
     """The kinds of drift: what tells them, their columns and the names of these."""
     fit, problem, joints = case.fit, case.fit.problem, case.data.joints
     terms = [*problem.terms.values()]
@@ -665,17 +665,17 @@ def _drifts(case: Case) -> Iterator[tuple[Told, Floats, Sequence[str]]]:
         if problem.parameters.free[base].all():
             if values == {AXES}:
                 rotation = terms[0].error.base.rotation
-                yield _of_instrument, J[:, :3] / scales[:3] @ rotation.T, AXES
-            yield _of_instrument, J, TRANSFORM
+                yield _instrument_drift, J[:, :3] / scales[:3] @ rotation.T, AXES
+            yield _instrument_drift, J, TRANSFORM
         elif values == {("distance",)}:
-            yield _of_instrument, 1.0 / problem.sigma[:, None], ("distance",)
+            yield _instrument_drift, 1.0 / problem.sigma[:, None], ("distance",)
     # Of few measurements one joint may stand out, but not six.
     for k in range(len(joints)):
-        yield _of_joints, fit.by_joints[:, [k]], joints[k : k + 1]
-    yield _of_joints, fit.by_joints, joints
+        yield _joint_drift, fit.by_joints[:, [k]], joints[k : k + 1]
+    yield _joint_drift, fit.by_joints, joints
 
 
-def _of_instrument(case: Case, score: Score, names: Sequence[str]) -> Alternative:
+def _instrument_drift(case: Case, score: Score, names: Sequence[str]) -> Alternative:
     """A displacement of what is measured can be taken out, one that also turns not."""
     parameters, kind, advice = case.setup.parameters, InstrumentDrift.name, PARTS
     if kind not in parameters:
@@ -699,7 +699,7 @@ def _of_instrument(case: Case, score: Score, names: Sequence[str]) -> Alternativ
     return replace(fault, figure="over-order")
 
 
-def _of_joints(case: Case, score: Score, names: Sequence[str]) -> Alternative:
+def _joint_drift(case: Case, score: Score, names: Sequence[str]) -> Alternative:
     """Joint positions that drift, as those of a robot that grows warm."""
     worst = int(np.argmax(np.abs(score.values) / score.deviations))
     value, sigma = float(score.values[worst]), float(score.deviations[worst])

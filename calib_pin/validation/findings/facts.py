@@ -43,7 +43,7 @@ from calib_pin.validation.findings.readings import offset_by
 from calib_pin.validation.findings.sentences import lines_of, listed, named, shown, told
 
 MORE = f"measure configurations that differ more: {ADDING}"
-_alike = partial(told, remedy=MORE, residuals="by-joint")
+_too_similar = partial(told, remedy=MORE, residuals="by-joint")
 """Makes a finding of configurations that are too much alike."""
 
 REPEATED, SHARE = 3.0, 0.5
@@ -328,7 +328,7 @@ def spread(blocks: Sequence[Floats]) -> float:
 
 def copies(case: Case) -> Iterator[Finding]:
     """Measurements that are equal to another one to the last digit."""
-    data, rows = case.data, _equal(case.data)
+    data, rows = case.data, _repeated_rows(case.data)
     if not rows or _by_chance(case, len(rows)):
         return
     text = f"{len(rows)} of {len(data)} measurements are copies of others to the last "
@@ -341,7 +341,7 @@ def copies(case: Case) -> Iterator[Finding]:
 def repetitions(case: Case) -> Iterator[Finding]:
     """Few configurations, or most measurements at one of them."""
     data, problem = case.data, case.fit.problem
-    labels = _things_there(data)
+    labels = _thing_labels(data)
     counts, configurations = np.bincount(labels), data.configurations
     free = int(problem.parameters.free.sum())
     many = len(data) >= REPEATED * len(counts)
@@ -361,9 +361,9 @@ def repetitions(case: Case) -> Iterator[Finding]:
         yield told("one-configuration", text, numbers, remedy)
 
 
-def _equal(data: Observations) -> list[int]:
+def _repeated_rows(data: Observations) -> list[int]:
     """Measurements that repeat all numbers of one before them in the files."""
-    place, label, repeated = np.argsort(data.in_order), _things_there(data), list[int]()
+    place, label, repeated = np.argsort(data.in_order), _thing_labels(data), list[int]()
     several = np.bincount(label)[label] > 1
     for block, rows in zip(data.blocks, data.slices, strict=True):
         if not block.values.shape[1]:
@@ -397,7 +397,7 @@ def _by_chance(case: Case, pairs: int) -> bool:
     return bool(chance * (len(case.data) - case.data.configurations + pairs) > CHANCE)
 
 
-def _things_there(data: Observations) -> Indices:
+def _thing_labels(data: Observations) -> Indices:
     """Label of the measurements of one thing at one configuration, shape (N,)."""
     labels = data.groups() * (data.things.max() + 1) + data.things
     return numbered(labels)[1]
@@ -422,7 +422,7 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
         text = "no measurement moves some joints, and errors that only their motion "
         text += f"shows stay at nominal: {enumerated(still)}"
         numbers, several = {"joints": ", ".join(still)}, len(chains.names) > 1
-        yield _alike("unmoved-joints", text, numbers, info=several)
+        yield _too_similar("unmoved-joints", text, numbers, info=several)
 
 
 def hidden_joints(case: Case) -> Iterator[Finding]:
@@ -458,10 +458,10 @@ def design(case: Case) -> Iterator[Finding]:
     room = np.where(chains.revolute, np.minimum(room, TURN), room)
     moved = np.array([j not in chains.mimics for j in chains.joints]) & (span > 0.0)
     part = np.divide(span, room, out=np.ones(len(span)), where=room > 0.0)
-    elsewhere = _elsewhere(case) if count > FEWEST else ""
+    elsewhere = _errors_elsewhere(case) if count > FEWEST else ""
     if elsewhere and _smooth(q[case.data.in_order][:, moved]):
         text = f"all configurations lie on one path, and {elsewhere}"
-        yield _alike("one-path", text, {})
+        yield _too_similar("one-path", text, {})
         elsewhere = ""
     limit, within = WIDE if elsewhere else SMALL, np.minimum(part, 1.0)
     by_chance = moved.sum() * (count - (count - 1) * within) * within ** (count - 1)
@@ -478,7 +478,7 @@ def design(case: Case) -> Iterator[Finding]:
         text += elsewhere or "elsewhere the accuracy is uncertain"
         narrow = elsewhere or part[worst[0]] < NARROW
         numbers = {chains.joints[j]: part[j] for j in worst}
-        yield _alike("small-range", text, numbers, info=not narrow)
+        yield _too_similar("small-range", text, numbers, info=not narrow)
     several = int(moved.sum())
     if several < 2 or len(q) <= several:
         return
@@ -489,10 +489,10 @@ def design(case: Case) -> Iterator[Finding]:
         text = f"the {several} joints that move do so in few independent directions"
         text += f" ({directions}); errors that cancel along them show elsewhere"
         numbers = {"directions": directions, "joints": several}
-        yield _alike("joints-move-together", text, numbers, info=directions > FEW)
+        yield _too_similar("joints-move-together", text, numbers, info=directions > FEW)
 
 
-def _elsewhere(case: Case) -> str:
+def _errors_elsewhere(case: Case) -> str:
     """Expected errors elsewhere in words, if they are far above those of the design."""
     pairs = [(a.workspace, a.measured) for a in case.accuracies.values()]
     sizes = [[x.calibrated.position for x in pair if x] for pair in pairs]

@@ -45,7 +45,7 @@ from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.alternatives import (
     Alternative,
     Explanation,
-    read_so,
+    read_with,
 )
 from calib_pin.validation.findings.case import (
     CHANCE,
@@ -53,7 +53,7 @@ from calib_pin.validation.findings.case import (
     Case,
     QuickFit,
     Score,
-    sized,
+    fit_factors,
     unlikely,
 )
 from calib_pin.validation.findings.readings import (
@@ -251,12 +251,12 @@ class _Motions:
 
         def read(sizes: Floats) -> Observations:
             fault = motion.alternative(self.case, float(sizes[0]))
-            return read_so(self.case.data, [fault]).rows(self.index)
+            return read_with(self.case.data, [fault]).rows(self.index)
 
         def column(fit: QuickFit) -> Floats:
             return self.column(fit, motion)
 
-        fit, (size,) = sized(self.fit, np.zeros(1), column, read)
+        fit, (size,) = fit_factors(self.fit, np.zeros(1), column, read)
         return fit, float(size)
 
 

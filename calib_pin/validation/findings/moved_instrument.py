@@ -114,13 +114,13 @@ def _if_moved(
         after: The fitted model with these measurements, about its frames.
         station: Owner and kind of the station's frame.
     """
-    here = _elsewhere(after, station)
+    here = _at_new_station(after, station)
     if here is None:
         return errors, []
     values, unknowns = measured_count(here.problem), len(here.refitted)
     dof, was, now = max(values - unknowns, 1), _chi_square(after), _chi_square(here)
     ratio = np.sqrt(was * dof / max(now * values, 1e-300))
-    nominal = _elsewhere(before, station) if ratio > SUSPICIOUS else None
+    nominal = _at_new_station(before, station) if ratio > SUSPICIOUS else None
     if nominal is None:
         return errors, []
     errors_here: ModelErrors | None
@@ -129,7 +129,7 @@ def _if_moved(
     off, anew = (float(np.sqrt(square / values)) for square in (was, now))
     end, remedy = "has moved, and both robots are registered on them", STATION
     distinct = distinct_values(here.problem)
-    if ratio <= MOVED or not _alike(errors, errors_here, here.problem):
+    if ratio <= MOVED or not _same_move(errors, errors_here, here.problem):
         if anew > SUSPICIOUS or by_chance(was, now, unknowns, dof) > CHANCE:
             return errors, []
         # Where the fit does not know the robot as well, it is that far off.
@@ -150,17 +150,17 @@ def _if_moved(
     return errors_here, [told("moved-instrument", text, numbers, remedy)]
 
 
-def _elsewhere(registered: Registered, station: str) -> Registered | None:
+def _at_new_station(robot: Registered, station: str) -> Registered | None:
     """A problem with a station estimated anew from its measurements.
 
     The base and the stationary references of the instrument are estimated; tool and
     robot stay. None if nothing of the station is free.
 
     Args:
-        registered: The problem of measurements from there, about its frames.
+        robot: The problem of measurements from there, about its frames.
         station: Owner and kind of the station's frame.
     """
-    problem, theta = registered.problem, registered.theta
+    problem, theta = robot.problem, robot.theta
     parameters = problem.parameters
     base, outer = np.zeros((2, len(parameters)), bool)
     for term, _, _, _ in problem.blocks:
@@ -175,10 +175,10 @@ def _elsewhere(registered: Registered, station: str) -> Registered | None:
     relative = any(block.start.size for block in problem.data.blocks)
     loose = bool(parameters.free[base].all()) and not relative
     here, theta = at_another_station(problem, theta, station, free, loose)
-    return Registered(here, theta, registered.new, tuple(free.tolist()))
+    return Registered(here, theta, robot.new, tuple(free.tolist()))
 
 
-def _alike(errors: ModelErrors, anew: ModelErrors, problem: Problem) -> bool:
+def _same_move(errors: ModelErrors, anew: ModelErrors, problem: Problem) -> bool:
     """Whether both robots see about the same displacement, in the median."""
     unit = problem.layout.table(problem.sigma, len(problem.data))
     pairs = (errors.before, anew.before), (errors.after, anew.after)
@@ -191,9 +191,9 @@ def _alike(errors: ModelErrors, anew: ModelErrors, problem: Problem) -> bool:
     return bool(apart < ALIKE * moved)
 
 
-def _chi_square(registered: Registered) -> float:
+def _chi_square(robot: Registered) -> float:
     """Sum of squared errors in standard deviations; infinite where one is lost."""
-    present = np.isfinite(registered.problem.sigma)
-    sigma = registered.problem.sigma[present]
-    errors = registered.problem.errors(registered.theta)[present] / sigma
+    present = np.isfinite(robot.problem.sigma)
+    sigma = robot.problem.sigma[present]
+    errors = robot.problem.errors(robot.theta)[present] / sigma
     return float(np.nan_to_num(errors @ errors, nan=np.inf, posinf=np.inf))

@@ -136,12 +136,12 @@ def outliers(case: Case) -> Iterator[Finding]:
         rows = data.in_order[data.weight[data.in_order] == 0.0].tolist()
         why = " that were looked at do not fit the nominal robot as the others do"
         if rows:
-            yield _aside("outliers", data, rows, why, {})
+            yield _exclusion("outliers", data, rows, why, {})
         return
     out = [o for o in fitted.robust.outliers if o.weight == 0.0]
     if fitted.robust.squared is None or not out:
         return
-    moved = displaced(fitted, fitted.robust.squared)
+    moved = tool_displacement(fitted, fitted.robust.squared)
     numbers: dict[str, Any] = {"displaced": moved, "all": len(data)}
     keeping = f"; keeping them would move the tool point by {shown(moved, 'm')}"
     pairs = _pairs(data, out)
@@ -164,10 +164,10 @@ def outliers(case: Case) -> Iterator[Finding]:
             evidence["target"] = ", ".join(sorted(targets))
         why = f" excluded as outliers{words}{keeping}"
         error, info = bool(words), moved <= LENGTH_SCALE
-        yield _aside(code, data, rows, why, evidence, error=error, info=info)
+        yield _exclusion(code, data, rows, why, evidence, error=error, info=info)
 
 
-def _aside(
+def _exclusion(
     code: str,
     data: Observations,
     rows: Sequence[int],
@@ -216,7 +216,7 @@ def _stretches(data: Observations, rows: Indices) -> Iterator[tuple[str, str, In
         yield "outliers", "", rows
 
 
-def displaced(fitted: Fit, squared: Fit) -> float:
+def tool_displacement(fitted: Fit, squared: Fit) -> float:
     """How far two fits have the tool apart, over the workspace, rms [m]."""
     first = CalibratedModel.create(fitted.problem, fitted.theta)
     second = CalibratedModel.create(squared.problem, squared.theta)
@@ -325,7 +325,7 @@ def plausibility(case: Case) -> Iterator[Finding]:
     robot = _of_robot(fitted.problem.parameters)
     if not robot.any() or fitted.dof <= 0 or not np.isfinite(fitted.theta).all():
         return
-    wrong = [*contradicted(fitted, case.fit.errors)]
+    wrong = [*contradicted_distance(fitted, case.fit.errors)]
     yield from wrong
     # One wrong distance among several stretches the robot; where nothing tells its
     # scale, or it has grown, there are large corrections everywhere.
@@ -369,7 +369,7 @@ class _Linear(NamedTuple):
         grown[: len(problem.sigma)] = growth(problem, fitted.theta)
         A = J[:, _of_robot(parameters)]
         y = A @ (fitted.theta / parameters.scales)[_of_robot(parameters)] - r
-        for X in (case.beside[name] for name in lacking):
+        for X in (case.omitted[name] for name in lacking):
             A = np.column_stack([A, np.pad(X, [(0, len(r) - len(X)), (0, 0)])])
         system = projected(np.column_stack([A, grown, y]), J, parameters)
         R = np.asarray(np.linalg.qr(system, mode="r"))
@@ -403,7 +403,7 @@ class _Linear(NamedTuple):
         chance = sum(p * normal_tail(z) for p, z in zip(likely, sizes, strict=True))
         return mean, spread**0.5, float(chance), float(SIZES[np.argmax(likely)])
 
-    def held(self, size: float) -> Floats:
+    def ridge(self, size: float) -> Floats:
         """The errors x if a normal prior keeps them at a size, shape (n,).
 
         Ridge regression: along what the measurements do not tell there are none.
@@ -474,7 +474,7 @@ def _corrections(case: Case, fitted: Fit) -> Iterator[Finding]:
     if sizes.max() < LARGE:
         return
     linear, factor, z = _Linear.of(case, fitted, ()), np.inf, x.copy()
-    for shrunk in map(linear.held, SIZES[::-1].tolist()):
+    for shrunk in map(linear.ridge, SIZES[::-1].tolist()):
         z[robot] = shrunk
         if _sizes(fitted, z).max() < LARGE:
             factor = linear.misfit(shrunk) / max(linear.misfit(x[robot]), ROUNDING)
@@ -552,7 +552,7 @@ def _sizes(fitted: Fit, x: Floats) -> Floats:
     return np.array(moved) / (LENGTH_SCALE, turn)
 
 
-def contradicted(
+def contradicted_distance(
     fitted: Fit, errors: float, robust: Fit | None = None
 ) -> Iterator[Finding]:
     """The known distance that the measurements contradict most, if they do.
@@ -578,7 +578,7 @@ def contradicted(
     redundancy = np.maximum(1.0 - np.sum((J @ half) ** 2, axis=1), ROUNDING)
     if fitted.robust.squared is not None and redundancy.min() <= ROUNDING:
         # All measurements of an end are set aside, for one of both must be wrong.
-        yield from contradicted(fitted.robust.squared, errors, fitted)
+        yield from contradicted_distance(fitted.robust.squared, errors, fitted)
         return
     w = np.abs(v) / np.sqrt(redundancy)
     k = int(np.argmax(w))

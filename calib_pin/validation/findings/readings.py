@@ -279,7 +279,7 @@ def lost_line(case: Case) -> Explanation | None:
     robots = [case.fit] if case.fit.problem.terms.keys() >= {*data.keys} else []
     third = np.argsort(data.in_order) * 3 // len(data)
     if case.doubtful:
-        robots += _standing(case, data, third == 0)
+        robots += _nominal_fit(case, data, third == 0)
     of_each = len(data) // data.configurations
     shifts = [("shift", k) for k in dict.fromkeys((1, 2, of_each))]
     shifts += [("shift_configurations", 1)] * (of_each >= SEVERAL)
@@ -311,14 +311,14 @@ def _shifted_from(
     measured, unit = np.array(has)[data.block_of], expected_size(quantity.unit)
     source = from_below(data, shift, SHIFTS[key])
     shifted = with_positions(data, data.q[source])
-    behind_it = _standing(case, shifted, last & (source >= 0)) if case.doubtful else ()
-    for robot in (*robots, *behind_it):
+    more = _nominal_fit(case, shifted, last & (source >= 0)) if case.doubtful else ()
+    for robot in (*robots, *more):
         here, other = (_errors_of(robot, read) for read in (data, shifted))
         other[source < 0] = np.nan
         for rows in in_files(data):
             number = SHIFTS[key](data.q[rows])
             behind = np.searchsorted(number, number + max(-shift, 0))
-            first = _lost(here[rows], other[rows], behind)
+            first = _first_shifted(here[rows], other[rows], behind)
             if first < 0 or (first == 0 and case.doubtful):
                 continue
             errors, later = here.copy(), rows[behind[first] :]
@@ -332,7 +332,7 @@ def _shifted_from(
             yield Explanation(fault, before, after, robot.robot, judged="error")
 
 
-def _standing(case: Case, data: Observations, part: Booleans) -> Iterator[QuickFit]:
+def _nominal_fit(case: Case, data: Observations, part: Booleans) -> Iterator[QuickFit]:
     """The nominal robot where a part of the measurements has it, if it can be there."""
     setup = replace(case.setup, parameters=(), learned=None, fixed=(), bounds={})
     data = data.weighted(part.astype(float))
@@ -355,7 +355,7 @@ def _errors_of(fit: QuickFit, data: Observations) -> Floats:
     return np.asarray(np.minimum(errors, ABSURD))
 
 
-def _lost(here: Floats, other: Floats, behind: Indices) -> int:
+def _first_shifted(here: Floats, other: Floats, behind: Indices) -> int:
     """The line from which on positions are shifted, -1 for none.
 
     What is before it, if anything, and what is behind it must fit far better so.
@@ -494,13 +494,13 @@ def orientations(case: Case, likely: float = LIKELY) -> Iterator[Alternative]:
     inverted = ReadingSetup(inverted=True)
     yield Alternative("pose-inverted", words, "pose of what", inverted, gross=True)
     try:
-        terms = _located(case, blocks)
+        terms = _located_terms(case, blocks)
     except (CalibPinError, np.linalg.LinAlgError):
         return
-    sampled = {block.key: block.sample(ROWS) for block in blocks}
+    sampled = [block.sample(ROWS) for block in blocks]
     columns = {block.orientation or "quaternion" for block in blocks}
     trials = [
-        (reading, {key: _agreed(terms[key], reading, sampled[key]) for key in sampled})
+        (reading, {b.key: _agreement(terms[b.key], reading, b) for b in sampled})
         for reading in (OrientationSetup(), *_conventions(columns))
     ]
     angles = [max(apart for apart, _ in agreed.values()) for _, agreed in trials]
@@ -529,7 +529,7 @@ def _conventions(columns: Iterable[str]) -> Iterator[OrientationSetup]:
                 yield OrientationSetup(way, hold, inverse=True)
 
 
-def _located(case: Case, blocks: Sequence[Measurements]) -> dict[BlockKey, Term]:
+def _located_terms(case: Case, blocks: Sequence[Measurements]) -> dict[BlockKey, Term]:
     """The terms of blocks where positions alone find the robot."""
     sampled = [replace(b.sample(ROWS), model="position", sigma=None) for b in blocks]
     data = Observations.of(*(replace(b, values=b.values[:, :3]) for b in sampled))
@@ -552,7 +552,7 @@ def _tools(
     return rotations, to_quaternion(to_tip @ from_quaternion(rotations))
 
 
-def _agreed(
+def _agreement(
     term: Term, reading: OrientationSetup, block: Measurements
 ) -> tuple[float, Floats]:
     """Typical disagreement about the tool [rad], and what most agree on."""
@@ -670,7 +670,7 @@ def target_frames(case: Case) -> Iterator[Alternative]:
         words += "fit together, and each fits alone"
         for frame in FRAMES:
             fault = Alternative("target-frames", words, "frames of targets")
-            change = partial(_apart, group=group, frame=frame)
+            change = partial(_split, group=group, frame=frame)
             advice = f"give each a {frame} of its own (a column '{frame}')"
             yield replace(fault, change=change, advice=advice, absorbs=ABSORBED)
 
@@ -694,7 +694,7 @@ def _groups(data: Observations) -> Iterator[dict[str, str]]:
     yield {name: first[label[name]] for name in names}
 
 
-def _apart(data: Observations, group: Mapping[str, str], frame: Frame) -> Observations:
+def _split(data: Observations, group: Mapping[str, str], frame: Frame) -> Observations:
     """Measurements whose groups of targets have a station, or a tool, of their own."""
     return apart(data, frame, data.target.map(group.__getitem__))[0]
 
@@ -712,12 +712,12 @@ def instruments(case: Case) -> Iterator[Alternative]:
             lines={"camera": {"mount": mount}},
         )
         words, advice = "u and v are exchanged", "exchange the names of these columns"
-        fault = Alternative("image-axes", words, "the camera", change=_turned)
+        fault = Alternative("image-axes", words, "the camera", change=_transposed)
         yield replace(fault, advice=advice)
         if camera.size is not None:
             words = "v counts from the lower edge of the image, and not from the upper"
             advice = f"take {camera.size[1] - 1:g} - v"
-            change = partial(_upright, last=camera.size[1] - 1.0)
+            change = partial(_upside_down, last=camera.size[1] - 1.0)
             yield replace(fault, words=words, advice=advice, change=change)
 
 
@@ -770,12 +770,12 @@ def robots(case: Case) -> Iterator[Alternative]:
         yield Alternative("robot", words, "the chain", chains=other, advice=advice)
 
 
-def _turned(data: Observations) -> Observations:
+def _transposed(data: Observations) -> Observations:
     """Measurements with the rows and columns of their images exchanged."""
     return _with_pixels(data, lambda values: values[:, ::-1])
 
 
-def _upright(data: Observations, last: float) -> Observations:
+def _upside_down(data: Observations, last: float) -> Observations:
     """Measurements with the rows of their images counted from the last one."""
     return _with_pixels(data, lambda values: [0.0, last] + values * [1.0, -1.0])
 
@@ -839,7 +839,7 @@ def joint_sets(case: Case) -> Explanation | None:
         columns = {j: near[j][k] for j in sample.joints if k < len(near[j])}
         maps = {column: joint_maps.get(j, JointMap(j)) for j, column in columns.items()}
         try:
-            both = [sample, _moved(sample, columns)]
+            both = [sample, _with_columns(sample, columns)]
             problems = [make_problem(case.chains, data, setup) for data in both]
             here, there = (QuickFit.of(problem, COMPARED) for problem in problems)
         except CalibPinError:
@@ -862,7 +862,7 @@ def joint_sets(case: Case) -> Explanation | None:
     return min(explanations, key=lambda explanation: explanation.after, default=None)
 
 
-def _moved(data: Observations, columns: Mapping[str, str]) -> Observations:
+def _with_columns(data: Observations, columns: Mapping[str, str]) -> Observations:
     """Measurements with the joint positions that other columns have.
 
     Raises:

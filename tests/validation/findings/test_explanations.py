@@ -24,7 +24,7 @@ from calib_pin.validation.findings.alternatives import (
     JointReading,
     explain,
     findings_of,
-    read_so,
+    read_with,
     setup_lines,
 )
 from calib_pin.validation.findings.case import Case
@@ -109,7 +109,7 @@ def test_what_is_wrong_is_found(
     assert found is not None and {fault.code for fault in found.faults} == codes
     assert found.after < 0.05 * found.before
     # Products with pi and its inverse, and sums, of positions up to 100.
-    np.testing.assert_allclose(read_so(wrong, found.faults).q, rows.q, atol=1e-12)
+    np.testing.assert_allclose(read_with(wrong, found.faults).q, rows.q, atol=1e-12)
 
 
 @pytest.mark.slow

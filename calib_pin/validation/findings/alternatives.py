@@ -144,11 +144,11 @@ class JointReading:
         given = [joint_maps.get(column, JointMap(joint)) for joint, column in pairs]
         # Every position as it has been read is an affine function of file columns.
         names = [*dict.fromkeys([*columns, *(n for g in given for n in g.coupled)])]
-        read = np.zeros((len(joints), len(names)))
-        for row, column, joint_map in zip(read, columns, given, strict=True):
+        by_column = np.zeros((len(joints), len(names)))
+        for row, column, joint_map in zip(by_column, columns, given, strict=True):
             for name, part in [(column, 1.0), *joint_map.coupled.items()]:
                 row[names.index(name)] += joint_map.sign * joint_map.gear * part
-        factors = self.factors @ read
+        factors = self.factors @ by_column
         offsets = self.factors @ [m.offset for m in given] + self.offsets
         # Every joint has a column that no other one has, its own where it can.
         from scipy.optimize import linear_sum_assignment  # Slow to import.
@@ -317,18 +317,18 @@ def findings_of(case: Case, explanation: Explanation | None) -> tuple[Finding, .
     if quantity.unit != "m" or explanation.fitted:
         scale = 1.0  # Errors of the nominal robot are in the unit of the file.
     before, after = explanation.before, scale * explanation.after
-    was, now = (shown(size, quantity.unit, 3) for size in (before, after))
-    fall = f"drop from {was} to" if np.isfinite(before) else "are"
+    old, new = (shown(size, quantity.unit, 3) for size in (before, after))
+    fall = f"drop from {old} to" if np.isfinite(before) else "are"
     robot = "of a fit" if explanation.fitted else "of the nominal robot"
     severity, result = explanation.severity, list[Finding]()
     for fault in explanation.faults:
         text = f"{fault.words}: with this corrected, the {quantity.name} errors {robot}"
-        text += f" {fall} {now}"
+        text += f" {fall} {new}"
         numbers = {**fault.numbers, "rms_before": before, "rms_after": after}
         # The lines are a way for what states some, be it beside another way.
-        how = fault.advice, lines if setup_lines(case, [fault]) else {}, fault.figure
+        remedy = fault.advice, lines if setup_lines(case, [fault]) else {}, fault.figure
         error, info = severity == "error", severity == "info"
-        finding = told(fault.code, text, numbers, *how, error=error, info=info)
+        finding = told(fault.code, text, numbers, *remedy, error=error, info=info)
         result.append(finding)
     return tuple(result)
 
@@ -391,25 +391,25 @@ class _Search:
             if self.case.progress is not None:
                 self.case.progress(k / MOST)
             trials: dict[frozenset[int], _Trial] = {}
-            most: dict[frozenset[int], float] = {}
-            for (error, faults), more in product(beam, self.faults):
-                joint = (*faults, more)
-                key = frozenset(map(id, joint))
-                if key not in trials and all(f.subject != more.subject for f in faults):
-                    trials[key] = self._nominal_rms(joint), joint
-                    most[key] = CLEARER * error / more.absorbs
+            limits: dict[frozenset[int], float] = {}
+            for (error, faults), new in product(beam, self.faults):
+                union = (*faults, new)
+                key = frozenset(map(id, union))
+                if key not in trials and all(f.subject != new.subject for f in faults):
+                    trials[key] = self._nominal_rms(union), union
+                    limits[key] = CLEARER * error / new.absorbs
             ranked = sorted(trials, key=lambda key: _rank(trials[key]))
             for key in ranked[:LIKELY]:
                 faults = trials[key][1]
                 trials[key] = self._nominal_rms(faults, thorough=True), faults
             # Of those that leave the same, the likelier kind comes first.
-            clear = [trials[key] for key in ranked if trials[key][0] < most[key]]
+            clear = [trials[key] for key in ranked if trials[key][0] < limits[key]]
             beam = sorted(clear, key=_rank)[:WIDTH]
             best = sorted(best + beam, key=_rank)
             error, faults = best[0]
             # Each of as many again may join those that are ahead.
-            tried = self.tried * len(self.faults)
-            if error < enough or self._ratio(faults, last, error) < unlikely(tried):
+            count = self.tried * len(self.faults)
+            if error < enough or self._ratio(faults, last, error) < unlikely(count):
                 break
             last = error
         return self._best(best)
@@ -424,7 +424,7 @@ class _Search:
                 kinds = of_joint.setdefault(fault.joint, {})
                 kinds.setdefault(fault.subject, [None]).append(fault)
         choices = (product(*kinds.values()) for kinds in of_joint.values())
-        sets = [tuple(filter(None, some)) for choice in choices for some in choice]
+        sets = [tuple(filter(None, faults)) for choice in choices for faults in choice]
         sets = [faults for faults in sets if len(faults) > 1]
         if not 0 < len(sets) <= TOGETHER:
             return None
@@ -463,10 +463,10 @@ class _Search:
         # What leaves none out explains more.
         close = [p for p in close if not any(h.reading.without for h in p[1])] or close
         error, faults = close[0]
-        fittable = not any(fault.gross for _, some in close for fault in some)
+        fittable = not any(fault.gross for _, faults in close for fault in faults)
         if fittable and len(close) > 1:
             # A fit that gets lost leaves no more than the nominal robot.
-            fits = [(min(self._fit_rms(some), size), some) for size, some in close]
+            fits = [(min(self._fit_rms(faults), rms), faults) for rms, faults in close]
             error, faults = close[int(np.argmin([*map(_rank, fits)]))]
         explanation = self._accepted(faults, error, DECISIVE, fitted=False)
         fittable = fittable and not any(h.chains or h.reading.without for h in faults)
@@ -487,7 +487,7 @@ class _Search:
                 return self._necessary(without, rest)
         return error, faults
 
-    def _by_fits(self, faults: _Faults, most: float) -> Explanation | None:
+    def _by_fits(self, faults: _Faults, part: float) -> Explanation | None:
         """Faults with which a fit leaves far less.
 
         Contacts draw a robot together, the more so the less is known of it.
@@ -498,20 +498,20 @@ class _Search:
         # The right reading of joints leaves a robot, which a fit knows better.
         if any(h.joints for h in faults) and after > FOREIGN * self.usual:
             return None
-        return self._accepted(faults, after, most, fitted=True)
+        return self._accepted(faults, after, part, fitted=True)
 
     def _accepted(
         self, faults: _Faults, after: float, part: float, *, fitted: bool
     ) -> Explanation | None:
-        before, most = self._limits(part, fitted)
-        if not faults or not after < most or not self._corrects_less(faults, after):
+        before, limit = self._limits(part, fitted)
+        if not faults or not after < limit or not self._corrects_less(faults, after):
             return None
         if self._ratio(faults, before, after) < unlikely(self.tried):
             return None
         case = self.case
-        known = case.fitted is not None and case.errors_left <= DOUBTFUL
+        small = case.fitted is not None and case.errors_left <= DOUBTFUL
         # A fit finds the same errors of the robot without it.
-        offset = known and all(fault.code == "joint-offset" for fault in faults)
+        offset = small and all(fault.code == "joint-offset" for fault in faults)
         judged: Severity | None = "warning" if offset else None
         # The error of a position is its length, as elsewhere, not that along an axis.
         unit = self.unit * float(np.sqrt(case.fit.quantity.dimension))
@@ -535,8 +535,8 @@ class _Search:
         before = self._fit_rms(()) if fitted else self.first
         if self.case.fitted is not None:
             # A trial may get lost where the whole fit does not.
-            known = self.case.errors_left if fitted else self.case.errors_nominal
-            before = min(before, self.usual * known)
+            errors = self.case.errors_left if fitted else self.case.errors_nominal
+            before = min(before, self.usual * errors)
         # Where nothing tells what a wrong reading leaves, it must be errors of a robot.
         of_robot = self.usual * (DOUBTFUL if fitted else FOREIGN)
         return before, part * before if np.isfinite(before) else of_robot
@@ -563,13 +563,13 @@ class _Search:
         """Those measurements that trials are made on."""
         data = _thinned(data)
         if len(data) >= SEVERAL * data.configurations:
-            least = IMAGES * CORNERS
+            size = IMAGES * CORNERS
         else:
             # A distance tells a third of what a position does.
             scalar = any(len(declared(m).components) == 1 for m in data.models)
-            least = 3 * ROWS if scalar else ROWS
+            size = 3 * ROWS if scalar else ROWS
         # Each frame that is a new one needs as many.
-        return data.sample(least * len(data.blocks) // len(self.data.blocks))
+        return data.sample(size * len(data.blocks) // len(self.data.blocks))
 
     def _nominal_rms(self, faults: _Faults, thorough: bool = False) -> float:
         """Error of the registered nominal robot, rms in standard deviations."""

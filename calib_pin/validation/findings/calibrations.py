@@ -48,14 +48,14 @@ def different_robots(
         for joints in (model.setup.joints.values() for model in (first, second))
     ]
     differ = [j for j in {**maps[0], **maps[1]} if maps[0].get(j) != maps[1].get(j)]
-    why = "no robot changes so much on its own"
+    reason = "no robot changes so much on its own"
     remedy = "check its mastering, and how the measurements of both are read"
     if not same_nominal:
-        why, remedy = "their nominal robots differ", "compare those of one robot"
+        reason, remedy = "their nominal robots differ", "compare those of one robot"
     elif differ:
-        why = f"they read the column of {enumerated(differ)} differently"
+        reason = f"they read the column of {enumerated(differ)} differently"
         remedy = "state the same 'joints' in the setup of both"
-    text = f"the tool points are {1e3 * apart:.0f} mm rms apart: {why}"
+    text = f"the tool points are {1e3 * apart:.0f} mm rms apart: {reason}"
     error = bool(differ) or not same_nominal
     return (told("different-robots", text, {"rms": apart}, remedy, error=error),)
 
@@ -74,8 +74,8 @@ def older_calibration(
     day = f" of {step.created[:10]}" if step.created else ""
     sizes = [(n, shown(x.rms, unit)) for n, unit, x in new.recalibration.errors]
     errors = " and ".join(f"{name} errors of {size} rms" for name, size in sizes)
-    by = f"it predicts these measurements with {errors}, chi-square {step.chi2:.0f} "
-    by += f"(expected: {step.dof})"
+    basis = f"it predicts these measurements with {errors}, chi-square {step.chi2:.0f} "
+    basis += f"(expected: {step.dof})"
     before, after = (result.accuracy.workspace for result in (older, new))
     promised = np.nan if before is None else before.calibrated[0]
     expected = np.nan if after is None else after.calibrated[0]
@@ -89,8 +89,8 @@ def older_calibration(
     numbers: dict[str, Any] = {"chi2": step.chi2, "dof": step.dof}
     if np.isfinite(error):
         numbers["error"] = error
-        by += f", and is off by {shown(error, 'm')} over the workspace "
-        by += f"(promised: {shown(promised, 'm')})"
+        basis += f", and is off by {shown(error, 'm')} over the workspace "
+        basis += f"(promised: {shown(promised, 'm')})"
     for k, jump in enumerate(step.jumps, 1):
         numbers |= {f"joint {k}": jump.name or jump.kind, f"change {k}": jump.change}
     holds = all(map(_of_frame, step.jumps)) and not error > HOLDS * promised
@@ -103,7 +103,7 @@ def older_calibration(
     code, verdict = "old-calibration-holds", "still holds"
     if not holds:
         code, verdict = "old-calibration-no-longer-holds", "no longer holds"
-    text = f"the older calibration{day} {verdict}: {words}; {by}"
+    text = f"the older calibration{day} {verdict}: {words}; {basis}"
     yield told(code, text, numbers, remedy, info=holds)
 
 
@@ -126,18 +126,18 @@ def _remedies(jumps: tuple[Jump, ...]) -> Iterator[str]:
 
 def _words(jump: Jump) -> str:
     """A sudden change in words."""
-    other = f" (or instead {' or '.join(jump.instead)})" if jump.instead else ""
+    note = f" (or instead {' or '.join(jump.instead)})" if jump.instead else ""
     if jump.beside:
-        other += f" (beside it an offset of {' or '.join(jump.beside)} does not show)"
+        note += f" (beside it an offset of {' or '.join(jump.beside)} does not show)"
     if jump.kind == "offset":
         value = shown(abs(jump.change), jump.unit).split()[0]
         sigma = shown(jump.sigma, jump.unit, 1)
-        return f"the offset of '{jump.name}' has changed by {value} +- {sigma}{other}"
+        return f"the offset of '{jump.name}' has changed by {value} +- {sigma}{note}"
     subject = f"'{jump.name}'" if jump.name else "the whole robot"
     if jump.kind in SEPARATE:
         subject = " ".join(filter(None, ("the", jump.kind, jump.name)))
     elif jump.kind == "robot":
-        other = ", or this is another robot of its type"
+        note = ", or this is another robot of its type"
     sizes = [(jump.change, "m"), (jump.turn, "rad")]
     moved = " and ".join(shown(size, unit) for size, unit in sizes if size > 0.0)
-    return f"{subject} has moved by {moved}{other}"
+    return f"{subject} has moved by {moved}{note}"

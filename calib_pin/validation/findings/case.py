@@ -129,9 +129,9 @@ LACKING = 0.5
 _Fitted = TypeVar("_Fitted", bound="QuickFit")
 
 
-def unlikely(tried: int = 1) -> float:
+def unlikely(trials: int = 1) -> float:
     """Logarithm of the likelihood ratio that the best of so many has by no chance."""
-    return float(np.log(max(tried, 1) / CHANCE))
+    return float(np.log(max(trials, 1) / CHANCE))
 
 
 def by_chance(before: float, after: float, count: int, dof: float) -> float:
@@ -394,23 +394,23 @@ class QuickFit:
 
     def _by_positions(self, name: str) -> Floats:
         """Whitened residual by the positions of a name in every block, shape (M, n)."""
-        here, _ = self.linear
+        r, _ = self.linear
         blocks, count = self.problem.data.blocks, len(self.problem.data.joints)
         if not any(getattr(block, name).size for block in blocks):
-            return np.zeros((len(here), count))
+            return np.zeros((len(r), count))
         # All at once, one joint after the other: most of an evaluation is overhead.
         joint, moved = [], []
         for block in blocks:
             joint.append(np.repeat(np.arange(count), len(block)))
             copies = block.rows(np.tile(np.arange(len(block)), count))
-            at = getattr(copies, name)
-            there = at + STEP * np.eye(count)[joint[-1]] if at.size else at
-            moved.append(replace(copies, **{name: there}))
+            q = getattr(copies, name)
+            q_moved = q + STEP * np.eye(count)[joint[-1]] if q.size else q
+            moved.append(replace(copies, **{name: q_moved}))
         problem = replace(self.problem, data=Observations(tuple(moved)))
         row = problem.layout.row
         order = np.argsort(np.concatenate(joint)[row], kind="stable")
-        there = problem.residual(self.theta)[: len(row)][order].reshape(count, -1)
-        return (there.T - here[:, None]) / STEP
+        r_moved = problem.residual(self.theta)[: len(row)][order].reshape(count, -1)
+        return (r_moved.T - r[:, None]) / STEP
 
     def explaining(self, columns: Floats) -> Self:
         """The same fit as if further columns were in it, to first order.
@@ -445,16 +445,16 @@ class QuickFit:
         X, (_, r), count = self.beyond(columns), self.unexplained, columns.shape[1]
         U, s, Vt = np.linalg.svd(X, full_matrices=False)
         # What the fit can do already leaves rounding.
-        kept = s > max(1e-6 * float(np.linalg.norm(columns)), 1e-300)
-        U, inverse = U[:, kept], Vt[kept].T / s[kept]
-        along, total, k = U.T @ r, float(r @ r), int(kept.sum())
+        usable = s > max(1e-6 * float(np.linalg.norm(columns)), 1e-300)
+        U, inverse = U[:, usable], Vt[usable].T / s[usable]
+        along, total, k = U.T @ r, float(r @ r), int(usable.sum())
         dof = self.dof - k
         if not k or dof < 1 or total <= 0.0:
             return Score(1.0, 1.0, np.zeros(count), np.full(count, np.inf))
-        rest = max(total - float(along @ along), 1e-300)
-        chance = by_chance(total, rest, k, dof)
-        deviations = np.sqrt(rest / dof * np.sum(inverse**2, axis=1))
-        return Score(rest / total, chance, -inverse @ along, deviations)
+        remaining = max(total - float(along @ along), 1e-300)
+        chance = by_chance(total, remaining, k, dof)
+        deviations = np.sqrt(remaining / dof * np.sum(inverse**2, axis=1))
+        return Score(remaining / total, chance, -inverse @ along, deviations)
 
 
 def stepped(fit: _Fitted, data: Observations | None = None) -> _Fitted:
@@ -503,7 +503,7 @@ def squares(fit: QuickFit) -> float:
 
 
 def surpasses(
-    fit: QuickFit, after: float, count: int, rivals: Floats, tried: int = 1
+    fit: QuickFit, after: float, count: int, rivals: Floats, trials: int = 1
 ) -> bool:
     """Whether an alternative explains more than chance and its rivals do.
 
@@ -512,14 +512,14 @@ def surpasses(
         after: Sum of the squared errors that it leaves.
         count: Number of its parameters.
         rivals: Columns of what else may be, shape (M, k).
-        tried: Number of alternatives among which it is the best.
+        trials: Number of alternatives among which it is the best.
     """
-    dof, rest = fit.dof - count, fit.dof - rivals.shape[1]
-    if min(dof, rest) < 1:
+    dof, rival_dof = fit.dof - count, fit.dof - rivals.shape[1]
+    if min(dof, rival_dof) < 1:
         return False  # There are too few measurements to compare.
-    others = squares(fit) * fit.score(rivals).remaining / rest
-    beyond = by_chance(squares(fit), after, count, dof) * tried < CHANCE
-    return beyond and after / dof < CLEARER**2 * others
+    rival = squares(fit) * fit.score(rivals).remaining / rival_dof
+    significant = by_chance(squares(fit), after, count, dof) * trials < CHANCE
+    return significant and after / dof < CLEARER**2 * rival
 
 
 Others = Callable[[], Iterable[Chains]]
@@ -618,13 +618,13 @@ class Case:
         usual = errors <= (DOUBTFUL if self.informed else FOREIGN)
         if fitted is not None and fitted.noise:
             usual |= all(noise.as_stated for noise in fitted.noise)
-        known = fitted is not None and self.fit.largest_correction <= IMPLAUSIBLE
+        plausible = fitted is not None and self.fit.largest_correction <= IMPLAUSIBLE
         # What the model lacks may be all that is left.
         lacks, part = self.lacking
-        modeled = known and PARAMETERIZATIONS.keys() >= {*lacks}
+        modeled = plausible and PARAMETERIZATIONS.keys() >= {*lacks}
         if not (usual or (modeled and errors * np.sqrt(part) <= DOUBTFUL)):
             return True
-        return self.errors_nominal > (ABSURD if known else FOREIGN)
+        return self.errors_nominal > (ABSURD if plausible else FOREIGN)
 
     @cached_property
     def errors_left(self) -> float:
@@ -696,8 +696,8 @@ class Case:
         new = [name for name in names if name in PARAMETERIZATIONS]
         if self.fitted is None or not (self.fitted.structure.scaled and new):
             return True
-        every = tuple(dict.fromkeys((*self.setup.parameters, *new)))
-        setup = replace(self.fit.problem.setup, parameters=every)
+        parameters = tuple(dict.fromkeys((*self.setup.parameters, *new)))
+        setup = replace(self.fit.problem.setup, parameters=parameters)
         wider = make_problem(self.chains, self.fit.problem.data, setup)
         problem, before = register(wider, np.zeros(len(wider.parameters)))
         return scale_known(problem, before.x)
@@ -709,13 +709,13 @@ class Case:
         By family of parameters, and by what is held of instruments, see `held_as`.
         """
         problem, theta = self.fit.problem, self.fit.theta
-        others = [
+        names = [
             name
             for name, family in PARAMETERIZATIONS.items()
             if family.effects and name not in self.setup.parameters
         ]
         columns = dict[str, Floats]()
-        effects = candidates(problem, others + unplaced(self.setup))
+        effects = candidates(problem, names + unplaced(self.setup))
         if effects is not None:
             X, kinds = effects.rows(problem, theta), np.array(effects.kinds)
             columns = {
@@ -767,9 +767,9 @@ def _without_outliers(problem: Problem) -> Observations:
     for model in {block.model for block in data.blocks}:
         of_model = np.array([b.model == model for b in data.blocks])[data.block_of]
         usual[of_model] = max(float(np.median(size[of_model])), 1.0)
-    out = size > FAR * usual
-    few = out.mean() <= SOME
-    return data.weighted(np.where(out & few, 0.0, 1.0))
+    outlying = size > FAR * usual
+    few = outlying.mean() <= SOME
+    return data.weighted(np.where(outlying & few, 0.0, 1.0))
 
 
 def some_of(data: Observations) -> tuple[Observations, Indices]:
@@ -778,5 +778,5 @@ def some_of(data: Observations) -> tuple[Observations, Indices]:
     if len(data) <= MEASUREMENTS:
         return data, rank
     ranks = np.linspace(0, len(data) - 1, MEASUREMENTS).astype(np.int64)
-    kept = np.isin(rank, ranks)
-    return data.rows(kept), rank[kept]
+    chosen = np.isin(rank, ranks)
+    return data.rows(chosen), rank[chosen]

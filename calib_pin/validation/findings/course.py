@@ -144,7 +144,7 @@ class Change(NamedTuple):
     size: float = 0.0
 
     @property
-    def key(self) -> tuple[Kind, frozenset[BlockKey], int]:
+    def subject(self) -> tuple[Kind, frozenset[BlockKey], int]:
         """Kind, blocks and joint: all but the row and the size."""
         return self.kind, self.keys, self.joint
 
@@ -268,9 +268,9 @@ class Trial(QuickFit):
             screws = term.index[: len(term.error.screws)]
             ends.append(screws[:FRAME] if change.kind == "station" else screws[-FRAME:])
         columns = np.array(ends)[data.block_of[row]]
-        seen = self.problem.parameters.free[columns]
-        seen &= concerned(self.plain.data, change)[self.index][row, None]
-        X = np.take_along_axis(self.linear[1], columns, axis=1) * seen
+        mask = self.problem.parameters.free[columns]
+        mask &= concerned(self.plain.data, change)[self.index][row, None]
+        X = np.take_along_axis(self.linear[1], columns, axis=1) * mask
         return X[:, X.any(axis=0)]
 
     def step(self, change: Change) -> Floats:
@@ -295,14 +295,14 @@ class Trial(QuickFit):
         first order.
         """
         result, rank, groups = [], self.rank[self.index], self.problem.data.groups()
-        for subject in subjects(self.plain):
-            columns = self.columns(subject)
-            rows = np.flatnonzero(concerned(self.plain.data, subject)[self.index])
+        for change in subjects(self.plain):
+            columns = self.columns(change)
+            rows = np.flatnonzero(concerned(self.plain.data, change)[self.index])
             rows = rows[np.argsort(rank[rows])]
             # What comes and goes within a few measurements is an outlier.
-            cuts = sorted(c.rank for c in self.changes if c.key == subject.key)
+            cuts = sorted(c.rank for c in self.changes if c.subject == change.subject)
             parts = np.split(groups[rows], np.searchsorted(rank[rows], cuts))
-            least = self._least(subject, columns.shape[1])
+            least = self._least(change, columns.shape[1])
             allowed = np.concatenate([divisible(labels, least) for labels in parts])
             if not columns.size or not allowed.any():
                 continue
@@ -310,7 +310,7 @@ class Trial(QuickFit):
             best, count = int(np.argmax(gain)), len(columns)
             part = max(1.0 - gain[best], 1e-12)
             cost = count * np.log(part) + columns.shape[1] * np.log(count)
-            result.append((cost, part, subject._replace(rank=int(rank[rows[best]]))))
+            result.append((cost, part, change._replace(rank=int(rank[rows[best]]))))
         return sorted(result, key=lambda candidate: candidate[0])
 
     def gains(self, columns: Floats, rows: Indices) -> Floats:
@@ -323,16 +323,16 @@ class Trial(QuickFit):
         (Q, r), row = self.unexplained, self.problem.layout.row
         place = np.full(len(self.problem.data), -1)
         place[rows] = np.arange(len(rows))
-        some = np.argsort(place[row], kind="stable")
-        some = some[place[row[some]] >= 0]
-        B, first = columns[some], np.flatnonzero(np.diff(row[some], prepend=-1))
+        order = np.argsort(place[row], kind="stable")
+        order = order[place[row[order]] >= 0]
+        B, first = columns[order], np.flatnonzero(np.diff(row[order], prepend=-1))
         B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
 
         def after(values: Floats) -> Floats:
             return sums_behind(np.add.reduceat(values, first))
 
-        g = after(B * r[some, None])
-        C = after(Q[some][:, :, None] * B[:, None, :])
+        g = after(B * r[order, None])
+        C = after(Q[order][:, :, None] * B[:, None, :])
         G = after(B[:, :, None] * B[:, None, :]) - np.swapaxes(C, 1, 2) @ C
         sizes, V = np.linalg.eigh(G)
         # What the fit can do already leaves rounding.
@@ -372,7 +372,7 @@ class Trial(QuickFit):
             rank: Place of each in the order of the files, shape (N,).
         """
         change, others = self.changes[k], [*self.changes[:k], *self.changes[k + 1 :]]
-        ranks = [c.rank for c in others if c.key == change.key]
+        ranks = [c.rank for c in others if c.subject == change.subject]
         first = max((at for at in ranks if at <= change.rank), default=0)
         end = int(rank.max()) + 1
         last = min((at for at in ranks if at > change.rank), default=end)
@@ -409,12 +409,12 @@ def changes_of(case: Case, unchanged: Trial | None) -> tuple[Trial, Trial] | Non
     """
     if not unchanged or all(part > LOOKED_AT for _, part, _ in unchanged.candidates):
         return None
-    trials, more = list[Trial](), unchanged.settled(())
-    while more is not None and (not trials or more.rms < trials[-1].rms):
-        trials.append(more)
-        likely = [change for gain, _, change in more.candidates if gain < LEAST]
-        on = likely and len(trials) <= MOST
-        more = unchanged.settled((*more.changes, likely[0])) if on else None
+    trials, trial = list[Trial](), unchanged.settled(())
+    while trial is not None and (not trials or trial.rms < trials[-1].rms):
+        trials.append(trial)
+        likely = [change for gain, _, change in trial.candidates if gain < LEAST]
+        more = likely and len(trials) <= MOST
+        trial = unchanged.settled((*trial.changes, likely[0])) if more else None
     while len(trials) > 1 and not trials[-1].stands_out(trials[-2]):
         trials.pop()
     if len(trials) < 2:
@@ -475,7 +475,7 @@ def changes(case: Case) -> Explanation | None:
     if another and (not trials or at_once or another.part < FITTED * part):
         return another
     # Two or three things change on a bad day; more are what steps make of a drift.
-    if trials is None or len({c.key for c in steps}) > 3:
+    if trials is None or len({c.subject for c in steps}) > 3:
         return None
     first, last = trials
     if last.errors > FOREIGN * expected_size(case.fit.quantity.unit):
@@ -723,8 +723,8 @@ def modeled_drift(case: Case) -> Iterator[Finding]:
     values = dict(zip(case.fit.problem.parameters.names, case.fit.theta, strict=True))
     for station, (first, last) in case.setup.drift.spans.items():
         name, steps = f"{station}.{InstrumentDrift.name}.", range(1, INCREMENTS + 1)
-        each = [[values.get(f"{name}{a}{k}", 0.0) for a in COMPONENTS] for k in steps]
-        path = np.cumsum(each, axis=0)
+        rows = [[values.get(f"{name}{a}{k}", 0.0) for a in COMPONENTS] for k in steps]
+        path = np.cumsum(rows, axis=0)
         shift, turn = (np.linalg.norm(path[:, k : k + 3], axis=1) for k in (0, 3))
         owner = "" if station == "base" else f" at station '{station}'"
         text = f"the instrument{owner} has drifted by {shown(shift[-1], 'm')} and "

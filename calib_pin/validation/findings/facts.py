@@ -181,8 +181,8 @@ def require_distances(data: Observations, setup: Setup) -> None:
         if [*model.columns] != ["distance"]:
             continue
         anchors = [setup.anchors.get(name, AnchorSetup()) for name in names]
-        least = np.array([-np.inf if a.estimate_bias else a.bias for a in anchors])
-        below = block.values[:, 0] < least[block.target.codes]
+        limits = np.array([-np.inf if a.estimate_bias else a.bias for a in anchors])
+        below = block.values[:, 0] < limits[block.target.codes]
         if below.mean() <= SOME:
             continue
         text = f"{np.sum(below)} of {len(block)} distances are negative: the "
@@ -298,8 +298,8 @@ def computed_values(case: Case) -> Iterator[Finding]:
     moved = spread([block.values[:, :3] for block in blocks])
     step = max(coarse_step(b.values[:, :3].ravel(), "m") for b in blocks)
     step = step if step <= FINE else 0.0
-    few = rms < COARSE_JOINTS * moved
-    by_joints = _joint_step(case, sizes[rms])[2] if few else 0.0
+    small = rms < COARSE_JOINTS * moved
+    by_joints = _joint_step(case, sizes[rms])[2] if small else 0.0
     whole = TIMES * ROUNDED * np.sqrt(3.0)
     fine = np.hypot(step, by_joints if by_joints <= FINE else 0.0)
     sure = rms < max(COMPUTED * moved, whole * fine)
@@ -437,8 +437,8 @@ def hidden_joints(case: Case) -> Iterator[Finding]:
     # that are left a fit may take any size for noise.
     units = current_units(problem)[problem.layout.component]
     shown_by = np.linalg.norm(units[:, None] * case.fit.by_joints, axis=0)
-    usual = np.array([expected_size(case.unit(j)) for j in problem.data.joints])
-    little = (shown_by * usual < 1.0) & (shown_by < ALONE * shown_by.max(initial=0.0))
+    sizes = np.array([expected_size(case.unit(j)) for j in problem.data.joints])
+    little = (shown_by * sizes < 1.0) & (shown_by < ALONE * shown_by.max(initial=0.0))
     names = np.array(problem.data.joints)[little].tolist()
     hidden = [joint for joint in names if joint not in still]
     if hidden:
@@ -497,10 +497,10 @@ def _errors_elsewhere(case: Case) -> str:
     pairs = [(a.workspace, a.measured) for a in case.accuracies.values()]
     sizes = [[x.calibrated.position for x in pair if x] for pair in pairs]
     ratios = [(s[0] / max(s[1], 1e-300), s[0]) for s in sizes if len(s) == 2]
-    times, far = max(ratios, default=(0.0, 0.0))
+    times, size = max(ratios, default=(0.0, 0.0))
     if times <= ELSEWHERE:
         return ""
-    text = f"over the workspace errors of {shown(far, 'm')} are expected, {times:.2g}"
+    text = f"over the workspace errors of {shown(size, 'm')} are expected, {times:.2g}"
     return f"{text} times those where it was measured"
 
 

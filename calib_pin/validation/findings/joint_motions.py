@@ -204,17 +204,17 @@ class _Motions:
         Positions are those without a motion.
         """
         moved = last_motions(self.case.data, self.index)
-        read = self.fit.problem.data
-        known = read.conditions.direction
+        data = self.fit.problem.data
+        direction = data.conditions.direction
         farthest = np.abs(moved).max(axis=1, keepdims=True)
-        starts = [b.start if b.start.size else 0.0 * b.q for b in read.blocks]
-        positions = np.stack([read.q, np.concatenate(starts)])
+        starts = [b.start if b.start.size else 0.0 * b.q for b in data.blocks]
+        positions = np.stack([data.q, np.concatenate(starts)])
         return {
             "zero": np.ones_like(positions),
             "gear": positions,
             "coupled": positions,
             "lag": -moved,
-            "side": -(known.astype(float) if known.size else np.sign(moved)),
+            "side": -(direction.astype(float) if direction.size else np.sign(moved)),
             "early": -moved / np.where(farthest > 0.0, farthest, 1.0),
             "early-each": -np.sign(moved),
         }
@@ -353,8 +353,8 @@ def approach(case: Case) -> Iterator[Finding]:
     words = "errors depend on the approach direction (backlash): "
     words += enumerated(sizes) + f" ({BY_ORDER})" * (conditions.source == "order")
     names, numbers["joints"] = [*case.setup.parameters, "hysteresis"], ", ".join(lost)
-    how = f"estimate it: --parameters {','.join(names)}", {"parameters": names}
-    yield told("backlash", words, numbers, *how, "by-joint")
+    remedy = f"estimate it: --parameters {','.join(names)}", {"parameters": names}
+    yield told("backlash", words, numbers, *remedy, "by-joint")
 
 
 def lost_motions(case: Case) -> dict[str, tuple[float, float]]:
@@ -371,16 +371,16 @@ def lost_motions(case: Case) -> dict[str, tuple[float, float]]:
     smooth = np.hstack([usual, _smooth(case, by_joints, data.q[row])])
     columns = -0.5 * by_joints * sides[row]
     # Smooth errors are fitted along where they show at all.
-    beside = fit.explaining(smooth if fit.score(smooth).chance < CHANCE else usual)
-    X = beside.beyond(columns)
+    base = fit.explaining(smooth if fit.score(smooth).chance < CHANCE else usual)
+    X = base.beyond(columns)
     seen = np.flatnonzero(np.sum(X**2, axis=0) > LEAST * np.sum(columns**2, axis=0))
-    dof = beside.dof - len(seen)
+    dof = base.dof - len(seen)
     if not len(seen) or dof < 1:
         return {}
-    whole = beside.explaining(columns[:, seen])
+    full = base.explaining(columns[:, seen])
     # Each lost motion is a weighted sum of residuals.
-    weights, rest = np.linalg.pinv(X[:, seen]).T, whole.unexplained[1]
-    values = -(weights.T @ beside.unexplained[1])
+    weights, rest = np.linalg.pinv(X[:, seen]).T, full.unexplained[1]
+    values = -(weights.T @ base.unexplained[1])
     squares = np.sum(weights**2, axis=0)
     deviations = np.sqrt(float(rest @ rest) / dof * squares)
     for k, j in enumerate(seen.tolist()):
@@ -397,9 +397,9 @@ def lost_motions(case: Case) -> dict[str, tuple[float, float]]:
         count = min(LAGS, len(side) - 1)
         lags = np.arange(1, count + 1) * len(side) // (count + 1)
         lagged = np.column_stack([np.roll(side, lag) for lag in lags])[place]
-        others = whole.beyond(by_joints[:, [j]] * lagged)
-        norms = np.maximum(np.sum(others**2, axis=0), 1e-300)
-        theirs = max(float(np.mean((others.T @ rest) ** 2 / norms)), 1e-300)
+        rivals = full.beyond(by_joints[:, [j]] * lagged)
+        norms = np.maximum(np.sum(rivals**2, axis=0), 1e-300)
+        theirs = max(float(np.mean((rivals.T @ rest) ** 2 / norms)), 1e-300)
         ratio = float(value**2 / squares[k]) / theirs
         by_runs = student_tail(value / of_runs, runs - 1)
         # Sides that hardly change are alike at neighboring lags.
@@ -444,8 +444,8 @@ def ripples(case: Case) -> Iterator[Finding]:
         fit = fit.explaining(np.hstack(low))
     while len(ratios) < len(joints):
         # One after the other: a large one leaks into the other joints.
-        rest = [joint for joint in joints if joint not in ratios]
-        waves = {joint: wave for joint in rest if (wave := _ripple(fit, joint))}
+        remaining = [joint for joint in joints if joint not in ratios]
+        waves = {joint: wave for joint in remaining if (wave := _ripple(fit, joint))}
         joint = min(waves, key=lambda joint: waves[joint][0], default="")
         if not joint or waves[joint][0] * len(joints) > CHANCE:
             break
@@ -501,12 +501,12 @@ def _ripple(fit: QuickFit, joint: str) -> tuple[float, float, Score] | None:
         return None
     step = 2.0 * np.pi / (FINER * span)
     frequencies = np.arange(lowest, HIGHEST, step)
-    rest = fit.unexplained[1][: len(q)]
-    peaks = np.argsort(-periodogram(q, motion, rest, frequencies), kind="stable")
+    r = fit.unexplained[1][: len(q)]
+    peaks = np.argsort(-periodogram(q, motion, r, frequencies), kind="stable")
     around = [frequencies[k] + step * AROUND for k in peaks[:PEAKS]]
-    tried = [f[np.argmax(periodogram(q, motion, rest, f))].item() for f in around]
-    scores = {f: fit.score(_waves(fit, joint, f)) for f in tried}
-    best = min(tried, key=lambda f: scores[f].remaining)
+    candidates = [f[np.argmax(periodogram(q, motion, r, f))].item() for f in around]
+    scores = {f: fit.score(_waves(fit, joint, f)) for f in candidates}
+    best = min(candidates, key=lambda f: scores[f].remaining)
     score, whole = scores[best], float(round(best))
     even = fit.score(_waves(fit, joint, whole))
     if chance_of(fit, score.remaining / max(even.remaining, 1e-300)) > EVEN:

@@ -82,12 +82,12 @@ def registered_if_moved(
     fitted = {term.frames.station for term in model.problem.terms.values()}
     named = [after.problem.terms[key].frames.station for key in data.keys]
     of_row = np.array(named)[data.block_of]
-    both = [(*r.problem.rebased(r.theta), r.new) for r in (before, after)]
+    robots = [(*r.problem.rebased(r.theta), r.new) for r in (before, after)]
     for station in dict.fromkeys(filter(fitted.__contains__, named)):
         rows = np.flatnonzero(of_row == station)
         nominal, calibrated = (
             Registered(replace(problem, data=data.rows(rows)), theta, new)
-            for problem, theta, new in both
+            for problem, theta, new in robots
         )
         anew, moved = _if_moved(model, errors.at(rows), nominal, calibrated, station)
         findings += moved
@@ -118,19 +118,19 @@ def _if_moved(
     if here is None:
         return errors, []
     values, unknowns = measured_count(here.problem), len(here.refitted)
-    dof, was, now = max(values - unknowns, 1), _chi_square(after), _chi_square(here)
-    ratio = np.sqrt(was * dof / max(now * values, 1e-300))
+    dof, S, S_new = max(values - unknowns, 1), _chi_square(after), _chi_square(here)
+    ratio = np.sqrt(S * dof / max(S_new * values, 1e-300))
     nominal = _at_new_station(before, station) if ratio > SUSPICIOUS else None
     if nominal is None:
         return errors, []
     errors_here: ModelErrors | None
     errors_here = errors_of_registered(model, nominal, here, errors.positions)
     owner = "" if station == BASE else f" from '{station.rpartition('.')[0]}'"
-    off, anew = (float(np.sqrt(square / values)) for square in (was, now))
+    off, anew = (float(np.sqrt(square / values)) for square in (S, S_new))
     end, remedy = "has moved, and both robots are registered on them", STATION
     distinct = distinct_values(here.problem)
     if ratio <= MOVED or not _same_move(errors, errors_here, here.problem):
-        if anew > SUSPICIOUS or by_chance(was, now, unknowns, dof) > CHANCE:
+        if anew > SUSPICIOUS or by_chance(S, S_new, unknowns, dof) > CHANCE:
             return errors, []
         # Where the fit does not know the robot as well, it is that far off.
         sample = replace(after.problem, data=after.problem.data.sample(MEASUREMENTS))
@@ -143,7 +143,7 @@ def _if_moved(
         remedy = "measure more validation configurations from one station"
         end = "has moved, and they are too few for a check from there: "
         end += f"{distinct} distinct values, {unknowns} unknowns"
-    numbers = {"chi-square as it is": was, "chi-square registered": now}
+    numbers = {"chi-square as it is": S, "chi-square registered": S_new}
     numbers |= {"values": values, "unknowns": unknowns}
     text = f"the validation measurements{owner} are off by {off:.3g} standard "
     text += f"deviations, from another station by {anew:.3g}: the instrument {end}"
@@ -168,8 +168,8 @@ def _at_new_station(robot: Registered, station: str) -> Registered | None:
         # References on the tool stay with the robot.
         outer[term.index] |= [p.outer for p in term.parameters]
     _, J = problem.linearize(theta)
-    seen = parameters.nuisance & parameters.free & J.any(axis=0)
-    free = np.flatnonzero((base | outer) & seen)
+    observable = parameters.nuisance & parameters.free & J.any(axis=0)
+    free = np.flatnonzero((base | outer) & observable)
     if len(free) == 0:
         return None
     relative = any(block.start.size for block in problem.data.blocks)

@@ -134,17 +134,17 @@ def outliers(case: Case) -> Iterator[Finding]:
     if fitted is None:
         data = case.fit.problem.data
         rows = data.in_order[data.weight[data.in_order] == 0.0].tolist()
-        why = " that were looked at do not fit the nominal robot as the others do"
+        reason = " that were looked at do not fit the nominal robot as the others do"
         if rows:
-            yield _exclusion("outliers", data, rows, why, {})
+            yield _exclusion("outliers", data, rows, reason, {})
         return
-    out = [o for o in fitted.robust.outliers if o.weight == 0.0]
-    if fitted.robust.squared is None or not out:
+    excluded = [o for o in fitted.robust.outliers if o.weight == 0.0]
+    if fitted.robust.squared is None or not excluded:
         return
     moved = tool_displacement(fitted, fitted.robust.squared)
     numbers: dict[str, Any] = {"displaced": moved, "all": len(data)}
     keeping = f"; keeping them would move the tool point by {shown(moved, 'm')}"
-    pairs = _pairs(data, out)
+    pairs = _pairs(data, excluded)
     if pairs:
         places = tuple(places_of(data, pair) for pair in pairs)
         text = f"measurements {' and '.join(places[0])}"
@@ -153,30 +153,30 @@ def outliers(case: Case) -> Iterator[Finding]:
         lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
         numbers |= {"pairs": len(pairs)}
         yield told("measurements-exchanged", text, numbers, "", lines, "over-order")
-    alone = [o for o in out if not any(o.row in pair for pair in pairs)]
+    alone = [o for o in excluded if not any(o.row in pair for pair in pairs)]
     if not alone:
         return
-    rest = np.array([o.row for o in alone])
-    for code, words, stretch in _stretches(data, rest):
+    others = np.array([o.row for o in alone])
+    for code, words, stretch in _stretches(data, others):
         rows = stretch[np.argsort(np.argsort(data.in_order)[stretch])].tolist()
         targets, evidence = {data.target[row] for row in rows}, {**numbers}
         if len(targets) <= NAMED and all(targets):
             evidence["target"] = ", ".join(sorted(targets))
-        why = f" excluded as outliers{words}{keeping}"
+        reason = f" excluded as outliers{words}{keeping}"
         error, info = bool(words), moved <= LENGTH_SCALE
-        yield _exclusion(code, data, rows, why, evidence, error=error, info=info)
+        yield _exclusion(code, data, rows, reason, evidence, error=error, info=info)
 
 
 def _exclusion(
     code: str,
     data: Observations,
     rows: Sequence[int],
-    why: str,
+    reason: str,
     numbers: Mapping[str, Any],
     **severity: bool,
 ) -> Finding:
     """The finding of measurements, in the order of the files, to leave out."""
-    text = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{why}"
+    text = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{reason}"
     numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
     lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
     remedy = "measure them again"
@@ -224,10 +224,10 @@ def tool_displacement(fitted: Fit, squared: Fit) -> float:
     return max(tip_drift(*p, base=True, tool=True).position.rms for p in pairs)
 
 
-def _pairs(data: Observations, out: Sequence[Outlier]) -> list[tuple[int, int]]:
+def _pairs(data: Observations, excluded: Sequence[Outlier]) -> list[tuple[int, int]]:
     """Measurements each of which fits the values of the other, in their order."""
-    of_cause = {exchanged_with(data, o.row): o.row for o in out}
-    partner = {o.row: of_cause[o.cause] for o in out if o.cause in of_cause}
+    of_cause = {exchanged_with(data, o.row): o.row for o in excluded}
+    partner = {o.row: of_cause[o.cause] for o in excluded if o.cause in of_cause}
     return [(a, b) for a, b in sorted(partner.items()) if a < b and partner.get(b) == a]
 
 
@@ -277,13 +277,13 @@ def noise(case: Case) -> Iterator[Finding]:
     describes, gears and compliance; they are wrong where repetitions scatter as much.
     """
     fitted = case.fitted
-    known = [(part, *_scatter(part)) for part in (fitted.noise if fitted else ())]
-    known = [(part, scatter, sure) for part, scatter, sure in known if scatter > 0.0]
-    sigmas = {part.quantity: float(f"{scatter:.3g}") for part, scatter, _ in known}
+    parts = [(part, *_scatter(part)) for part in (fitted.noise if fitted else ())]
+    parts = [(part, scatter, sure) for part, scatter, sure in parts if scatter > 0.0]
+    sigmas = {part.quantity: float(f"{scatter:.3g}") for part, scatter, _ in parts}
     lines: dict[str, Any] = {"noise": sigmas}
     if states_sigmas(case.data):
         lines["reading"] = {"sigmas": False}
-    for part, scatter, repeated in known:
+    for part, scatter, repeated in parts:
         factor = scatter / part.given
         near = 1.0 / FACTOR < factor < FACTOR
         unclear = factor > 1.0 and not repeated
@@ -568,10 +568,10 @@ def contradicted_distance(
         robust: The one that has set all measurements of an end aside, if it is without.
     """
     problem = fitted.problem
-    known = problem.further.distances
-    if not len(known):
+    distances = problem.further.distances
+    if not len(distances):
         return
-    v, J = known.residual(fitted.theta), known.jacobian(fitted.theta)
+    v, J = distances.residual(fitted.theta), distances.jacobian(fitted.theta)
     # By noise alone, or what a distance decides would be more than all.
     _, result, moved = fitted.held
     half = half_covariance(result.jac, moved, problem.parameters)
@@ -582,11 +582,11 @@ def contradicted_distance(
         return
     w = np.abs(v) / np.sqrt(redundancy)
     k = int(np.argmax(w))
-    distance = known.stated[k]
+    distance = distances.stated[k]
     apart = float(v[k] * distance.sigma / redundancy[k])
     metric = problem.layout.quantities[0].unit == "m"
-    least = max(MISSED, BEYOND * errors if metric else 0.0)
-    if abs(apart) < min(least, CONTRADICTED):
+    limit = max(MISSED, BEYOND * errors if metric else 0.0)
+    if abs(apart) < min(limit, CONTRADICTED):
         return
     if normal_tail(w[k]) * len(w) > CHANCE:
         return
@@ -665,12 +665,12 @@ def population(case: Case) -> Iterator[Finding]:
         return  # Without redundancy nobody knows the noise.
     rows = robot_rows(plain.problem, plain.theta, plain.noise)
     parameters, robot = plain.problem.parameters, rows.robot
-    scales, held = parameters.scales[robot], Priors.together(prior, parameters)
-    half = np.linalg.inv(held.rows[:, robot] * scales)
-    W, rest = rows.rows @ half, rows.values - rows.rows @ (held.mean[robot] / scales)
-    solved = np.linalg.solve(W @ W.T + np.eye(len(W)), rest)
-    square = float(rest @ solved)
-    if not len(rest) or chi_square_tail(square, len(rest)) > CHANCE:
+    scales, priors = parameters.scales[robot], Priors.together(prior, parameters)
+    half = np.linalg.inv(priors.rows[:, robot] * scales)
+    W, r = rows.rows @ half, rows.values - rows.rows @ (priors.mean[robot] / scales)
+    solved = np.linalg.solve(W @ W.T + np.eye(len(W)), r)
+    square = float(r @ solved)
+    if not len(r) or chi_square_tail(square, len(r)) > CHANCE:
         return
     # By the most likely errors, in the deviations of the prior.
     off = half @ (W.T @ solved) / np.linalg.norm(half, axis=1)
@@ -679,9 +679,9 @@ def population(case: Case) -> Iterator[Finding]:
     pairs = zip(fitted.noise, plain.noise, strict=False)
     spoiled = any(noise.estimate > SPOILED * alone.estimate for noise, alone in pairs)
     text = f"this robot is not like the {prior.robots} of its prior: chi-square "
-    text += f"{square:.0f} where {len(rest)} is expected, '{name}' {abs(off[k]):.1f} "
+    text += f"{square:.0f} where {len(r)} is expected, '{name}' {abs(off[k]):.1f} "
     text += "standard deviations from their mean"
-    numbers = {"chi2": square, "dof": len(rest), "parameter": name}
+    numbers = {"chi2": square, "dof": len(r), "parameter": name}
     numbers |= {"deviations": off[k]}
     remedy = "look for damage or another type, and calibrate it without the prior"
     yield told("unlike-fleet", text, numbers, remedy, error=spoiled)

@@ -166,8 +166,8 @@ def joint_columns(case: Case) -> Iterator[Alternative]:
         moved = [f"'{joints[k]}'" for k, other in enumerate(order) if k != other]
         words = f"the columns of joints {', '.join(moved[:-1])} and {moved[-1]} are "
         read = JointReading(np.eye(count)[list(order)], np.zeros(count))
-        of = "order of the joint columns"
-        yield Alternative("joints-exchanged", f"{words}exchanged", of, joints=read)
+        subject = "order of the joint columns"
+        yield Alternative("joints-exchanged", f"{words}exchanged", subject, joints=read)
     # Smaller angles would be next to none in degrees, and any wrong joint looks better
     # where it stands still.
     large = [j for j in turning if np.abs(case.data.q[:, j]).max() > 2.0 * np.pi]
@@ -216,12 +216,12 @@ def _joint(
     offset: float = 0.0,
 ) -> Alternative:
     """A joint, by its place, that is read with some factors of the columns."""
-    name, read = joints[joint], JointReading.plain(len(joints))
-    read.offsets[joint] = offset
+    name, reading = joints[joint], JointReading.plain(len(joints))
+    reading.offsets[joint] = offset
     for column, factor in factors.items():
-        read.factors[joint, column] = factor
+        reading.factors[joint, column] = factor
     words, subject = f"joint '{name}' {words}", f"{code} {name}"
-    fault = Alternative(code, words, subject, joints=read, joint=name)
+    fault = Alternative(code, words, subject, joints=reading, joint=name)
     return replace(fault, figure="by-joint")
 
 
@@ -232,8 +232,8 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
         swap = {first: second, second: first}
         yield tuple(swap.get(k, k) for k in plain)
     for k in plain[:-2]:
-        for some in ((k + 1, k + 2, k), (k + 2, k, k + 1)):
-            yield (*plain[:k], *some, *plain[k + 3 :])
+        for order in ((k + 1, k + 2, k), (k + 2, k, k + 1)):
+            yield (*plain[:k], *order, *plain[k + 3 :])
     if count > 3:
         yield plain[::-1]
 
@@ -326,8 +326,8 @@ def _shifted_from(
             errors[later] = other[later]
             sizes = (np.sqrt(np.nanmean(e[measured] ** 2)) for e in (here, errors))
             before, after = (float(unit * size) for size in sizes)
-            every = first == 0 and len(rows) == len(data)
-            place = "" if every else place_of(data, int(rows[first]))
+            whole = first == 0 and len(rows) == len(data)
+            place = "" if whole else place_of(data, int(rows[first]))
             fault = (_shifted(shift, key, place),)
             yield Explanation(fault, before, after, robot.robot, judged="error")
 
@@ -688,8 +688,8 @@ def _groups(data: Observations) -> Iterator[dict[str, str]]:
         yield {name: name.rpartition("/")[0] for name in names}
     pairs, count = (target.codes, data.groups() + len(target.names)), len(target.names)
     size = (count + data.configurations,) * 2
-    seen = coo_array((np.ones(len(data)), pairs), shape=size)
-    label = dict(zip(target.names, connected_components(seen)[1][:count], strict=True))
+    graph = coo_array((np.ones(len(data)), pairs), shape=size)
+    label = dict(zip(target.names, connected_components(graph)[1][:count], strict=True))
     first = {label[name]: name for name in reversed(names)}
     yield {name: first[label[name]] for name in names}
 
@@ -839,13 +839,13 @@ def joint_sets(case: Case) -> Explanation | None:
         columns = {j: near[j][k] for j in sample.joints if k < len(near[j])}
         maps = {column: joint_maps.get(j, JointMap(j)) for j, column in columns.items()}
         try:
-            both = [sample, _with_columns(sample, columns)]
-            problems = [make_problem(case.chains, data, setup) for data in both]
-            here, there = (QuickFit.of(problem, COMPARED) for problem in problems)
+            samples = [sample, _with_columns(sample, columns)]
+            problems = [make_problem(case.chains, data, setup) for data in samples]
+            fit, other = (QuickFit.of(problem, COMPARED) for problem in problems)
         except CalibPinError:
             continue  # No robot is there.
-        ratio = here.dof * float(np.log(here.rms / there.rms))
-        if not (here.redundant and ratio > unlikely()):
+        ratio = fit.dof * float(np.log(fit.rms / other.rms))
+        if not (fit.redundant and ratio > unlikely()):
             continue
         names = [*columns.values()]
         ends = " to ".join(f"'{n}'" for n in dict.fromkeys((names[0], names[-1])))
@@ -857,7 +857,7 @@ def joint_sets(case: Case) -> Explanation | None:
             figure="by-joint",
             numbers={"columns": ", ".join(names)},
         )
-        explanations.append(Explanation((better,), here.errors, there.errors))
+        explanations.append(Explanation((better,), fit.errors, other.errors))
     # What one column lags behind another is no lag of its joint.
     return min(explanations, key=lambda explanation: explanation.after, default=None)
 

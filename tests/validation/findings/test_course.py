@@ -176,7 +176,7 @@ def test_what_comes_and_goes_at_once_is_no_change(moved_job, unsought) -> None:
     case = Case.of(fitted, fitted.problem.chains)
     _, found = changes_of(case, _unchanged(case))
     (change,) = found.changes
-    again = (c for _, _, c in found.candidates if c.what == change.what)
+    again = (c for _, _, c in found.candidates if c.subject == change.subject)
     assert all(abs(c.rank - change.rank) >= CONFIGURATIONS for c in again)
     wrong = displaced(job.plain.only, 0.1 * (np.arange(90) == 33))
     fitted = replace(

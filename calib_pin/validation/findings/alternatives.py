@@ -345,7 +345,7 @@ def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
         case: The case.
         families: Where explanations come from.
     """
-    search = _Search(case, [h for family in families for h in family(case)])
+    search = _Search(case, [f for family in families for f in family(case)])
     return search.combined() or search.of_one_joint() or search.fitted()
 
 
@@ -458,10 +458,10 @@ class _Search:
             return None  # Fits are not asked, and are slow.
         # What leaves no more than a robot errs explains all.
         limit = max(CLOSE * trials[0][0], self.usual)
-        near = [p for p in trials if p[1] and p[0] <= limit][:ALIKE]
-        close = [self._necessary(*p) for p in near] or trials[:1]
+        near = [t for t in trials if t[1] and t[0] <= limit][:ALIKE]
+        close = [self._necessary(*t) for t in near] or trials[:1]
         # What leaves none out explains more.
-        close = [p for p in close if not any(h.reading.without for h in p[1])] or close
+        close = [t for t in close if not any(f.reading.without for f in t[1])] or close
         error, faults = close[0]
         fittable = not any(fault.gross for _, faults in close for fault in faults)
         if fittable and len(close) > 1:
@@ -469,7 +469,7 @@ class _Search:
             fits = [(min(self._fit_rms(faults), rms), faults) for rms, faults in close]
             error, faults = close[int(np.argmin([*map(_rank, fits)]))]
         explanation = self._accepted(faults, error, DECISIVE, fitted=False)
-        fittable = fittable and not any(h.chains or h.reading.without for h in faults)
+        fittable = fittable and not any(f.chains or f.reading.without for f in faults)
         return explanation or (self._by_fits(faults, DECISIVE) if fittable else None)
 
     def _necessary(self, error: float, faults: _Faults) -> _Trial:
@@ -496,7 +496,7 @@ class _Search:
             return None
         after = self._fit_rms(faults)
         # The right reading of joints leaves a robot, which a fit knows better.
-        if any(h.joints for h in faults) and after > FOREIGN * self.usual:
+        if any(f.joints for f in faults) and after > FOREIGN * self.usual:
             return None
         return self._accepted(faults, after, part, fitted=True)
 
@@ -550,8 +550,8 @@ class _Search:
 
     def _problem(self, faults: _Faults, setup: Setup) -> Problem:
         """The problem of some measurements that are read so."""
-        chains = next((h.chains for h in faults if h.chains), self.case.chains)
-        changes = {k: v for h in faults for k, v in h.setup.items()}
+        chains = next((f.chains for f in faults if f.chains), self.case.chains)
+        changes = {k: v for f in faults for k, v in f.setup.items()}
         setup = replace(setup, **changes) if changes else setup
         if any(fault.among_rows for fault in faults):
             data = self._sample(read_with(self.data, faults))
@@ -599,7 +599,7 @@ class _Search:
         return fit is not None and not fit.redundant
 
     def _fit_rms(self, faults: _Faults) -> float:
-        """Error that it leaves, rms in standard deviations."""
+        """Error that a fitted robot leaves, rms in standard deviations."""
         self.tried += 1
         fit = None if self._hopeless else self._fit(faults)
         if fit is None or not fit.redundant or below_sheet(fit.problem):

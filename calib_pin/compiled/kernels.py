@@ -393,8 +393,8 @@ def move(
         moved: Filled as motion.
     """
     for block in range(len(motion)):
-        own = factors[:, starts[block] : starts[block + 1]]
-        _move(motion[block], revolute, joints, own, amounts, moved[block])
+        part = factors[:, starts[block] : starts[block + 1]]
+        _move(motion[block], revolute, joints, part, amounts, moved[block])
 
 
 @compiled

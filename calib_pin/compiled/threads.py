@@ -40,7 +40,7 @@ class _SerialBlas(ContextDecorator):
     def __init__(self) -> None:
         self._lock = Lock()
         self._depths: dict[int, int] = {}
-        self._found: dict[tuple[str, int], tuple[Any, int]] = {}
+        self._counts: dict[tuple[str, int], tuple[Any, int]] = {}
         self._libraries: list[Any] = []
         self._modules = 0
 
@@ -81,15 +81,15 @@ class _SerialBlas(ContextDecorator):
             if self._depths[thread]:
                 return
             del self._depths[thread]
-            left = (thread,) if self._depths else (thread, _ALL)
-            for key in [key for key in self._found if key[1] in left]:
-                _set_threads(*self._found.pop(key))
+            owners = (thread,) if self._depths else (thread, _ALL)
+            for key in [key for key in self._counts if key[1] in owners]:
+                _set_threads(*self._counts.pop(key))
 
     def _limit(self, library: Any, thread: int) -> None:
         count = library.num_threads
         if count is not None and count > 1:
             owner = thread if _counts_by_thread(library) else _ALL
-            self._found.setdefault((library.filepath, owner), (library, count))
+            self._counts.setdefault((library.filepath, owner), (library, count))
             _set_threads(library, 1)
 
 
@@ -97,8 +97,7 @@ def _blas_libraries() -> list[Any]:
     """The BLAS libraries that are loaded, as threadpoolctl describes them."""
     from threadpoolctl import ThreadpoolController
 
-    found = ThreadpoolController().select(user_api="blas").lib_controllers
-    return list(found)
+    return list(ThreadpoolController().select(user_api="blas").lib_controllers)
 
 
 def _counts_by_thread(library: Any) -> bool:

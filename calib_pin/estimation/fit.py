@@ -220,22 +220,22 @@ def with_warm_up(
     if not span > 0.0:
         return setup
 
-    def stated(logarithm: float) -> Setup:
+    def with_constant(logarithm: float) -> Setup:
         # Three digits are more than anybody knows.
         time = float(f"{np.exp(logarithm):.3g}")
         return replace(setup, thermal=replace(setup.thermal, warm_up_time=time))
 
-    def left(logarithm: float) -> float:
-        problem = make_problem(chains, measurements, stated(logarithm))
+    def cost(logarithm: float) -> float:
+        problem = make_problem(chains, measurements, with_constant(logarithm))
         noise = fit(problem, np.random.default_rng(seed)).noise
-        known = [one for one in noise if one.estimate > 0.0]
-        return float(sum(one.values * np.log(one.estimate) for one in known))
+        known = [c for c in noise if c.estimate > 0.0]
+        return float(sum(c.values * np.log(c.estimate) for c in known))
 
     ends = float(np.log(SHORTEST * span)), float(np.log(LONGEST * span))
-    found = minimize_scalar(
-        left, bounds=ends, method="bounded", options={"xatol": CLOSE}
+    best = minimize_scalar(
+        cost, bounds=ends, method="bounded", options={"xatol": CLOSE}
     )
-    return stated(float(found.x))
+    return with_constant(float(best.x))
 
 
 @serial_blas
@@ -328,8 +328,8 @@ def with_learned(problem: _Terms, learned: LearnedCorrection) -> _Terms:
     """
     terms = {}
     for key, term in problem.terms.items():
-        own = replace(learned, shift=learned.shift[term.of_error])
-        terms[key] = replace(term, error=replace(term.error, learned=own))
+        correction = replace(learned, shift=learned.shift[term.of_error])
+        terms[key] = replace(term, error=replace(term.error, learned=correction))
     return replace(problem, terms=terms)
 
 
@@ -348,11 +348,11 @@ def learned_correction(
         InputError: If the measurements are too few to learn from.
     """
     directions, rows = _learnable(fitted)
-    found = RESIDUAL_MODELS[name](rows, rng, progress=progress)
-    if not (found.shift.any() or found(rows.q[:SAMPLE]).any()):
+    model = RESIDUAL_MODELS[name](rows, rng, progress=progress)
+    if not (model.shift.any() or model(rows.q[:SAMPLE]).any()):
         # Nothing held on the validation measurements.
         return None
-    return LearnedCorrection(found, directions @ found.shift)
+    return LearnedCorrection(model, directions @ model.shift)
 
 
 def learned_without(
@@ -373,8 +373,8 @@ def learned_without(
         rng: Random generator of the residual model.
     """
     directions, rows = _learnable(fitted)
-    found = learned.model.left_out(rows, masks, rng)
-    return [LearnedCorrection(one, directions @ one.shift) for one in found]
+    models = learned.model.left_out(rows, masks, rng)
+    return [LearnedCorrection(model, directions @ model.shift) for model in models]
 
 
 def training_rows(
@@ -400,11 +400,9 @@ def training_rows(
         moved = directions @ shift
         for known_basis, block in zip(basis, problem.blocks, strict=True):
             term, data, rows, flat = block
-            own, error = term.index, term.error
             of_robot, instrument = term.values(theta)
-            count = len(of_robot)
-            given = _Given(space, values[rows], moved[own[:count]])
-            corrected = replace(error, learned=given)
+            given = _Given(space, values[rows], moved[term.of_error])
+            corrected = replace(term.error, learned=given)
             poses = corrected.linearize(data.q, of_robot, known_basis)
             linear = term.measurement.linearize(poses.T, instrument, data)
             sigma = block.table(problem.sigma)
@@ -414,7 +412,7 @@ def training_rows(
             along_joints = space == "joint"
             by_correction = J_pose @ poses.joint_twists() if along_joints else J_pose
             result.by_correction[rows, columns] = by_correction
-            by_shift = poses.derivative(J_pose) @ directions[own[:count]]
+            by_shift = poses.derivative(J_pose) @ directions[term.of_error]
             result.by_shift[rows, columns] = by_shift
         return result
 
@@ -463,9 +461,9 @@ def _learnable(fitted: Fit) -> tuple[Floats, TrainingRows]:
     frames = frames[:, frames.any(axis=0)]
     shown, free = robot.any(axis=1), frames.shape[1]
     kinds = tuple(
-        np.vstack([np.zeros((free, own.sum())), robot[own].T])
+        np.vstack([np.zeros((free, mask.sum())), robot[mask].T])
         for kind in dict.fromkeys(parameters.kinds[shown].tolist())
-        for own in (shown & (parameters.kinds == kind),)
+        for mask in (shown & (parameters.kinds == kind),)
     )
     values = robot.T @ (fitted.theta / parameters.scales)
     known = Shifts(np.concatenate([np.zeros(free), values]), kinds)

@@ -123,7 +123,7 @@ class Posterior:
         result = half @ half.T
         for station in self.stations:
             alone = self.unit * station.root
-            result[np.ix_(station.own, station.own)] += alone @ alone.T
+            result[np.ix_(station.local, station.local)] += alone @ alone.T
         return np.asarray(result)
 
     def twists(self, term: Term, q: Floats, J: Floats) -> Floats:
@@ -138,11 +138,11 @@ class Posterior:
             J: Body twists there by the parameters of its error model about these
                 references, shape (N, 6, p).
         """
-        own = term.index[: J.shape[2]]
-        parts = [J @ self.by_noise[own]]
+        index = term.index[: J.shape[2]]
+        parts = [J @ self.by_noise[index]]
         if self.systematic is not None:
-            there = self.systematic.twists(term, q)
-            parts.append(J @ self.by_effects[own] - there)
+            effects = self.systematic.twists(term, q)
+            parts.append(J @ self.by_effects[index] - effects)
         return np.concatenate(parts, axis=2)
 
 
@@ -518,7 +518,7 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
     last = Fit(problem, before.x, structure, directions, before, 0, np.nan)
     tried = set[int]()
 
-    def solved(directions: Directions) -> Fit:
+    def fit_along(directions: Directions) -> Fit:
         previous = None
         if last.rank:
             # Within other directions; the rest returns to nominal.
@@ -534,18 +534,18 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
 
     while directions.count not in tried:
         tried.add(directions.count)
-        last = solved(directions)
+        last = fit_along(directions)
         if np.isfinite(last.sigma0):
             sigma0 = last.sigma0
             directions = practical_directions(J, r, count, parameters, visible, sigma0)
     while np.isfinite(last.sigma0):
         # Some only looked determined from afar; they join the weak ones.
         fun, jac, robot = last.result.fun, last.result.jac, last.directions.robot
-        told = practical_directions(jac, fun, count, parameters, robot, last.sigma0)
-        if told.count == last.directions.count:
+        chosen = practical_directions(jac, fun, count, parameters, robot, last.sigma0)
+        if chosen.count == last.directions.count:
             break
-        weak = np.column_stack([last.directions.weak, told.weak])
-        last = solved(replace(told, weak=weak))
+        weak = np.column_stack([last.directions.weak, chosen.weak])
+        last = fit_along(replace(chosen, weak=weak))
     if last.result.cost > VISIBLE**2 * before.cost:
         last = _extended(last)
     return shrunk(last)
@@ -602,9 +602,9 @@ def _extended(last: Fit) -> Fit:
     robot = np.column_stack([directions.robot, more])
     directions = replace(directions, robot=robot, revealed=more.shape[1])
     # Here Gauss-Newton tells what there is to gain, whatever the solver.
-    found = descend(problem, directions, result.x).after(result)
-    fitted = _fit_of(last, directions, found)
-    gain = 2.0 * (result.cost - found.cost)
+    solution = descend(problem, directions, result.x).after(result)
+    fitted = _fit_of(last, directions, solution)
+    gain = 2.0 * (result.cost - solution.cost)
     return fitted if gain > surprise * fitted.sigma0**2 else last
 
 
@@ -637,16 +637,16 @@ def expected_sizes(
         labels=np.append(np.full(len(values), KNOWN), kinds),
         factors=np.hstack([np.eye(len(values)), half / deviations[:, None]]),
     )
-    stated = np.full(count, STATED)
-    components = Components([block], stated, stated)
-    found = estimate_variances(components, np.ones(count), LEAST**2, MOST**2)
+    prior = np.full(count, STATED)
+    components = Components([block], prior, prior)
+    model = estimate_variances(components, np.ones(count), LEAST**2, MOST**2)
     # Beside the others at their likeliest sizes chi-square is as wide as this.
-    dof = 2.0 * np.diag(found.information)
+    dof = 2.0 * np.diag(model.information)
     middles = (np.arange(PARTS) + 0.5) / PARTS
     ratios = [[f / chi_square_quantile(f, middle) for middle in middles] for f in dof]
-    parts = np.sqrt(found.values[:, None] * np.reshape(ratios, (count, PARTS)))
+    parts = np.sqrt(model.values[:, None] * np.reshape(ratios, (count, PARTS)))
     # Steps of 2 % are far finer than any is known, and rounding moves no solution.
-    return 10.0 ** np.round(0.5 * np.log10(found.values), 2), parts
+    return 10.0 ** np.round(0.5 * np.log10(model.values), 2), parts
 
 
 def shrunk(fitted: Fit) -> Fit:
@@ -667,16 +667,16 @@ def shrunk(fitted: Fit) -> Fit:
     expected = replace(evidence.expected, rows=evidence.expected.rows * unit)
     basis = problem.parameters.scales[:, None] * fitted.directions.every
     held = replace(problem, expected=expected)
-    found = _of_problem(refine(held, result.x, basis), held, problem)
-    return replace(fitted, evidence=evidence, result=found.after(result))
+    solution = _of_problem(refine(held, result.x, basis), held, problem)
+    return replace(fitted, evidence=evidence, result=solution.after(result))
 
 
-def _of_problem(found: Solution, last: Problem, problem: Problem) -> Solution:
+def _of_problem(solution: Solution, last: Problem, problem: Problem) -> Solution:
     """The solution of a problem with the further rows of another, of the same rows."""
-    own, further = len(found.fun) - len(last.further), problem.further
-    fun = np.append(found.fun[:own], further.residual(found.x))
-    jac = np.vstack([found.jac[:own], further.jacobian(found.x)])
-    return replace(found, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))
+    count, further = len(solution.fun) - len(last.further), problem.further
+    fun = np.append(solution.fun[:count], further.residual(solution.x))
+    jac = np.vstack([solution.jac[:count], further.jacobian(solution.x)])
+    return replace(solution, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))
 
 
 def expected_errors(fitted: Fit) -> Evidence:
@@ -689,8 +689,8 @@ def expected_errors(fitted: Fit) -> Evidence:
     V = np.column_stack([directions.robot, directions.weak])
     V = V * ~np.isfinite(parameters.priors)[:, None]
     present = np.unique(parameters.kinds[V.any(axis=1)])
-    own = np.isin(parameters.kinds, present)
-    kinds = np.searchsorted(present, parameters.kinds[own])
+    mask = np.isin(parameters.kinds, present)
+    kinds = np.searchsorted(present, parameters.kinds[mask])
     A = fitted.result.jac * parameters.scales
     system = projected(np.column_stack([A @ V, fitted.result.fun]), A, parameters)
     triangle = np.asarray(np.linalg.qr(system, mode="r"))
@@ -705,9 +705,9 @@ def expected_errors(fitted: Fit) -> Evidence:
     beside = deviations**2 * (1.0 + deviations**2 / (CLEAR**2 * quarter))
     places = expected_places(fitted.problem, parameters)
     half = Wt @ V.T @ places
-    found, parts = expected_sizes(values, beside, half[:, own], kinds)
+    of_kinds, parts = expected_sizes(values, beside, half[:, mask], kinds)
     sizes, likely = np.ones(len(V)), np.ones((PARTS, len(V)))
-    sizes[own], likely[:, own] = found[kinds], parts[kinds].T
+    sizes[mask], likely[:, mask] = of_kinds[kinds], parts[kinds].T
     P, t, _ = np.linalg.svd(half * sizes / deviations[:, None], full_matrices=False)
     kept = (P * (t / np.hypot(1.0, t)) ** 2) @ P.T
     change = kept @ (values / deviations) - current / deviations

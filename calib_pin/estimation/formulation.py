@@ -90,15 +90,15 @@ def at_conditions(chains: Chains, data: Observations, setup: Setup) -> Setup:
         InputError: If they do not state what is needed, see `require_conditions`.
     """
     require_conditions(data, setup)
-    held = data.conditions
+    conditions = data.conditions
     if ThermalGrowth.name in setup.parameters and setup.thermal.reference is None:
         # A tenth of a degree is as good, and looks like a temperature.
-        mean = round(float(np.mean(held.temperature)), 1)
+        mean = round(float(np.mean(conditions.temperature)), 1)
         setup = replace(setup, thermal=replace(setup.thermal, reference=mean))
-    if WarmUp.name in setup.parameters and len(held.time):
-        thermal, span = setup.thermal, float(np.ptp(held.time))
+    if WarmUp.name in setup.parameters and len(conditions.time):
+        thermal, span = setup.thermal, float(np.ptp(conditions.time))
         if not thermal.switched_on:
-            thermal = replace(thermal, switched_on=(float(held.time.min()),))
+            thermal = replace(thermal, switched_on=(float(conditions.time.min()),))
         if thermal.warm_up_time is None and span > 0.0:
             thermal = replace(thermal, warm_up_time=span / 3.0)
         setup = replace(setup, thermal=thermal)
@@ -146,10 +146,10 @@ def setup_of(setup: Stated) -> Setup:
     """A setup; also by the keys of a file of one, and the defaults for None."""
     if isinstance(setup, Mapping):
         setup = upper("io.setup", "read_setup", setup)
-    found = setup if isinstance(setup, Setup) else Setup()
-    for name in found.parameters:
-        parameterization(name, found)
-    return found
+    result = setup if isinstance(setup, Setup) else Setup()
+    for name in result.parameters:
+        parameterization(name, result)
+    return result
 
 
 def fitting(
@@ -197,13 +197,13 @@ def require_known(
         for reference in term.measurement.references:
             name = term.frames.reference(reference)
             hidden = reference.section == "targets" and name in places
-            told = named is None or reference.name in named
-            if told and not hidden and isinstance(reference, (*PLACES, Plane)):
+            measured = named is None or reference.name in named
+            if measured and not hidden and isinstance(reference, (*PLACES, Plane)):
                 frame = term.frames.station if reference.outer else term.frames.tool
                 places[name] = reference, frame
-    every = {*places, *elsewhere}
+    names = {*places, *elsewhere}
     for known in setup.distances:
-        lost = [name for name in known.between if name not in every]
+        lost = [name for name in known.between if name not in names]
         ends = [places[name] for name in known.between if name in places]
         frames = sorted({frame for _, frame in ends})
         why = ""
@@ -213,11 +213,11 @@ def require_known(
         if len(frames) > 1:
             why = f"is about two frames: {' and '.join(frames)}"
         if lost:
-            hint = nearest(lost[0], every)
+            hint = nearest(lost[0], names)
             why = f"names '{lost[0]}', which no measurement does{hint}"
         if why:
             reason, value = f"'distances' {why}", list(known.between)
-            file, allowed = setup.file or None, ", ".join(sorted(filter(None, every)))
+            file, allowed = setup.file or None, ", ".join(sorted(filter(None, names)))
             raise OptionError(reason, file=file, value=value, allowed=allowed or None)
 
 
@@ -310,8 +310,8 @@ def nominal_problem(
     payloads = tuple(setup.payloads) or ("",)
     needed = needed_conditions(setup.parameters)
     # Rows that no one has measured have the conditions of the reference.
-    stated = setup.thermal.reference
-    reference = REFERENCE if stated is None else stated
+    given = setup.thermal.reference
+    reference = REFERENCE if given is None else given
     blocks = []
     for key, names in named.items():
         model = measurement_model(key.model, setup, names)
@@ -323,7 +323,7 @@ def nominal_problem(
         zeros = np.zeros((count, len(chains.joints)))
         values = np.zeros((count, model.width))
         values[:, -1:] = model.declaration.oriented  # The quaternion of no rotation.
-        held = replace(
+        conditions = replace(
             UNSTATED,
             temperature=np.full(count * ("temperature" in needed), reference),
             time=np.zeros(count * ("time" in needed)),
@@ -335,7 +335,7 @@ def nominal_problem(
             zeros,
             values=values,
             target=Labels.of(targets * len(payloads)),
-            conditions=held,
+            conditions=conditions,
             start=zeros if model.declaration.relative else np.zeros((0, 0)),
             **key._asdict(),
         )

@@ -111,10 +111,10 @@ class Structure:
         free, of_free = parameters.free, np.cumsum(parameters.free) - 1
         order = np.array([k for k in parameters.eliminated if free[k]], np.int64)
         _, C = combinations(self.relations[:, of_free[order]], self.rank)
-        own = [parameters[k] for k in order.tolist()]
+        ordered = [parameters[k] for k in order.tolist()]
         # The scale of a frame is that of an unknown stand, not of an error.
-        sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in own]
-        found = []
+        sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in ordered]
+        result = []
         for row in C / parameters.scales[order]:
             weights = np.abs(row) * sizes
             kept = np.flatnonzero(weights > CRUMB * weights.max())
@@ -122,15 +122,15 @@ class Structure:
             lead = int(kept[0])
             values = (row[kept] / row[lead]).tolist()
             terms = tuple(zip(order[kept].tolist(), values, strict=True))
-            found.append(Combination(terms, own[lead].unit))
-        return tuple(found)
+            result.append(Combination(terms, ordered[lead].unit))
+        return tuple(result)
 
     @cached_property
     def unidentifiable(self) -> tuple[int, ...]:
         """Positions of the free parameters without any effect."""
         used = {k for combination in self.combinations for k, _ in combination.terms}
-        found = np.flatnonzero(self.parameters.free)
-        return tuple(int(k) for k in found if k not in used)
+        free = np.flatnonzero(self.parameters.free)
+        return tuple(int(k) for k in free if k not in used)
 
 
 def structure(
@@ -319,8 +319,8 @@ def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
         positions = term.index[inner].tolist()
         for position, screw in zip(positions, term.error.screws[inner], strict=True):
             stem = screw.parameter.name.rpartition(".")[0]
-            own = parameters[position]
-            if own.free and not own.nuisance and position not in labels:
+            parameter = parameters[position]
+            if parameter.free and not parameter.nuisance and position not in labels:
                 together[screw.frame, stem].append((position, screw))
                 labels[position] = _beyond(screw)
         for (frame, _), entries in together.items():
@@ -356,12 +356,12 @@ def _places(chain: Chain) -> list[_Place]:
     axes, joints = [np.array([0.0, 0.0, 1.0]), *chain.axes], ["", *chain.joints]
     links = [chain.base, *(_moved_link(chain, joint) for joint in chain.joints)]
     ends = zip([*joints[1:], ""], [*axes[1:], None], strict=True)
-    found = []
+    result = []
     for k, (joint, axis) in enumerate(ends):
         before = invert(frames[k + 1]) @ frames[k]
         line = before[:3, 3], before[:3, :3] @ axes[k]
-        found.append(_Place(joint, axis, joints[k], *line, links[k]))
-    return found
+        result.append(_Place(joint, axis, joints[k], *line, links[k]))
+    return result
 
 
 def _moved_link(chain: Chain, joint: str) -> str:
@@ -388,8 +388,8 @@ def _aligned(twists: Floats, scales: Floats, place: _Place) -> Floats:
     if axis is None or (len(turns) == 3 and moments > NEAR):
         axis = place.along
     towards = np.array(place.directions(axis)).T
-    for rows, own in ((shifts, slice(0, 3)), (turns, slice(3, 6))):
-        given = twists[rows, own]
+    for rows, part in ((shifts, slice(0, 3)), (turns, slice(3, 6))):
+        given = twists[rows, part]
         alike = len(rows) == 3 and np.ptp(scales[rows]) == 0.0
         if alike and np.abs(given @ given.T - np.eye(3)).max() < 1e-9:
             result[np.ix_(rows, rows)] = given @ towards
@@ -612,11 +612,11 @@ def _visible(J: Floats, parameters: ParameterSet) -> tuple[Floats, Floats]:
     Of the scaled columns of the R robot parameters, without rounding.
     """
     A = J * parameters.scales
-    own = A[:, parameters.free & ~parameters.nuisance]
-    triangle = np.linalg.qr(projected(own, A, parameters), mode="r")
+    columns = A[:, parameters.free & ~parameters.nuisance]
+    triangle = np.linalg.qr(projected(columns, A, parameters), mode="r")
     _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
     # Relative to what stood there before: the projection leaves rounding behind.
-    longest = np.linalg.eigvalsh(own.T @ own).max(initial=0.0) ** 0.5
+    longest = np.linalg.eigvalsh(columns.T @ columns).max(initial=0.0) ** 0.5
     seen = s > rounding(A) * longest
     return s[seen], Vt[seen]
 

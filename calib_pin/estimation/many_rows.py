@@ -96,14 +96,16 @@ class ManyRows:
 
     def _prepared_for(self, error: ErrorModel) -> bool:
         """Whether only frames of an error model are others."""
-        own = self._block.term.error
-        same = error.chain is own.chain and error.screws is own.screws
-        return same and error.payload == own.payload
+        prepared = self._block.term.error
+        same = error.chain is prepared.chain and error.screws is prepared.screws
+        return same and error.payload == prepared.payload
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (N, d)."""
         at, residual = self._at(theta), self._block.term.measurement.residual
-        return self._every(lambda c: residual(self._poses(c, at)[0], at.own, c.data))
+        return self._every(
+            lambda c: residual(self._poses(c, at)[0], at.instrument, c.data)
+        )
 
     def points(self, theta: Floats) -> Floats:
         """Tool points in the measurement frame, shape (N, 3)."""
@@ -126,14 +128,14 @@ class ManyRows:
         term = self._block.term
         values = theta[term.index]
         near = np.minimum(NEAR, 0.1 * np.array([p.scale for p in term.parameters]))
-        for one in self._passes:
-            step = values - one.values
-            if one.sigma is self._sigma and (np.abs(step) <= near).all():
-                return one.r + one.J @ step, one.J
+        for last in self._passes:
+            step = values - last.values
+            if last.sigma is self._sigma and (np.abs(step) <= near).all():
+                return last.r + last.J @ step, last.J
         r, J = self._factors(theta)
         if np.isfinite(r).all():
-            found = _Pass(term, self._sigma, values, r, J)
-            self._passes = [found, *self._passes[: PASSES - 1]]
+            latest = _Pass(term, self._sigma, values, r, J)
+            self._passes = [latest, *self._passes[: PASSES - 1]]
         return r, J
 
     def _factors(self, theta: Floats) -> tuple[Floats, Floats]:
@@ -141,14 +143,14 @@ class ManyRows:
         at, measurement = self._at(theta), self._block.term.measurement
         columns = self._segments.columns(theta[self._block.term.of_error])
         # Twists, corrections, instrument and residual; kernels take an even number.
-        own, (first, count) = len(at.own) + 1, columns.shape
-        to_parameters = np.zeros((first + own + (first + own) % 2, count + own))
+        extra, (first, count) = len(at.instrument) + 1, columns.shape
+        to_parameters = np.zeros((first + extra + (first + extra) % 2, count + extra))
         to_parameters[:first, :count] = columns
-        to_parameters[first : first + own, count:] = np.eye(own)
+        to_parameters[first : first + extra, count:] = np.eye(extra)
 
         def reduced(chunk: _Chunk) -> Floats:
             T, motion, starts = self._poses(chunk, at)
-            linear = measurement.linearize(T, at.own, chunk.data)
+            linear = measurement.linearize(T, at.instrument, chunk.data)
             residual = linear.residual[:, :, None]
             others = np.concatenate([linear.J_instrument, residual], axis=2)
             weights = 1.0 / self._sigma[chunk.rows]
@@ -166,9 +168,9 @@ class ManyRows:
     def _at(self, theta: Floats) -> _At:
         """Parameter values as kernels take them."""
         term = self._block.term
-        of_robot, own = term.values(theta)
+        of_robot, instrument = term.values(theta)
         links = self._segments.links(of_robot[None])[0]
-        return _At(links, of_robot[term.error.joint_corrections], own)
+        return _At(links, of_robot[term.error.joint_corrections], instrument)
 
     def _poses(
         self, chunk: _Chunk, at: _At
@@ -218,7 +220,7 @@ class _At(NamedTuple):
 
     links: Floats
     amounts: Floats
-    own: Floats
+    instrument: Floats
 
 
 class _Chunk(NamedTuple):
@@ -376,7 +378,7 @@ class PopulationPart:
         of_robot, instrument = self._term.values(theta)
         links = self._segments.links(of_robot)
         amounts = of_robot[:, self._term.error.joint_corrections]
-        found, result = self._batch.geometry(instrument), np.empty(len(instrument))
-        of_members = links, amounts, found.points, found.sites
+        geometry, result = self._batch.geometry(instrument), np.empty(len(instrument))
+        of_members = links, amounts, geometry.points, geometry.sites
         kernels.population_costs(self._comparison, *of_members, self._rows, result)
         return result

@@ -151,15 +151,15 @@ def structure_at(
         InputError: If the measured values have no derivative.
     """
     J, count = jacobian_at(problem, theta, at), sum(map(len, at))
-    alike = _omitted(problem, [some.key for some in at])
+    alike = _omitted(problem, [block.key for block in at])
     shown = problem.parameters.without(alike)
     if not np.isfinite(J).all():
         reason = "the measured values have no derivative, like a distance of zero"
         raise InputError(f"{reason}; check the base and tip links")
-    found = structure(J[: len(J) - len(problem.further.priors)], shown, count)
+    result = structure(J[: len(J) - len(problem.further.priors)], shown, count)
     known = scale_deviation(problem, theta, at, J) < UNKNOWN
     scaled = known or not _has_lengths(problem, theta, at)
-    return replace(found, scaled=scaled, alike=alike), J
+    return replace(result, scaled=scaled, alike=alike), J
 
 
 def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> Floats:
@@ -171,10 +171,10 @@ def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> 
         at: Configurations of blocks.
     """
     rows, units, layout = [], current_units(problem), problem.layout
-    for some in at:
-        term = problem.terms[some.key]
-        exact = replace(term.on_chain(some), values=problem.predict(theta, some))
-        sigma = assumed_sigma(term, problem.setup) * units[layout.of_keys[some.key]]
+    for block in at:
+        term = problem.terms[block.key]
+        exact = replace(term.on_chain(block), values=problem.predict(theta, block))
+        sigma = assumed_sigma(term, problem.setup) * units[layout.of_keys[block.key]]
         _, J = RowByRow(term, exact, sigma[None]).factorize(theta)
         rows.append(problem.spread(term, J))
     return np.concatenate([*rows, problem.further.jacobian(theta)])
@@ -200,7 +200,7 @@ def scale_deviation(
         The deviation; zero where the robot cannot grow, infinite where no row changes.
     """
     free = problem.parameters.free.copy()
-    free[list(_omitted(problem, [some.key for some in at]))] = False
+    free[list(_omitted(problem, [block.key for block in at]))] = False
     scales = problem.parameters.scales
     by_all, displaced, b = _growing(problem, theta, at)
     moved, frames = np.column_stack([by_all[:, free], displaced]), displaced.shape[1]
@@ -229,18 +229,18 @@ def _growing(
         By scaled parameters, shape (6 N, P), by displacements of the F bases and tools,
         (6 N, 6 F), and by the logarithm of the robot's size, (6 N,).
     """
-    named = [problem.terms[some.key].frames for some in at]
+    named = [problem.terms[block.key].frames for block in at]
     ends = dict.fromkeys([*(s.station for s in named), *(s.tool for s in named)])
     first_of = {name: 6 * k for k, name in enumerate(ends)}
     changed, moved, grown = [], [], []
-    for some in at:
-        term = problem.terms[some.key]
-        _, poses, _ = RowByRow(term, term.on_chain(some)).linear_poses(theta)
+    for block in at:
+        term = problem.terms[block.key]
+        _, poses, _ = RowByRow(term, term.on_chain(block)).linear_poses(theta)
         count = len(poses.T)
         by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
-        by_own = np.zeros((6 * count, len(term.index)))
-        by_own[:, : by_error.shape[2]] = by_error.reshape(6 * count, -1)
-        changed.append(problem.spread(term, by_own) * problem.parameters.scales)
+        by_parameters = np.zeros((6 * count, len(term.index)))
+        by_parameters[:, : by_error.shape[2]] = by_error.reshape(6 * count, -1)
+        changed.append(problem.spread(term, by_parameters) * problem.parameters.scales)
         displaced = np.zeros((6 * count, 6 * len(ends)))
         first, last = first_of[term.frames.station], first_of[term.frames.tool]
         displaced[:, first : first + 6] = adjoint(invert(poses.to_base)).reshape(-1, 6)
@@ -258,13 +258,13 @@ def _has_lengths(problem: Problem, theta: Floats, at: Sequence[Measurements]) ->
     """
     # A tool in a socket stays there: joints that move apart take it away.
     apart = []
-    for some in at:
-        q = np.column_stack([np.roll(x, k) for k, x in enumerate(some.q.T)])
-        apart.append(replace(some, q=q))
+    for block in at:
+        q = np.column_stack([np.roll(x, k) for k, x in enumerate(block.q.T)])
+        apart.append(replace(block, q=q))
     _, displaced, b = _growing(problem, theta, apart)
     Q = column_space(displaced)
-    own = float(np.linalg.norm(b - Q @ (Q.T @ b))) / np.sqrt(len(b) / 6)
-    return bool(own > LENGTH_SCALE)
+    length = float(np.linalg.norm(b - Q @ (Q.T @ b))) / np.sqrt(len(b) / 6)
+    return bool(length > LENGTH_SCALE)
 
 
 def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> dict[int, int]:
@@ -273,13 +273,13 @@ def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> dict[int, int]:
     With each the same parameter of a station of its kind that is.
     """
     used = {problem.terms[key].frames.station for key in keys}
-    own, found = problem.own_of_stations, dict[int, int]()
-    for stations in station_kinds(problem).values() if own else ():
+    local, result = problem.own_of_stations, dict[int, int]()
+    for stations in station_kinds(problem).values() if local else ():
         shown = [station for station in stations if station in used]
         for station in (name for name in stations if name not in used):
-            pairs = own[station].tolist(), own[shown[-1]].tolist()
-            found |= zip(*pairs, strict=True)
-    return found
+            pairs = local[station].tolist(), local[shown[-1]].tolist()
+            result |= zip(*pairs, strict=True)
+    return result
 
 
 def growth(problem: Problem, theta: Floats) -> Floats:
@@ -364,9 +364,9 @@ def asked(
         conditions = replace(conditions, payload=Labels.of(names))
     if not conditions.direction.size:
         conditions = replace(conditions, direction=approached(q), source="order")
+    blocks = [b for b in problem.data.blocks if b.key == key]
     for name in ("temperature", "time"):
-        held = (b.conditions for b in problem.data.blocks if b.key == key)
-        known = [getattr(own, name) for own in held]
+        known = [getattr(b.conditions, name) for b in blocks]
         if known and len(known[0]) and not len(getattr(conditions, name)):
             rows = np.linspace(0.0, len(known[0]) - 1.0, len(q)).astype(np.intp)
             conditions = replace(conditions, **{name: known[0][rows]})
@@ -424,33 +424,34 @@ def observable_configurations(
     target = [names[i % len(names)] for i in range(count)]
     loads = tuple(payload) or payloads_in_turn(problem, key, count)
     declared = problem.terms[key].measurement.declaration
-    q_found: Floats = np.empty((count, len(problem.chains.joints)))
-    left, tries = np.arange(count), 0
-    while len(left) and tries < DRAWS:
+    result: Floats = np.empty((count, len(problem.chains.joints)))
+    missing, tries = np.arange(count), 0
+    while len(missing) and tries < DRAWS:
         tries += 1
         if tries > PATIENCE:
             # Some targets are hardly ever observable; others take their place.
-            for i in left:
+            for i in missing:
                 target[i] = names[(i + tries) % len(names)]
-        some = np.resize(left, max(count, AT_ONCE * len(left)) if tries > 1 else count)
-        q = problem.chains.random_configurations(len(some), rng)
-        looked, carried = [target[i] for i in some], [loads[i] for i in some]
+        size = max(count, AT_ONCE * len(missing)) if tries > 1 else count
+        wanted = np.resize(missing, size)
+        q = problem.chains.random_configurations(len(wanted), rng)
+        looked, carried = [target[i] for i in wanted], [loads[i] for i in wanted]
         at = asked(problem, key, q, looked, Conditions(Labels.of(carried)))
         if declared.contact:
             q, seen = brought_to_contact(problem, theta, at)
         else:
             seen = problem.observable(theta, at)
         # Of several for one the first that can be measured.
-        found, first = np.unique(some[seen], return_index=True)
-        q_found[found] = q[seen][first]
-        left = np.setdiff1d(left, found)
-    if len(left):
-        few = f"only {count - len(left)} of {count} configurations that can be measured"
-        few += f" ({key.model}) were found within the joint limits"
+        index, first = np.unique(wanted[seen], return_index=True)
+        result[index] = q[seen][first]
+        missing = np.setdiff1d(missing, index)
+    if len(missing):
+        few = f"only {count - len(missing)} of {count} configurations that can be "
+        few += f"measured ({key.model}) were found within the joint limits"
         lacking = lacking_frames(problem, (key,))
         reason = f"give {lacking}: without, {few}" if lacking else few
         raise InputError(reason, file=problem.setup.file or None)
-    return asked(problem, key, q_found, target, Conditions(Labels.of(loads)))
+    return asked(problem, key, result, target, Conditions(Labels.of(loads)))
 
 
 def lacking_frames(problem: Problem, keys: Iterable[BlockKey]) -> str:
@@ -484,18 +485,18 @@ def brought_to_contact(
     robot, instrument = term.values(theta)
     chain, every = term.error.chain, at.q.copy()
     q = every[:, term.columns]
-    touches, left = np.zeros(len(q), bool), np.arange(len(q))
+    touches, active = np.zeros(len(q), bool), np.arange(len(q))
     for _ in range(NEWTON):
-        names, held = at.target[left], at.conditions.rows(left)
-        T, J_q = term.error.kinematics(q[left], robot, held)
-        linear = term.linearized(T, instrument, q[left], names)
-        short = -linear.residual if gap is None else gap[left] - linear.residual
+        names, conditions = at.target[active], at.conditions.rows(active)
+        T, J_q = term.error.kinematics(q[active], robot, conditions)
+        linear = term.linearized(T, instrument, q[active], names)
+        short = -linear.residual if gap is None else gap[active] - linear.residual
         size = np.abs(short).max(axis=1)
-        touches[left[size < TOUCHING]] = True
+        touches[active[size < TOUCHING]] = True
         # Not finite: an arm at its stretched singularity never reaches contact.
         moving = (size >= TOUCHING) & np.isfinite(size)
-        left, short, J = left[moving], short[moving], (linear.J_pose @ J_q)[moving]
-        if not len(left):
+        active, short, J = active[moving], short[moving], (linear.J_pose @ J_q)[moving]
+        if not len(active):
             break
         damped = J @ np.swapaxes(J, 1, 2)
         scale = np.trace(damped, axis1=1, axis2=2)[:, None, None]
@@ -503,7 +504,7 @@ def brought_to_contact(
         step = np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, short[:, :, None])
         longest = np.abs(step[:, :, 0]).max(axis=1)
         shorter = np.minimum(1.0, FARTHEST / np.maximum(longest, FARTHEST))
-        q[left] += step[:, :, 0] * shorter[:, None]
+        q[active] += step[:, :, 0] * shorter[:, None]
     within = ((q >= chain.lower) & (q <= chain.upper)).all(axis=1)
     every[:, term.columns] = q
     return every, touches & within
@@ -525,10 +526,10 @@ def registered(problem: Problem, theta: Floats) -> Problem:
     """
     _require_loose(problem)
     blocks = [trusted(block).sample(SAMPLE) for block in problem.data.blocks]
-    few, found = replace(problem, data=Observations(tuple(blocks))), Located()
+    few, located = replace(problem, data=Observations(tuple(blocks))), Located()
     for term in problem.terms.values():
-        found.state(problem.parameters, term)
-    return replace(problem, terms=found.placed(few, few.blocks, theta))
+        located.state(problem.parameters, term)
+    return replace(problem, terms=located.placed(few, few.blocks, theta))
 
 
 @dataclass
@@ -611,36 +612,36 @@ def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
         theta: Parameter values, shape (P,).
         station: Owner and kind of the base frame, see `Frames`.
     """
-    found = Located()
+    located = Located()
     for term in problem.terms.values():
-        found.keep(term, theta)
-    del found.bases[station]
+        located.keep(term, theta)
+    del located.bases[station]
     few = [b._replace(data=b.data.sample(SAMPLE)) for b in problem.blocks]
-    return replace(problem, terms=found.placed(problem, few, theta))
+    return replace(problem, terms=located.placed(problem, few, theta))
 
 
-def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:
+def _in_turn(blocks: Sequence[Block], located: Located) -> Iterator[Block]:
     """Blocks in an order in which each can be located.
 
     A model with its own measurement frame comes first, since sites stand in it, and
     with a tool before points that others tell more of. What stands still is located
     from stations that the robot has told of, and tells of others.
     """
-    left = list(blocks)
+    queue = list(blocks)
 
     def turn(block: Block) -> tuple[bool, bool, bool, bool]:
         frames, measurement = block.term.frames, block.term.measurement
         still = block.term.key.chain == WORLD
-        lost = still and frames.station not in found.bases
+        lost = still and frames.station not in located.bases
         # Targets that stand still may tell where the station is.
         places = map(frames.place, measurement.references)
-        blind = lost and any(place not in found.references for place in places)
+        blind = lost and any(place not in located.references for place in places)
         external = measurement.declaration.external
         return blind, lost, still or not external, not measurement.sees_tool
 
-    while left:
+    while queue:
         # Blocks hold arrays, which are not compared.
-        yield left.pop(min(range(len(left)), key=lambda k: turn(left[k])))
+        yield queue.pop(min(range(len(queue)), key=lambda k: turn(queue[k])))
 
 
 def _require_loose(problem: Problem) -> None:
@@ -653,8 +654,8 @@ def _require_loose(problem: Problem) -> None:
         if reference.located:
             continue
         start = f"{name}.{reference.kind}."
-        own = [k for k, n in enumerate(parameters.names) if n.startswith(start)]
-        if tied[own].any():
+        index = [k for k, n in enumerate(parameters.names) if n.startswith(start)]
+        if tied[index].any():
             reason = "fixed, bounds or prior on a part of an unknown instrument: give "
             reason += f"its '{section}' in a setup file (--setup)"
             raise OptionError(reason, file=problem.setup.file or None)
@@ -670,8 +671,8 @@ def _given(
     """
     lower, upper = parameters.bounds
     tied = np.isfinite([lower[part], upper[part], parameters.priors[part]]).any()
-    stated = frame.xyz is not None or frame.rpy is not None
-    if stated or tied or not parameters.free[part].all():
+    given = frame.xyz is not None or frame.rpy is not None
+    if given or tied or not parameters.free[part].all():
         return frame_pose(frame)
     return None
 
@@ -700,12 +701,12 @@ def extended(
     problem, values = problem.rebased(theta)
     if new := [block for block in rows.blocks if block.key not in problem.terms]:
         problem, values = _with_stations(problem, values, new)
-    terms, there = dict(problem.terms), replace(problem, data=rows)
-    for term, data, _, _ in there.blocks:
+    terms, other = dict(problem.terms), replace(problem, data=rows)
+    for term, data, _, _ in other.blocks:
         if term.measurement.references:
             measurement = term.measurement.extended(term.poses(values, data), data)
             terms[term.key] = replace(term, measurement=measurement)
-    return _of_terms(there, terms, values)
+    return _of_terms(other, terms, values)
 
 
 def _with_stations(
@@ -719,17 +720,17 @@ def _with_stations(
         new: Measurements from these stations.
     """
     every = {**problem.terms, **{b.key: _elsewhere(problem, b) for b in new}}
-    there = replace(problem, data=Observations(tuple(new)))
-    there, values = _of_terms(there, every, theta)
-    found = Located()
+    other = replace(problem, data=Observations(tuple(new)))
+    other, values = _of_terms(other, every, theta)
+    located = Located()
     for key in problem.terms:
-        found.keep(there.terms[key], values)
-    for term, _, _, _ in there.blocks:
-        found.state(there.parameters, term)
+        located.keep(other.terms[key], values)
+    for term, _, _, _ in other.blocks:
+        located.state(other.parameters, term)
     if len(problem.units):
-        known = fitted_components(there.layout, problem.layout)
-        there = replace(there, units=problem.units[known])
-    return replace(there, terms=found.placed(there, there.blocks, values)), values
+        known = fitted_components(other.layout, problem.layout)
+        other = replace(other, units=problem.units[known])
+    return replace(other, terms=located.placed(other, other.blocks, values)), values
 
 
 def _elsewhere(problem: Problem, block: Measurements) -> Term:
@@ -739,8 +740,8 @@ def _elsewhere(problem: Problem, block: Measurements) -> Term:
     term = {k._replace(station=""): t for k, t in fitted}.get(key._replace(station=""))
     if term is None:
         named = {"model": key.model, "chain": key.chain, "tool": key.tool}
-        told = ", ".join(f"{what} '{name}'" for what, name in named.items() if name)
-        raise block.error(0, f"nothing of this kind was fitted: {told}")
+        kind = ", ".join(f"{what} '{name}'" for what, name in named.items() if name)
+        raise block.error(0, f"nothing of this kind was fitted: {kind}")
     owner = key.station or "elsewhere"
     base = setup.stations.get(key.station, FrameSetup())
     external = term.measurement.declaration.external
@@ -763,10 +764,10 @@ def _of_terms(
         terms: All of its terms, those of further blocks or with more references.
         theta: Values of the parameters that it had, shape (P,).
     """
-    found, given = assembled([*terms.values()])
+    terms, given = assembled([*terms.values()])
     position = {name: k for k, name in enumerate(given.names)}
     moved = [position[name] for name in problem.given.names]
     values = np.zeros(len(given))
     values[moved] = theta
     held = {moved[k]: value for k, value in problem.held_at.items()}
-    return replace(problem, terms=found, given=given, held_at=held), values
+    return replace(problem, terms=terms, given=given, held_at=held), values

@@ -91,8 +91,8 @@ class Layout:
             measured: The quantities of each block, also of those without measurements.
         """
         shown, first = side_by_side({key.model: q for key, q in measured.items()})
-        found = _components(measured)
-        position = {c.key: k for k, c in enumerate(found)}
+        components = _components(measured)
+        position = {c.key: k for k, c in enumerate(components)}
         of_keys = {
             key: np.repeat(
                 [position[key.model, q.name, key.station] for q in quantities],
@@ -102,12 +102,12 @@ class Layout:
         }
         parts = []
         for block, rows in zip(data.blocks, data.slices, strict=True):
-            own = of_keys[block.key].astype(np.int32)
-            place = first[block.model] + np.arange(len(own), dtype=np.int32)
-            row = np.repeat(np.arange(rows.start, rows.stop, dtype=np.int32), len(own))
-            parts.append((row, *(np.tile(of, len(block)) for of in (own, place))))
+            codes = of_keys[block.key].astype(np.int32)
+            place = first[block.model] + np.arange(len(codes), dtype=np.int32)
+            row = np.arange(rows.start, rows.stop, dtype=np.int32).repeat(len(codes))
+            parts.append((row, *(np.tile(part, len(block)) for part in (codes, place))))
         row, component, column = map(np.concatenate, zip(*parts, strict=True))
-        return Layout(row, component, column, found, shown, of_keys)
+        return Layout(row, component, column, components, shown, of_keys)
 
     @cached_property
     def of_components(self) -> Sequence[NDArray[np.intp]]:
@@ -139,7 +139,7 @@ def side_by_side(
     Returns:
         The quantities of all with these columns, and the first column of each model.
     """
-    names = Counter(q.name for found in models.values() for q in found)
+    names = Counter(q.name for quantities in models.values() for q in quantities)
     shown: list[Quantity] = []
     first: dict[str, int] = {}
     for model, quantities in models.items():
@@ -165,27 +165,27 @@ def fitted_components(layout: Layout, known: Layout) -> NDArray[np.intp]:
     for k, c in enumerate(known.components):
         position[c.key] = k
         position.setdefault(c.key[:2], k)
-    found = [position.get(c.key, position[c.key[:2]]) for c in layout.components]
-    return np.array(found, np.intp)
+    index = [position.get(c.key, position[c.key[:2]]) for c in layout.components]
+    return np.array(index, np.intp)
 
 
 def _components(
     measured: Mapping[BlockKey, Sequence[Quantity]],
 ) -> tuple[Component, ...]:
     """The quantities of all instruments, each once."""
-    found = {
+    distinct = {
         (q.name, key.model, key.station): q
         for key, quantities in measured.items()
         for q in quantities
     }
-    stations = Counter((name, model) for name, model, _ in found)
+    stations = Counter((name, model) for name, model, _ in distinct)
     models = Counter(name for name, _ in stations)
     result = []
-    for (name, model, station), quantity in found.items():
-        told = [model] if models[name] > 1 and model != name else []
+    for (name, model, station), quantity in distinct.items():
+        suffix = [model] if models[name] > 1 and model != name else []
         if station and stations[name, model] > 1:
-            told.append(station)
-        full = f"{name} ({', '.join(told)})" if told else name
+            suffix.append(station)
+        full = f"{name} ({', '.join(suffix)})" if suffix else name
         result.append(Component(full, quantity, model, station))
     return tuple(result)
 
@@ -248,22 +248,22 @@ class Shared:
     @cached_property
     def given_sigma(self) -> Floats:
         """Standard deviations that are stated or assumed, shape (M,)."""
-        found = [
+        parts = [
             np.tile(assumed_sigma(self.terms[block.key], self.setup), len(block))
             if block.sigma is None
             else block.sigma.reshape(-1)
             for block in self.data.blocks
         ]
-        return found[0] if len(found) == 1 else np.concatenate(found)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     @cached_property
     def repeated(self) -> Indices:
         """Label of what is measured in one configuration, see `repeated`, (N,)."""
         data = self.data
         labels, sides = data.groups(), np.zeros(len(data), np.int64)
-        held = data.conditions.direction
-        if held.size and "direction" in needed_conditions(self.setup.parameters):
-            sides = np.unique(held, axis=0, return_inverse=True)[1].reshape(-1)
+        directions = data.conditions.direction
+        if directions.size and "direction" in needed_conditions(self.setup.parameters):
+            sides = np.unique(directions, axis=0, return_inverse=True)[1].reshape(-1)
         for codes in (data.things, data.payload.codes, sides):
             count = int(codes.max(initial=0)) + 1
             if count > 1:
@@ -351,8 +351,8 @@ class Problem(Terms):
             names = [p.name for p in self.given if not p.nuisance]
             priors = dict(priors.deviations(names))
         with stated_in(setup.file):
-            stated = self.given.with_fixed(setup.fixed).with_bounds(setup.bounds)
-            return stated.with_priors(priors).without(self.held_at)
+            parameters = self.given.with_fixed(setup.fixed).with_bounds(setup.bounds)
+            return parameters.with_priors(priors).without(self.held_at)
 
     @cached_property
     def further(self) -> Further:
@@ -364,9 +364,9 @@ class Problem(Terms):
         priors = Priors.alone(alone)
         if isinstance(prior, JointPrior):
             # What robots have says nothing of how an instrument drifts.
-            own = Priors.alone(np.where(parameters.nuisance, alone, np.inf))
+            single = Priors.alone(np.where(parameters.nuisance, alone, np.inf))
             together = Priors.together(prior, parameters)
-            priors = Priors(np.vstack([together.rows, own.rows]), together.mean)
+            priors = Priors(np.vstack([together.rows, single.rows]), together.mean)
         return Further(known, self.expected, priors)
 
     def errors(self, theta: Floats) -> Floats:
@@ -391,8 +391,8 @@ class Problem(Terms):
         if not self.many:
             r = self.residual(theta)
             return 0.5 * float(r @ r)
-        found = [r for r, _ in self.factorize(theta)]
-        return 0.5 * sum(float(r @ r) for r in (*found, self.further.residual(theta)))
+        parts = [r for r, _ in self.factorize(theta)]
+        return 0.5 * sum(float(r @ r) for r in (*parts, self.further.residual(theta)))
 
     def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
         """Whitened residual, shape (M,), and Jacobian, shape (M, p), of every block.
@@ -421,13 +421,13 @@ class Problem(Terms):
         for (term, *_), part in zip(self.blocks, parts, strict=True):
             rows.setdefault(term.frames.station, []).append(part)
         self._eliminated.clear()
-        stations, left = self._eliminated.setdefault(theta.tobytes(), {}), []
+        stations, remainders = self._eliminated.setdefault(theta.tobytes(), {}), []
         for name, members in rows.items():
             r, J = map(np.concatenate, zip(*members, strict=True))
-            own = self.own_of_stations[name]
-            stations[name], rest = eliminate(own, shared, r, J)
-            left.append(rest)
-        R = np.asarray(np.linalg.qr(np.concatenate(left), mode="r"))
+            local = self.own_of_stations[name]
+            stations[name], rest = eliminate(local, shared, r, J)
+            remainders.append(rest)
+        R = np.asarray(np.linalg.qr(np.concatenate(remainders), mode="r"))
         jac = np.zeros((len(R), len(theta)))
         jac[:, shared] = R[:, :-1]
         return self._whole(theta, [(R[:, -1], jac)])
@@ -469,12 +469,12 @@ class Problem(Terms):
         indices: dict[str, list[NDArray[np.intp]]] = {}
         for term in self.terms.values():
             indices.setdefault(term.frames.station, []).append(term.index)
-        of = {name: np.unique(np.concatenate(parts)) for name, parts in indices.items()}
-        counts = np.bincount(np.concatenate([*of.values()]), minlength=len(loose))
+        index = {n: np.unique(np.concatenate(parts)) for n, parts in indices.items()}
+        counts = np.bincount(np.concatenate([*index.values()]), minlength=len(loose))
         alone = loose & (counts == 1)
-        if len(of) == 1 or alone.sum() < WORTHWHILE:
+        if len(index) == 1 or alone.sum() < WORTHWHILE:
             return {}
-        return {name: own[alone[own]] for name, own in of.items()}
+        return {name: k[alone[k]] for name, k in index.items()}
 
     @property
     def many(self) -> bool:
@@ -489,18 +489,18 @@ class Problem(Terms):
         the last evaluators, whose references or weights may have been others, they use
         again what these have prepared.
         """
-        found = list[Evaluator]()
+        result = list[Evaluator]()
         for block, last in zip_longest(self.blocks, self._known.evaluators):
             error, relative = block.term.error, block.data.start.size > 0
             if self._large and compilable(error) and not relative:
                 from calib_pin.estimation.many_rows import ManyRows
 
-                found.append(ManyRows(block, self.sigma, last))
+                result.append(ManyRows(block, self.sigma, last))
             else:
                 sigma = block.table(self.sigma)
-                found.append(RowByRow(block.term, block.data, sigma))
-        self._known.evaluators = found
-        return found
+                result.append(RowByRow(block.term, block.data, sigma))
+        self._known.evaluators = result
+        return result
 
     @cached_property
     def _large(self) -> bool:
@@ -592,10 +592,10 @@ def station_kinds(problem: Problem) -> Mapping[frozenset[BlockKey], Sequence[str
     blocks: dict[str, list[BlockKey]] = {}
     for key, term in problem.terms.items():
         blocks.setdefault(term.frames.station, []).append(key._replace(station=""))
-    found: dict[frozenset[BlockKey], list[str]] = {}
+    result: dict[frozenset[BlockKey], list[str]] = {}
     for station, keys in blocks.items():
-        found.setdefault(frozenset(keys), []).append(station)
-    return found
+        result.setdefault(frozenset(keys), []).append(station)
+    return result
 
 
 def representative(problem: Problem) -> list[BlockKey]:
@@ -639,7 +639,7 @@ class Station:
     """The parameters of one station alone, about a linearization.
 
     Attributes:
-        own: Their positions, shape (k,).
+        local: Their positions, shape (k,).
         shared: Positions of the parameters that no station has alone, shape (m,).
         root: Factor of their covariance by its own measurements, `A^+ = root U^T`, with
             U orthonormal, shape (k, rank).
@@ -647,7 +647,7 @@ class Station:
         settled: Their best change by themselves, `-A^+ r`, shape (k,).
     """
 
-    own: NDArray[np.intp]
+    local: NDArray[np.intp]
     shared: NDArray[np.intp]
     root: Floats
     response: Floats
@@ -655,12 +655,12 @@ class Station:
 
 
 def eliminate(
-    own: NDArray[np.intp], shared: NDArray[np.intp], r: Floats, J: Floats
+    local: NDArray[np.intp], shared: NDArray[np.intp], r: Floats, J: Floats
 ) -> tuple[Station, Floats]:
     """Eliminate the parameters of a station from the rows of its measurements.
 
     Args:
-        own: Positions of its parameters, shape (k,).
+        local: Positions of its parameters, shape (k,).
         shared: Positions of those that no station has alone, shape (m,).
         r: Whitened residual of its measurements, shape (M,).
         J: Jacobian by all parameters, shape (M, P).
@@ -668,13 +668,13 @@ def eliminate(
     Returns:
         The station, and rows that are left for the shared ones, residual last.
     """
-    U, s, Vt = np.linalg.svd(J[:, own], full_matrices=False)
+    U, s, Vt = np.linalg.svd(J[:, local], full_matrices=False)
     kept = s > RANK * s.max(initial=0.0)
     U, root = U[:, kept], Vt[kept].T / s[kept]
     rows = np.column_stack([J[:, shared], r])
     along = U.T @ rows
     change = -root @ along
-    station = Station(own, shared, root, change[:, :-1], change[:, -1])
+    station = Station(local, shared, root, change[:, :-1], change[:, -1])
     return station, rows - U @ along
 
 
@@ -682,7 +682,7 @@ def completed(stations: Mapping[str, Station], step: Floats) -> Floats:
     """A step of the shared parameters with that of the eliminated ones, shape (P,)."""
     result = with_response(stations, step)
     for station in stations.values():
-        result[station.own] += station.settled
+        result[station.local] += station.settled
     return result
 
 
@@ -690,5 +690,5 @@ def with_response(stations: Mapping[str, Station], factor: Floats) -> Floats:
     """Changes of all parameters, where only the shared ones were given, (P, k)."""
     result = factor.copy()
     for station in stations.values():
-        result[station.own] = station.response @ factor[station.shared]
+        result[station.local] = station.response @ factor[station.shared]
     return result

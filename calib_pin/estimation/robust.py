@@ -164,12 +164,12 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
         return squared
-    found = _studentized_about(squared, np.ones(int(failing(problem).max()) + 1, bool))
-    scale = found.robust_scale()
-    plain = RobustDecision(_outliers(squared, found, scale))
-    if loss == "squared" or (loss == "auto" and not _suspicious(squared, found, scale)):
+    z = _studentized_about(squared, np.ones(int(failing(problem).max()) + 1, bool))
+    scale = z.robust_scale()
+    plain = RobustDecision(_outliers(squared, z, scale))
+    if loss == "squared" or (loss == "auto" and not _suspicious(squared, z, scale)):
         return replace(squared, robust=plain)
-    accepted = _selected(*_sought(problem, squared.rank, solver.rng))
+    accepted = _agreeing(*_robust_start(problem, squared.rank, solver.rng))
     fitted = squared
     for _ in range(OPTIONS.rounds):
         # They must be a majority that determines the robot.
@@ -180,15 +180,13 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
         if accepted.all():
             return squared
         fitted = balanced(_weighted(problem, accepted), solver)
-        found = _studentized_about(fitted, accepted)
-        scale = _scale(found, accepted)
-        passed = _passed(found, scale)
+        z = _studentized_about(fitted, accepted)
+        scale = _scale(z, accepted)
+        passed = _passed(z, scale)
         if np.array_equal(passed, accepted):
             break
         accepted = passed
-    return replace(
-        fitted, robust=RobustDecision(_outliers(fitted, found, scale), squared)
-    )
+    return replace(fitted, robust=RobustDecision(_outliers(fitted, z, scale), squared))
 
 
 # Residuals in their deviations.
@@ -249,10 +247,10 @@ class Studentized:
         used = used[np.argsort(self.quantity[used], kind="stable")]
         ratios = self.squares[used] / _quantiles(self.counts[used], 1.0 - share)
         ends = np.cumsum(np.bincount(self.quantity[used], minlength=len(result)))
-        for k, own in enumerate(np.split(ratios, ends[:-1])):
-            if len(own):
-                place = int(share * (len(own) - 1))
-                result[k] = np.sqrt(np.partition(own, place)[place])
+        for k, group in enumerate(np.split(ratios, ends[:-1])):
+            if len(group):
+                place = int(share * (len(group) - 1))
+                result[k] = np.sqrt(np.partition(group, place)[place])
         return np.asarray(np.maximum(result, self.least))
 
     def scale(self, accepted: Flags) -> Floats:
@@ -315,18 +313,18 @@ def studentized(
     fun, jac = problem.linearize_rows(theta)
     count = len(counts)
     r, A = fun[:count], jac @ basis
-    own = A[:count]
+    measured = A[:count]
     bad = ~(np.isfinite(r) & np.isfinite(jac[:count]).all(axis=1))
-    own[bad] = 0.0
-    fitted = own[accepted[layout.row]]
-    B = own @ inverse_root(np.concatenate([fitted, A[count:]]))
+    measured[bad] = 0.0
+    fitted = measured[accepted[layout.row]]
+    B = measured @ inverse_root(np.concatenate([fitted, A[count:]]))
     lost, r = bad & (counts > 0.0), np.where(bad, 0.0, r)
     for rows in by_size(failing(problem)[layout.row]):
         sign = np.where(accepted[layout.row[rows[:, 0]]], -1.0, 1.0)
         U, eigenvalues = spectrum(B[rows])
-        left = 1.0 + sign[:, None] * eigenvalues
-        alone = left < OPTIONS.alone
-        factor = np.where(alone, 0.0, 1.0 / np.sqrt(np.where(alone, 1.0, left)))
+        share = 1.0 + sign[:, None] * eigenvalues
+        alone = share < OPTIONS.alone
+        factor = np.where(alone, 0.0, 1.0 / np.sqrt(np.where(alone, 1.0, share)))
         along = np.einsum("gmk,gm->gk", U, r[rows])
         r[rows] += np.einsum("gmk,gk->gm", U, (factor - 1.0) * along)
         counts[rows] -= np.einsum("gmk,gk->gm", U**2, alone.astype(float))
@@ -336,8 +334,8 @@ def studentized(
 
 def _unfitted(problem: Problem, r: Floats) -> Studentized:
     """Residuals as they are, of a model that hardly follows single configurations."""
-    told = np.isfinite(problem.sigma)
-    return Studentized(problem, r[: len(told)], told.astype(float))
+    used = np.isfinite(problem.sigma)
+    return Studentized(problem, r[: len(used)], used.astype(float))
 
 
 def by_size(labels: Indices) -> Iterator[Indices]:
@@ -396,45 +394,45 @@ def _studentized_about(fitted: Fit, accepted: Flags) -> Studentized:
     return studentized(_weighted(held), fitted.theta, basis, rows)
 
 
-def _passed(found: Studentized, scale: Floats) -> Flags:
+def _passed(z: Studentized, scale: Floats) -> Flags:
     """The configurations whose residuals may be chance at a scale, (Q,) -> (G,)."""
-    stated = bool((scale <= OPTIONS.held * found.least).all())
-    chance = OPTIONS.stated_chance if stated else OPTIONS.chance
-    tail = chance / max(len(found.whole), 1)
-    passed = np.asarray(found.statistic(scale) <= found.limit(tail))
-    lost = np.bincount(found.whole, ~passed) / np.bincount(found.whole)
-    return np.asarray(passed & (lost <= OPTIONS.lost)[found.whole])
+    noise_only = bool((scale <= OPTIONS.held * z.least).all())
+    chance = OPTIONS.stated_chance if noise_only else OPTIONS.chance
+    tail = chance / max(len(z.whole), 1)
+    passed = np.asarray(z.statistic(scale) <= z.limit(tail))
+    lost = np.bincount(z.whole, ~passed) / np.bincount(z.whole)
+    return np.asarray(passed & (lost <= OPTIONS.lost)[z.whole])
 
 
-def _scale(found: Studentized, accepted: Flags) -> Floats:
+def _scale(z: Studentized, accepted: Flags) -> Floats:
     """Scale of the accepted configurations, shape (G,) -> (Q,).
 
     Wrong ones of a few deviations among them must not make room for larger ones, so it
     is at most the one by the median.
     """
-    return np.minimum(found.scale(accepted), found.robust_scale())
+    return np.minimum(z.scale(accepted), z.robust_scale())
 
 
-def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
+def _suspicious(fitted: Fit, z: Studentized, scale: Floats) -> bool:
     """Whether a least-squares fit may have been corrupted by some configurations.
 
     A few stand out against the median, or carry the most of chi-square together, or so
     much is left that they may hide.
     """
-    carried = found.scale(np.ones(len(found.whole), bool)) > OPTIONS.carried * scale
-    if not _passed(found, scale).all() or carried.any():
+    carried = z.scale(np.ones(len(z.whole), bool)) > OPTIONS.carried * scale
+    if not _passed(z, scale).all() or carried.any():
         return True
     sigma, layout = fitted.problem.sigma, fitted.problem.layout
-    for size, rows, component in zip(
+    for size, rows, c in zip(
         scale, layout.of_components, layout.components, strict=True
     ):
-        own = sigma[rows][np.isfinite(sigma[rows])]
-        if len(own) and size * np.median(own) > expected_size(component.quantity.unit):
+        sigmas = sigma[rows][np.isfinite(sigma[rows])]
+        if len(sigmas) and size * np.median(sigmas) > expected_size(c.quantity.unit):
             return True
     return False
 
 
-def _sought(
+def _robust_start(
     problem: Problem, rank: int, rng: np.random.Generator
 ) -> tuple[Problem, Floats, Floats]:
     """The solution of the truncated cost over the whole model, by consensus and steps.
@@ -451,32 +449,32 @@ def _sought(
     sizes = np.full(len(parameters), OPTIONS.size)
     places = expected_places(problem, parameters)
     expected = Priors.expected(robot, sizes, parameters.scales, places)
-    every = _consensus(_weighted(problem), rng)
-    every = replace(every, expected=expected, units=np.zeros(0))
-    few = replace(every, data=every.data.sample(SAMPLE)) if every.many else every
+    whole = _consensus(_weighted(problem), rng)
+    whole = replace(whole, expected=expected, units=np.zeros(0))
+    few = replace(whole, data=whole.data.sample(SAMPLE)) if whole.many else whole
     theta, weight = np.zeros(len(parameters)), np.zeros(0)
     # A model of p parameters meets p values exactly, so more than half must count
     # (Rousseeuw and Leroy, Robust regression, 1987, theorem 6 of chapter 3).
     share = min(0.5 * (1.0 + (rank + 1) / measured_count(few)), OPTIONS.largest_share)
     for _ in range(OPTIONS.steps):
         r, J = few.linearize_rows(theta)
-        found = _unfitted(few, r)
-        scale = found.robust_scale(share)
-        before, weight = weight, _weights(found, scale)
+        z = _unfitted(few, r)
+        scale = z.robust_scale(share)
+        before, weight = weight, _weights(z, scale)
         if len(before) and np.abs(weight - before).max() < OPTIONS.still:
             break
         layout = few.layout
-        rows = np.sqrt(weight)[found.labels][layout.row] / scale[layout.component]
+        rows = np.sqrt(weight)[z.labels][layout.row] / scale[layout.component]
         theta = theta + _step(few, r, J, rows)
-    if few is not every:
-        weight = _weights(_unfitted(every, every.residual(theta)), scale)
-    return replace(every, units=scale), theta, weight
+    if few is not whole:
+        weight = _weights(_unfitted(whole, whole.residual(theta)), scale)
+    return replace(whole, units=scale), theta, weight
 
 
-def _weights(found: Studentized, scale: Floats) -> Floats:
+def _weights(z: Studentized, scale: Floats) -> Floats:
     """Weights of configurations for their residuals, shape (G,)."""
-    squares = found.statistic(scale)
-    cut = found.limit(OPTIONS.stated_chance)
+    squares = z.statistic(scale)
+    cut = z.limit(OPTIONS.stated_chance)
     return np.asarray((cut / (squares + cut)) ** 2)
 
 
@@ -498,7 +496,7 @@ def _step(problem: Problem, r: Floats, J: Floats, weight: Floats) -> Floats:
     return np.asarray(step * (OPTIONS.longest_step / longest))
 
 
-def _selected(problem: Problem, theta: Floats, weight: Floats) -> Flags:
+def _agreeing(problem: Problem, theta: Floats, weight: Floats) -> Flags:
     """The configurations that agree with a solution, judged without themselves, (G,).
 
     The first fit depends on it: without these steps 62 measurements of a Panda with a
@@ -520,9 +518,9 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> Flags:
         for _ in range(2):
             alike = np.ones(len(held.layout.row))
             theta = theta + _step(held, *held.linearize_rows(theta), alike)
-        found = studentized(problem, theta, basis, accepted[failing(problem)])
-        scale = _scale(found, accepted)
-        passed = _passed(found, scale)
+        z = studentized(problem, theta, basis, accepted[failing(problem)])
+        scale = _scale(z, accepted)
+        passed = _passed(z, scale)
         if np.array_equal(passed, accepted):
             break
         accepted = passed
@@ -567,12 +565,12 @@ def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
 
     best, least, agreed = problem, np.inf, 0
     for _ in range(OPTIONS.trials):
-        about, total = _concentrated(few, drawn(), targets)
-        if about is None:
+        candidate, total = _concentrated(few, drawn(), targets)
+        if candidate is None:
             continue
         agreed += abs(total - least) <= OPTIONS.same * least < np.inf
         if total < least:
-            best, least = about, total
+            best, least = candidate, total
         # Two subsets of images that are wrong may agree.
         if agreed >= (3 if images else 1):
             break
@@ -589,22 +587,22 @@ def _concentrated(
         where the rows do not say where everything is.
     """
     theta = np.zeros(len(problem.parameters))
-    about, total = None, np.inf
+    result, total = None, np.inf
     for _ in range(2):
         try:
-            found = registered(replace(problem, data=problem.data.rows(rows)), theta)
+            start = registered(replace(problem, data=problem.data.rows(rows)), theta)
         except (CalibPinError, np.linalg.LinAlgError):
             break
-        about, before = replace(found, data=problem.data), rows
+        result, before = replace(start, data=problem.data), rows
         with np.errstate(over="ignore", invalid="ignore"):
-            r = about.residual(theta)[: len(about.sigma)]
+            r = result.residual(theta)[: len(result.sigma)]
             squares = np.where(np.isfinite(r), r**2, np.inf)
-        of_rows = np.asarray(np.bincount(about.layout.row, squares), float)
-        rows = np.sort(np.concatenate([_better(of_rows, own) for own in targets]))
+        of_rows = np.asarray(np.bincount(result.layout.row, squares), float)
+        rows = np.sort(np.concatenate([_better(of_rows, target) for target in targets]))
         total = float(of_rows[rows].sum())
         if np.array_equal(rows, before):
             break
-    return about, total
+    return result, total
 
 
 def _better(squares: Floats, rows: Indices) -> Indices:
@@ -616,30 +614,30 @@ def _better(squares: Floats, rows: Indices) -> Indices:
 # What is said of outliers.
 
 
-def _outliers(fitted: Fit, found: Studentized, scale: Floats) -> tuple[Outlier, ...]:
+def _outliers(fitted: Fit, z: Studentized, scale: Floats) -> tuple[Outlier, ...]:
     """The measurements of the configurations that do not fit, worst first.
 
     The weights are in the data of the fit; the scale is by quantity, shape (Q,).
     """
     problem, data = fitted.problem, fitted.problem.data
-    out = ~_passed(found, scale)[found.labels] | (data.weight == 0.0)
+    out = ~_passed(z, scale)[z.labels] | (data.weight == 0.0)
     if not out.any():
         return ()
-    exchanged = dict(_exchanged(problem, fitted.theta, out, found, scale))
-    rows, sizes = np.flatnonzero(out), found.sizes(scale)
+    exchanged = dict(_exchanged(problem, fitted.theta, out, z, scale))
+    rows, sizes = np.flatnonzero(out), z.sizes(scale)
     order = rows[np.argsort(-sizes[rows], kind="stable")].tolist()
     numbers = sizes[order].tolist(), data.weight[order].tolist()
-    told = [exchanged.get(row, "") for row in order]
-    return tuple(map(Outlier, map(data.source, order), order, *numbers, told))
+    causes = [exchanged.get(row, "") for row in order]
+    return tuple(map(Outlier, map(data.source, order), order, *numbers, causes))
 
 
 def _exchanged(
-    problem: Problem, theta: Floats, out: Flags, found: Studentized, scale: Floats
+    problem: Problem, theta: Floats, out: Flags, z: Studentized, scale: Floats
 ) -> Iterator[tuple[int, str]]:
     """Rows of pairs each of which fits the values of the other, with their cause."""
     if not 2 <= out.sum() <= OPTIONS.looked_at:
         return
-    own, data = found.sizes(scale), problem.data
+    sizes, data = z.sizes(scale), problem.data
     units = scale * current_units(problem)
     sigma = problem.given_sigma * units[problem.layout.component]
     for block in problem.blocks:
@@ -647,18 +645,18 @@ def _exchanged(
         if not block.data.values.shape[1] or len(rows) < 2:
             continue
         i, j = (rows[k] for k in np.triu_indices(len(rows), 1))
-        labels, codes = found.labels[block.rows], block.data.target.codes
+        labels, codes = z.labels[block.rows], block.data.target.codes
         alike = (codes[i] == codes[j]) & (labels[i] != labels[j])
         i, j = i[alike], j[alike]
         fits = []
         for a, b in ((i, j), (j, i)):
-            there = replace(block.data.rows(a), values=block.data.values[b])
+            trial = replace(block.data.rows(a), values=block.data.values[b])
             with np.errstate(invalid="ignore", over="ignore"):
-                r = RowByRow(block.term, there).errors(theta)
+                r = RowByRow(block.term, trial).errors(theta)
                 size = np.linalg.norm(r / block.table(sigma)[a], axis=1)
             # The parts of wrong values are anywhere in a ball of two pairs of values.
             by_chance = (OPTIONS.stated_chance / max(len(i), 1)) ** (0.5 / r.shape[1])
-            fits.append(size < min(OPTIONS.fits, by_chance) * own[block.rows][a])
+            fits.append(size < min(OPTIONS.fits, by_chance) * sizes[block.rows][a])
         for k in np.flatnonzero(fits[0] & fits[1]).tolist():
             a, b = int(i[k]) + block.rows.start, int(j[k]) + block.rows.start
             yield a, exchanged_with(data, b)

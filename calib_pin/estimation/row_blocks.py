@@ -173,20 +173,20 @@ class KnownDistances:
             names: Names of all parameters.
         """
         position = {name: k for k, name in enumerate(names)} if known else {}
-        found: dict[str, tuple[Floats, list[int]]] = {}
+        points: dict[str, tuple[Floats, list[int]]] = {}
         # A point of the tool yields its name to a place of the same name.
         for (section, name), reference in references.items() if known else ():
-            hidden = section == "targets" and name in found
+            hidden = section == "targets" and name in points
             if hidden or not isinstance(reference, PLACES) or reference.xyz is None:
                 continue
             # The known points of a camera have no parameters.
             three = [*reference.components][:3]
-            own = [f"{name}.{reference.kind}.{component}" for component, *_ in three]
-            found[name] = reference.xyz, [position.get(name, -1) for name in own]
-        whole = tuple(k for k in known if all(name in found for name in k.between))
-        pairs = [[found[name] for name in k.between] for k in whole]
+            coordinates = [f"{name}.{reference.kind}.{c}" for c, *_ in three]
+            points[name] = reference.xyz, [position.get(n, -1) for n in coordinates]
+        whole = tuple(k for k in known if all(name in points for name in k.between))
+        pairs = [[points[name] for name in k.between] for k in whole]
         places = np.array([[xyz for xyz, _ in pair] for pair in pairs], float)
-        columns = np.array([[own for _, own in pair] for pair in pairs], np.int64)
+        columns = np.array([[index for _, index in pair] for pair in pairs], np.int64)
         return KnownDistances(
             whole, places.reshape(-1, 2, 3), columns.reshape(-1, 2, 3)
         )
@@ -246,25 +246,25 @@ def expected_places(system: Terms, parameters: ParameterSet) -> Floats:
         Matrix C of `theta = scales * C e`, shape (P, P).
     """
     result = np.eye(len(parameters))
-    left = parameters.free & ~parameters.nuisance & ~np.isfinite(parameters.priors)
+    remaining = parameters.free & ~parameters.nuisance & ~np.isfinite(parameters.priors)
     for term in system.terms.values():
         places = feet(term.error.chain)
         joints = defaultdict[tuple[int, str], list[int]](list)
         for k in range(FRAME, len(term.error.screws) - FRAME):
             screw = term.error.screws[k]
-            if screw.basis is None and left[term.index[k]]:
+            if screw.basis is None and remaining[term.index[k]]:
                 stem = screw.parameter.name.rpartition(".")[0]
                 joints[screw.frame, stem].append(k)
-        for (frame, _), own in joints.items():
-            index = term.index[own]
-            if len(own) == FRAME and frame <= len(places):
-                twists = np.array([term.error.screws[k].twist for k in own]).T
+        for (frame, _), members in joints.items():
+            index = term.index[members]
+            if len(members) == FRAME and frame <= len(places):
+                twists = np.array([term.error.screws[k].twist for k in members]).T
                 # Both in the scales of the parameters: translations, then rotations.
                 scales = parameters.scales[index]
                 block = np.linalg.solve(twists * scales, places[frame - 1] * scales)
                 result[np.ix_(index, index)] = block
             # What several chains share has one place.
-            left[index] = False
+            remaining[index] = False
     return result
 
 

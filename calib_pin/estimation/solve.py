@@ -82,9 +82,9 @@ class Solution(LeastSquaresResult):
     def after(self, last: Solution) -> Solution:
         """The solution with the steps of the one it started from, and its search."""
         searched = self if self.evolution or not last.evolution else last
-        way, evolution = searched.evaluator, searched.evolution
+        kind, evolution = searched.evaluator, searched.evolution
         nit, nfev = self.nit + last.nit, self.nfev + last.nfev
-        return replace(self, evaluator=way, evolution=evolution, nit=nit, nfev=nfev)
+        return replace(self, evaluator=kind, evolution=evolution, nit=nit, nfev=nfev)
 
 
 class Solver:
@@ -106,15 +106,15 @@ class Solver:
         progress: Progress | None = None,
     ) -> None:
         """Check the name and the options."""
-        stated = problem.setup.solver
+        setup = problem.setup.solver
         self.rng, self._progress = rng, progress
-        self.name = stated.name
+        self.name = setup.name
         with stated_in(problem.setup.file):
             require_known("solver", self.name, SOLVERS)
             known = [option.name for option in fields(DifferentialEvolution)]
-            for name in stated.evolution:
+            for name in setup.evolution:
                 require_known("option of the solver", name, known)
-            self._options = DifferentialEvolution(**stated.evolution)  # type: ignore[arg-type]
+            self._options = DifferentialEvolution(**setup.evolution)  # type: ignore[arg-type]
 
     @property
     def searches(self) -> bool:
@@ -151,8 +151,8 @@ class Solver:
         if not searches or previous is not None:
             return descend(problem, directions, start)
         few = replace(problem, data=problem.data.sample(ROWS))
-        found = self._evolve(few, directions, nominal, start)
-        return descend(problem, directions, found.x).after(found)
+        solution = self._evolve(few, directions, nominal, start)
+        return descend(problem, directions, solution.x).after(solution)
 
     def _evolve(
         self, problem: Problem, directions: Directions, nominal: Floats, start: Floats
@@ -173,12 +173,12 @@ class Solver:
             return costs(nominal + members @ basis.T)
 
         x0 = np.clip(first, *bounds.T)
-        found = differential_evolution(evaluate, bounds, self.rng, self._options, x0=x0)
-        x = nominal + basis @ found.x
+        best = differential_evolution(evaluate, bounds, self.rng, self._options, x0=x0)
+        x = nominal + basis @ best.x
         fun, jac = problem.linearize(x)
-        status = _status_of(problem, found, fun, jac @ basis)
-        cost, nit, nfev = found.fun, found.nit, found.nfev
-        return Solution(x, fun, jac, cost, nit, nfev, status, costs.evaluator, found)
+        status = _status_of(problem, best, fun, jac @ basis)
+        cost, nit, nfev = best.fun, best.nit, best.nfev
+        return Solution(x, fun, jac, cost, nit, nfev, status, costs.evaluator, best)
 
 
 def descend(problem: Problem, directions: Directions, start: Floats) -> Solution:
@@ -250,24 +250,24 @@ def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:
 
 
 def _status_of(
-    problem: Problem, found: EvolutionResult, fun: Floats, A: Floats
+    problem: Problem, result: EvolutionResult, fun: Floats, A: Floats
 ) -> Status:
     """An evolution has converged where next to nothing is left to gain.
 
     A population can meet anywhere, and a limit of generations can come at a minimum.
     Residual, (M,), and Jacobian by directions, (M, k), are those of its best member.
     """
-    if found.status not in (Status.GENERATIONS, Status.CONVERGED):
-        return found.status
+    if result.status not in (Status.GENERATIONS, Status.CONVERGED):
+        return result.status
     step = np.linalg.lstsq(A, fun, rcond=None)[0]
     promised = float(fun @ (A @ step)) / 2.0
     # Where the noise is stated, what lies far below it is nothing to gain either.
     noise = 0.5 * known_count(problem) if states_sigmas(problem.data) else 0.0
-    if promised <= NEGLIGIBLE * max(found.fun, noise):
+    if promised <= NEGLIGIBLE * max(result.fun, noise):
         return Status.CONVERGED
-    if found.status is Status.CONVERGED:
+    if result.status is Status.CONVERGED:
         return Status.COLLAPSED
-    return found.status
+    return result.status
 
 
 WORTHWHILE = 40_000

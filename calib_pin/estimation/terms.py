@@ -337,11 +337,11 @@ class Terms:
     @property
     def by_chain(self) -> Mapping[str, Term]:
         """The first term of each chain that has joints, by the chain's name."""
-        found: dict[str, Term] = {}
+        result: dict[str, Term] = {}
         for key, term in self.terms.items():
             if term.error.chain.joints:
-                found.setdefault(key.chain, term)
-        return found
+                result.setdefault(key.chain, term)
+        return result
 
     def of_chain(self, name: str | None = None) -> Term:
         """The first term of a chain, by default of the first that has joints."""
@@ -430,12 +430,12 @@ def assembled(terms: Sequence[Term]) -> tuple[dict[BlockKey, Term], ParameterSet
         OptionError: If a parameter of a joint means something else in another chain.
     """
     terms = with_shared_references(terms)
-    found: list[dict[str, Parameter]] = [{}, {}, {}, {}]
+    groups: list[dict[str, Parameter]] = [{}, {}, {}, {}]
     twists: dict[tuple[str, str], Floats] = {}
     for term in terms:
         inner = len(term.error.screws)
         ends = (0, FRAME, inner - FRAME, inner, len(term.parameters))
-        for group, start, stop in zip(found, ends[:-1], ends[1:], strict=True):
+        for group, start, stop in zip(groups, ends[:-1], ends[1:], strict=True):
             for parameter in term.parameters[start:stop]:
                 group.setdefault(parameter.name, parameter)
         for screw in term.error.screws[FRAME:-FRAME]:
@@ -443,13 +443,13 @@ def assembled(terms: Sequence[Term]) -> tuple[dict[BlockKey, Term], ParameterSet
             # Joints that mimic one another each have a motion of their own, and several
             # may share a parameter that bends them.
             joint = (*term.error.chain.joints, "")[screw.frame - 1]
-            own = joint in term.error.chain.mimics or screw.basis is not None
-            other = twists.setdefault((name, joint if own else ""), screw.twist)
+            separate = joint in term.error.chain.mimics or screw.basis is not None
+            other = twists.setdefault((name, joint if separate else ""), screw.twist)
             if np.abs(screw.twist - other).max() > 1e-9:
                 reason = f"'{name}' is another motion in the chain '{term.key.chain}'"
                 allowed = "parameters such as 'placement', which no chain changes"
                 raise OptionError(reason, allowed=allowed)
-    given = ParameterSet(tuple(p for group in found for p in group.values()))
+    given = ParameterSet(tuple(p for group in groups for p in group.values()))
     position = {name: k for k, name in enumerate(given.names)}
     result = {}
     for term in terms:
@@ -459,7 +459,7 @@ def assembled(terms: Sequence[Term]) -> tuple[dict[BlockKey, Term], ParameterSet
 
 
 def with_shared_references(
-    terms: Sequence[Term], found: Mapping[tuple[str, str], ReferenceObject] = {}
+    terms: Sequence[Term], located: Mapping[tuple[str, str], ReferenceObject] = {}
 ) -> list[Term]:
     """Terms whose reference objects of one name and section are the same.
 
@@ -467,7 +467,7 @@ def with_shared_references(
 
     Args:
         terms: The terms.
-        found: Objects that have been located, by section and name; they win.
+        located: Objects that have been located, by section and name; they win.
     """
     best: dict[tuple[str, str], ReferenceObject] = {}
     for term in terms:
@@ -477,7 +477,7 @@ def with_shared_references(
             rank = len(reference.parameters), reference.located
             if rank > (len(other.parameters), other.located):
                 best[key] = reference
-    best |= {key: value for key, value in found.items() if key in best}
+    best |= {key: value for key, value in located.items() if key in best}
     result = []
     for term in terms:
         shared = [best[term.frames.place(r)] for r in term.measurement.references]
@@ -506,8 +506,8 @@ def frames_of_blocks(
     for key in keys:
         station, tool = bases[stations[key]], ends[tools[key]]
         place = f"{station}.station" if station else BASE
-        base = _stated(setup.stations, station, key.station, setup.base_frame)
-        end = _stated(setup.tools, tool, key.tool, setup.tool_frame)
+        base = _frame_setup(setup.stations, station, key.station, setup.base_frame)
+        end = _frame_setup(setup.tools, tool, key.tool, setup.tool_frame)
         offset = pin.SE3.Identity()
         for _ in setup.tools:
             if not isinstance(end, ToolSetup) or end.on is None:
@@ -543,14 +543,14 @@ def prefixed(terms: Iterable[Term]) -> list[Term]:
     return result
 
 
-def own_name(key: BlockKey, keys: Sequence[BlockKey], stated: str) -> str:
+def own_name(key: BlockKey, keys: Sequence[BlockKey], given: str) -> str:
     """Name of a station or a tool, that of the model where it follows nothing.
 
     A camera among others is at a place of its own and looks at something of its own.
     """
     alone = all(other.model == key.model for other in keys)
     follows = declared(key.model).tracks or not declared(key.model).external
-    return stated or ("" if alone or follows else key.model)
+    return given or ("" if alone or follows else key.model)
 
 
 def _owners(places: set[tuple[str, str]], default: str) -> dict[tuple[str, str], str]:
@@ -569,7 +569,7 @@ def _owners(places: set[tuple[str, str]], default: str) -> dict[tuple[str, str],
     return result
 
 
-def _stated(
+def _frame_setup(
     frames: Mapping[str, FrameSetup], owner: str, name: str, default: FrameSetup
 ) -> FrameSetup:
     """Frame that a setup states, by its owner or by the name in measurements."""

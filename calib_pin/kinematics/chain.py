@@ -127,7 +127,7 @@ class Chain:
         count = len(path)
         self.reversed = np.arange(count) < len(up) - shared
         if path:  # Pinocchio crashes where nothing moves.
-            pin.computeJointJacobians(*self._workspace.own, pin.neutral(self._model))
+            pin.computeJointJacobians(*self._workspace.value, pin.neutral(self._model))
         subspaces = np.array([self._subspace(j) for j in self._ids]).reshape(-1, 6)
         space = self._space = JointSpace(full, self.joints, robot.mimics)
         self.mimics = space.mimics
@@ -327,14 +327,14 @@ class Chain:
         chosen = self.placements if placements is None else placements
         if q.size > REMEMBERED:
             return sweep(q, chosen)
-        recent, places = self._recent.own, map(matrix, chosen)
+        recent, places = self._recent.value, map(matrix, chosen)
         key = (sweep.__name__, q.shape, *(rows.tobytes() for rows in (q, *places)))
         if key not in recent:
             if len(recent) == RECENT:
                 del recent[next(iter(recent))]
             recent[key] = sweep(q, chosen)
         # Those who asked may write what they get.
-        return tuple(found.copy() for found in recent[key])
+        return tuple(result.copy() for result in recent[key])
 
     def _poses(self, q: Floats, placements: Sequence[Placement]) -> tuple[Floats]:
         return (self._sweep(q, placements, pin.forwardKinematics),)
@@ -366,7 +366,7 @@ class Chain:
         """
         if not self.joints:
             return self.poses(q), np.empty((len(q), 6, 0))
-        (model, data), local = self._workspace.own, pin.LOCAL
+        (model, data), local = self._workspace.value, pin.LOCAL
         tip_id, base_id = self._tip_id, self._base_id
         at_tip = np.empty((len(q), 6, width))
         at_base = np.empty(at_tip.shape) if self.reversed.any() else None
@@ -393,7 +393,7 @@ class Chain:
         fill: Callable[[int], None] | None = None,
     ) -> Floats:
         """Tip poses in the base frame; `fill` is called at each configuration."""
-        (model, data), place = self._workspace.own, pin.updateFramePlacement
+        (model, data), place = self._workspace.value, pin.updateFramePlacement
         tip_id, base_id = self._tip_id, self._base_id
         varied = self._place(model, placements)
         tip = np.empty((len(q), 4, 4))
@@ -413,7 +413,7 @@ class Chain:
 
     def _subspace(self, joint: int) -> Floats:
         """Unit twist of a joint in its own frame: the axis, linear or angular."""
-        J = pin.getJointJacobian(*self._workspace.own, joint, pin.LOCAL)
+        J = pin.getJointJacobian(*self._workspace.value, joint, pin.LOCAL)
         # With a single degree of freedom Pinocchio returns a plain vector.
         return np.asarray(J.reshape(6, -1)[:, self._model.idx_vs[joint]])
 

@@ -27,9 +27,9 @@ class Chains:
         robot: The robot.
         base: Link at which chains start that do not state another; default the root.
         tip: Link at which the default chain ends; default the only leaf.
-        stated: Base and tip of chains by name.
+        setups: Base and tip of chains by name.
         names: Names of the chains that are measured: empty for the default one, `WORLD`
-            for what stands still, a name among `stated`, else a link, the tip.
+            for what stands still, a name among `setups`, else a link, the tip.
         built: Chains by name that exist already.
 
     Attributes:
@@ -60,15 +60,15 @@ class Chains:
         robot: Robot,
         base: str | None = None,
         tip: str | None = None,
-        stated: Mapping[str, ChainSetup] = MappingProxyType({}),
+        setups: Mapping[str, ChainSetup] = MappingProxyType({}),
         names: Sequence[str] = ("",),
         built: Mapping[str, Chain] = MappingProxyType({}),
     ) -> None:
         """Build the chains."""
         self.robot = robot
         self.names = tuple(dict.fromkeys(names))
-        self._base, self._tip, self._stated = base, tip, dict(stated)
-        if WORLD in stated:
+        self._base, self._tip, self._setups = base, tip, dict(setups)
+        if WORLD in setups:
             raise RobotError(
                 f"'{WORLD}' is the name of what stands still, not of a chain",
                 column="chains",
@@ -78,7 +78,7 @@ class Chains:
             name: built.get(name) or self._build(name) for name in self.names
         }
         model = robot.model
-        moving = [found.joints for found in self._chains.values() if found.joints]
+        moving = [chain.joints for chain in self._chains.values() if chain.joints]
         given = list(dict.fromkeys(joined.from_iterable(moving)))
         if len(moving) > 1:
             leaders = JointSpace(model, given, robot.mimics).joints
@@ -99,10 +99,10 @@ class Chains:
             setup: What it states of the chains of a robot that is named.
         """
         if isinstance(chain, str | Path):
-            of = setup or RobotSetup()
-            ends = {"base": of.base, "tip": of.tip, "stated": of.chains}
-            found: Chains = upper("io.urdf", "load_chains", chain, **ends)
-            return found
+            setup = setup or RobotSetup()
+            given = {"base": setup.base, "tip": setup.tip, "stated": setup.chains}
+            chains: Chains = upper("io.urdf", "load_chains", chain, **given)
+            return chains
         if isinstance(chain, Chains):
             return chain
         return Chains(chain.robot, chain.base, chain.tip, built={"": chain})
@@ -110,7 +110,7 @@ class Chains:
     def named(self, names: Sequence[str]) -> Chains:
         """The chains of other names of the same robot and statements."""
         return Chains(
-            self.robot, self._base, self._tip, self._stated, names, self._chains
+            self.robot, self._base, self._tip, self._setups, names, self._chains
         )
 
     @property
@@ -144,23 +144,23 @@ class Chains:
             still = robot.root if base is None else base
             return Chain(robot, still, still)
         tip = name or self._tip
-        if name in self._stated:
-            tip, base = self._stated[name].tip, self._stated[name].base or base
+        if name in self._setups:
+            tip, base = self._setups[name].tip, self._setups[name].base or base
         elif name and name not in robot.links:
-            known = [WORLD, *self._stated, *robot.links]
+            known = [WORLD, *self._setups, *robot.links]
             raise RobotError(
                 f"there is no chain or link '{name}'{nearest(name, known)}",
                 file=robot.file,
                 allowed=", ".join(known) if len(known) <= 12 else None,
             )
-        found = Chain(robot, base, tip)
-        if not found.joints:
+        chain = Chain(robot, base, tip)
+        if not chain.joints:
             raise RobotError(
-                f"the chain ends at its base '{found.base}', where nothing moves",
+                f"the chain ends at its base '{chain.base}', where nothing moves",
                 file=robot.file,
                 allowed=f"another tip, or {WORLD} for what stands still",
             )
-        return found
+        return chain
 
 
 Robots: TypeAlias = Chain | Chains | str | Path

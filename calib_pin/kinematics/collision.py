@@ -114,9 +114,9 @@ class Collisions:
         """
         touching = np.zeros((len(q), len(self.pairs)), bool)
         for row, full in zip(touching, self._configurations(q), strict=True):
-            found = self._place(full)
-            pin.computeCollisions(self._meshes, found, False)
-            row[:] = [result.isCollision() for result in found.collisionResults]
+            geometry = self._place(full)
+            pin.computeCollisions(self._meshes, geometry, False)
+            row[:] = [result.isCollision() for result in geometry.collisionResults]
         return touching
 
     def only(self, kept: Iterable[int], clearances: Floats | None = None) -> Collisions:
@@ -180,15 +180,15 @@ class Collisions:
         return longest
 
     def _is_free(self, full: Floats) -> bool:
-        data, boxes, _ = self._checks.own
+        data, boxes, _ = self._checks.value
         if not pin.computeCollisions(self._model, data, boxes, full, True):
             return True
         return not pin.computeCollisions(self._meshes, self._place(full), True)
 
     def _place(self, full: Floats) -> pin.GeometryData:
-        data, _, found = self._checks.own
-        pin.updateGeometryPlacements(self._model, data, self._meshes, found, full)
-        return found
+        data, _, geometry = self._checks.value
+        pin.updateGeometryPlacements(self._model, data, self._meshes, geometry, full)
+        return geometry
 
 
 def _checks(

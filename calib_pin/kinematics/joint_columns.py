@@ -93,8 +93,8 @@ class JointColumns:
             leader = row(mimic.leader)
             A[row(joint)] = mimic.factor * A[leader]
             b[row(joint)] = mimic.factor * b[leader] + mimic.offset
-        own = [row(joint) for joint in chain.joints]
-        A, b = A[own], b[own]
+        rows = [row(joint) for joint in chain.joints]
+        A, b = A[rows], b[rows]
         tells = [_teller(chain, joint, A[:, k]) for k, joint in enumerate(drives)]
         owners = *drives, *[""] * (len(names) - len(drives))
         return JointColumns(
@@ -122,10 +122,10 @@ class JointColumns:
         square, moved = self.factors[self.tells, :n], (q - self.offsets)[:, self.tells]
         if np.linalg.matrix_rank(square) < n:
             raise InputError("the couplings in 'joints' cannot be undone")
-        own = np.diag(square)
+        diag = np.diag(square)
         # Without couplings nothing is solved, so that no digit changes.
-        alone = (np.diag(own) == square).all()
-        result[:, :n] = moved / own if alone else np.linalg.solve(square, moved.T).T
+        alone = (np.diag(diag) == square).all()
+        result[:, :n] = moved / diag if alone else np.linalg.solve(square, moved.T).T
         return result
 
 
@@ -149,8 +149,8 @@ def _teller(chain: Chain | Chains, drive: str, factors: Floats) -> int:
     """Row of the joint that tells where a drive is: its own, or one that follows it."""
     if drive in chain.joints:
         return chain.joints.index(drive)
-    own = [j in chain.mimics and chain.mimics[j].leader == drive for j in chain.joints]
-    return int(np.argmax(np.abs(factors) * own))
+    followers = [j for j, mimic in chain.mimics.items() if mimic.leader == drive]
+    return int(np.argmax(np.abs(factors) * np.isin(chain.joints, followers)))
 
 
 def _maps(

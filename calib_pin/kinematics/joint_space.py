@@ -70,8 +70,8 @@ class JointSpace:
         index = np.array([model.idx_qs[j] for j in ids], np.intp)
         lower, upper = model.lowerPositionLimit[index], model.upperPositionLimit[index]
         # People who mean no limit write two zeros.
-        stated = (upper > lower) | ((upper == lower) & (upper != 0.0))
-        limited = single & stated & (np.abs(upper - lower) < WIDEST)
+        valid = (upper > lower) | ((upper == lower) & (upper != 0.0))
+        limited = single & valid & (np.abs(upper - lower) < WIDEST)
         self.inverted: tuple[str, ...] = tuple(
             self.joints[j] for j in np.flatnonzero(single & (lower > upper))
         )

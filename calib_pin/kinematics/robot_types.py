@@ -18,7 +18,7 @@ def robot_type(chains: Chains) -> RobotType:
         >>> [robot_type(Chains.of(calib_pin.load_chain(r))).name for r in ["space6"]]
         ['space6']
     """
-    found: dict[str, JointType] = {}
+    joints: dict[str, JointType] = {}
     for name in chains.names:
         chain = chains[name]
         # Up to the root, and down from there.
@@ -30,5 +30,5 @@ def robot_type(chains: Chains) -> RobotType:
             first = k == top - 1 or (k == top and k == 0)
             placement = () if first else tuple(pose.homogeneous[:3].ravel().tolist())
             axis = tuple(chain.axes[k].tolist())
-            found.setdefault(joint, JointType(joint, axis, placement))
-    return RobotType(chains.robot.name, tuple(found.values()))
+            joints.setdefault(joint, JointType(joint, axis, placement))
+    return RobotType(chains.robot.name, tuple(joints.values()))

@@ -64,7 +64,7 @@ class Skeleton:
 
     def placements(self, q: Floats) -> Floats:
         """Poses of all links in the base link at q (K,) [rad, m], shape (L, 4, 4)."""
-        model, data = self._workspace.own
+        model, data = self._workspace.value
         (full,) = self._configurations(self._every(q))
         pin.framesForwardKinematics(model, data, full)
         T = np.array([data.oMf[frame].homogeneous for frame in self._frames])

@@ -25,7 +25,7 @@ class PerThread(threading.local, Generic[T]):
     def __init__(self, make: Callable[..., T], *args: Any) -> None:
         """Make one; called in each thread that looks at an attribute."""
         self._make, self._args = make, args
-        self.own: T = make(*args)
+        self.value: T = make(*args)
 
     def __reduce__(self) -> tuple[type[PerThread[T]], tuple[Any, ...]]:
         """A copy, or another process, makes its own."""

@@ -52,10 +52,10 @@ def _fault(name: str, model: object) -> str:
     """Why an object of another package cannot be a member; empty where it can."""
     if not (isinstance(model, type) and issubclass(model, MeasurementModel)):
         return "it is no MeasurementModel"
-    stated = getattr(model, "declaration", None)
-    if not isinstance(stated, Declaration):
+    given = getattr(model, "declaration", None)
+    if not isinstance(given, Declaration):
         return "it has no declaration"
-    return "" if stated.name == name else f"it declares the name '{stated.name}'"
+    return "" if given.name == name else f"it declares the name '{given.name}'"
 
 
 MEMBERS: Sequence[type[MeasurementModel]] = (
@@ -88,16 +88,16 @@ def require_values(data: Measurements) -> None:
         OptionError: If there is no such model.
         InputError: If columns differ, or a quaternion is zero.
     """
-    of = declared(data.model)
-    given = {"values": (data.values, of.values), "sigma": (data.sigma, of.components)}
-    for name, (table, columns) in given.items():
+    kind = declared(data.model)
+    for name, columns in (("values", kind.values), ("sigma", kind.components)):
+        table = getattr(data, name)
         # Contacts may have no values, or deviations that a gauge reads.
-        widths = (0, len(of.components)) if of.contact else (len(columns),)
+        widths = (0, len(kind.components)) if kind.contact else (len(columns),)
         if table is not None and table.shape[1] not in widths:
             reason = f"'{name}' of a {data.model} has {table.shape[1]} columns"
             raise data.error(0, reason, allowed=", ".join(columns) or "none")
-    if of.oriented and not (stated := data.values[:, -4:].any(axis=1)).all():
-        raise data.error(int(np.argmin(stated)), "'values': the quaternion is zero")
+    if kind.oriented and not (nonzero := data.values[:, -4:].any(axis=1)).all():
+        raise data.error(int(np.argmin(nonzero)), "'values': the quaternion is zero")
 
 
 def measurement_model(

@@ -97,14 +97,14 @@ class CameraModel(MeasurementModel):
         """
         camera = Camera.from_setup(setup)
         given = setup.board.points if setup.board else setup.targets
-        stated = given or dict.fromkeys(filter(None, targets), PointSetup())
+        setups = given or dict.fromkeys(filter(None, targets), PointSetup())
         points = [
             Marker(name, xyz=xyz_or_none(point.xyz), estimate=bool(point.estimate))
-            for name, point in stated.items()
+            for name, point in setups.items()
         ]
         named, printed = set(targets), setup.board is not None
         # All of them count without measurements, or where one names what is not stated.
-        if not named or not named <= set(stated):
+        if not named or not named <= set(setups):
             return cls(camera, tuple(points), (), printed)
         seen = tuple(p for p in points if p.name in named)
         spare = tuple(p for p in points if p.located and p.name not in named)
@@ -248,9 +248,9 @@ class CameraModel(MeasurementModel):
                 f"'camera' ({len(data)}); give 'frames' in a setup file (--setup)"
             )
         T = outer.homogeneous @ F @ inner.homogeneous
-        found = self if camera is self.camera else replace(self, camera=camera)
+        model = self if camera is self.camera else replace(self, camera=camera)
         instrument = np.zeros(len(self.parameters))
-        seen = found._look(T, instrument, index).image.points[2] > NEAR
+        seen = model._look(T, instrument, index).image.points[2] > NEAR
         if not seen.all():
             row = int(np.argmin(seen))
             raise data.error(
@@ -259,11 +259,11 @@ class CameraModel(MeasurementModel):
                 "the frames that the fit starts from; give 'frames' in a setup file "
                 "(--setup)",
             )
-        return found, outer, inner
+        return model, outer, inner
 
     def _zoomed(self, F: Floats, data: Measurements, index: Indices) -> list[Camera]:
         """The camera with focal lengths that the images tell."""
-        focal, found = self.camera.intrinsics[:2], list[Camera]()
+        focal, cameras = self.camera.intrinsics[:2], list[Camera]()
         # With a wrong focal length a distortion is undone in the wrong places.
         for distorted in (False, True, True):
             camera = self.camera.with_focal(focal)
@@ -272,8 +272,8 @@ class CameraModel(MeasurementModel):
             if factors is None:
                 break
             focal = focal * factors
-            found.append(self.camera.with_focal(focal))
-        return found
+            cameras.append(self.camera.with_focal(focal))
+        return cameras
 
     def _rays(
         self, camera: Camera, F: Floats, data: Measurements, index: Indices

@@ -89,11 +89,11 @@ class Rays:
             return outer, inner
         if len(self.F) == 0:
             return None
-        found = list(self._candidates(outer, inner))
-        if not found and outer is None and inner is None:
-            known = [np.eye(4) if taken else None for taken in guess]
-            found = list(self._resection(*known))
-        return min(found, key=self.error, default=None)
+        pairs = list(self._candidates(outer, inner))
+        if not pairs and outer is None and inner is None:
+            known = [np.eye(4) if allowed else None for allowed in guess]
+            pairs = list(self._resection(*known))
+        return min(pairs, key=self.error, default=None)
 
     def _candidates(
         self, outer: Floats | None, inner: Floats | None
@@ -230,16 +230,16 @@ def pose_of_points(points: Floats, rays: Floats) -> Floats | None:
     if len(points) < 4 or extent[1] <= max(THIN * extent[0], DEGENERATE):
         return None
     local = (points - center) @ axes.T
-    found: list[tuple[float, Floats]] = []
+    candidates: list[tuple[float, Floats]] = []
     if extent[2] < FLAT * extent[0]:
-        found += _placed(_plane_rotation(local, rays), local, rays)
+        candidates += _placed(_plane_rotation(local, rays), local, rays)
     if extent[2] > THIN * extent[0]:
         if len(points) >= 6:
-            found += _placed(_space_rotation(local, rays), local, rays)
-        found += _placed(_scaled_rotation(local, rays), local, rays)
-    if not found:
+            candidates += _placed(_space_rotation(local, rays), local, rays)
+        candidates += _placed(_scaled_rotation(local, rays), local, rays)
+    if not candidates:
         return None
-    _, pose = min(found, key=lambda candidate: candidate[0])
+    _, pose = min(candidates, key=lambda candidate: candidate[0])
     pose[:3, :3] = pose[:3, :3] @ axes
     pose[:3, 3] -= pose[:3, :3] @ center
     return pose
@@ -294,8 +294,8 @@ def carried_points(
         right -= sight.reshape(-1, 3) @ camera[:3, 3]
     if len(rows) < rows.shape[1]:
         return None
-    found = np.linalg.lstsq(rows, right, rcond=DEGENERATE)[0]
-    return np.asarray(h @ found[: 3 * h.shape[1]].reshape(3, -1).T)
+    solution = np.linalg.lstsq(rows, right, rcond=DEGENERATE)[0]
+    return np.asarray(h @ solution[: 3 * h.shape[1]].reshape(3, -1).T)
 
 
 def _extent(points: Floats) -> tuple[Floats, Floats, Floats]:

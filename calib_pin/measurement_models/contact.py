@@ -66,14 +66,14 @@ class SiteModel(PointModel):
         F = base.homogeneous @ F
         tip = tip_points(self.points, tool)
         for k in np.unique(label[np.isnan(tip[label, 0])]):
-            found, sizes = [], []
+            estimates, sizes = [], []
             for s in np.unique(site[label == k]):
                 rows = (label == k) & (site == s)
                 part = data.rows(rows)
-                found.append(self.fit_site(F[rows], part, None, self.sites[s])[0])
+                estimates.append(self.fit_site(F[rows], part, None, self.sites[s])[0])
                 sizes.append(rows.sum())
             # The site with most measurements: a poor one would spoil an average.
-            tip[k] = found[int(np.argmax(sizes))]
+            tip[k] = estimates[int(np.argmax(sizes))]
         points, tool = located_tool(tip, self.points, tool)
         at = tip_points(points, tool)[label]
         # With the points known, every measurement tells of its site.
@@ -159,11 +159,11 @@ class RoundModel(SiteModel):
     def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Center, ...]:
         """The sites; a number that is not given is estimated."""
         kind, sites = cls.sites_kind, list[Center]()
-        for name, stated in getattr(setup, f"{kind.kind}s").items():
-            size = getattr(stated, kind.number)
-            free = getattr(stated, f"estimate_{kind.number}")
+        for name, site in getattr(setup, f"{kind.kind}s").items():
+            size = getattr(site, kind.number)
+            free = getattr(site, f"estimate_{kind.number}")
             free = size is None if free is None else free
-            about = xyz_or_none(stated.xyz), size, stated.estimate, free
+            about = xyz_or_none(site.xyz), size, site.estimate, free
             sites.append(kind(name, *about))
         return tuple(sites) or tuple(map(kind, given_names(names, kind.kind)))
 
@@ -224,18 +224,18 @@ def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
         OptionError: If a plane has no normal.
     """
     planes = []
-    for name, stated in setup.planes.items():
-        normal = np.array(stated.normal, float)
+    for name, plane in setup.planes.items():
+        normal = np.array(plane.normal, float)
         length = float(np.linalg.norm(normal))
         # One that was normed already stays as it is, to the last bit.
         length = 1.0 if abs(length - 1.0) < 1e-14 else length
         if not 0.0 < length < np.inf:
             raise OptionError(
                 f"the normal of the plane '{name}' has no direction",
-                value=list(stated.normal),
+                value=list(plane.normal),
             )
         planes.append(
-            Plane(name, normal / length, stated.offset / length, stated.estimate)
+            Plane(name, normal / length, plane.offset / length, plane.estimate)
         )
     return tuple(planes) or tuple(map(Plane, given_names(names, "plane")))
 

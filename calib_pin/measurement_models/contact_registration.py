@@ -57,8 +57,8 @@ def register_sockets(
                 unknown.append((known, k))
     if unknown:
         A = np.concatenate(blocks, axis=2).reshape(right.size, -1)
-        found = np.linalg.lstsq(A, right.reshape(-1), rcond=1e-9)[0]
-        for (known, k), value in zip(unknown, found.reshape(-1, 3), strict=True):
+        solution = np.linalg.lstsq(A, right.reshape(-1), rcond=1e-9)[0]
+        for (known, k), value in zip(unknown, solution.reshape(-1, 3), strict=True):
             known[k] = value
     return t, c
 
@@ -135,8 +135,8 @@ def register_distances(
         if distances is not None:
             right = right + distances**2
             columns += [2.0 * distances] if biased else []
-        found = np.linalg.lstsq(np.column_stack(columns), right, rcond=1e-9)[0]
-        candidates.append(found[1:4])
+        solution = np.linalg.lstsq(np.column_stack(columns), right, rcond=1e-9)[0]
+        candidates.append(solution[1:4])
     return _best(F, candidates, lambda at: _center_of(at, distances, biased))
 
 
@@ -165,8 +165,8 @@ def register_relative_distances(F: Floats, distances: Floats) -> Floats:
         candidates.append(np.linalg.lstsq(A, right, rcond=1e-9)[0][:3])
 
     def misfit(t: Floats) -> float:
-        found = np.linalg.norm(turn @ t + p, axis=1)
-        return float(np.linalg.norm(found - distances))
+        reach = np.linalg.norm(turn @ t + p, axis=1)
+        return float(np.linalg.norm(reach - distances))
 
     return min(candidates, key=misfit)
 
@@ -177,11 +177,11 @@ def _best(
     through: Callable[[Floats], tuple[Floats, float, Floats]],
 ) -> Reached:
     """The fit with the best candidate for the point of the tool."""
-    found = []
+    fits = []
     for t in candidates:
         site, size, misfit = through(F[:, :3, :3] @ t + F[:, :3, 3])
-        found.append((float(np.linalg.norm(misfit)), Reached(t, site, size)))
-    return min(found, key=lambda pair: pair[0])[1]
+        fits.append((float(np.linalg.norm(misfit)), Reached(t, site, size)))
+    return min(fits, key=lambda pair: pair[0])[1]
 
 
 def _plane_through(points: Floats) -> tuple[Floats, float, Floats]:
@@ -201,11 +201,11 @@ def _center_of(
     if distances is not None:
         right = right + distances**2
         columns += [2.0 * distances] if biased else []
-    found = np.linalg.lstsq(np.column_stack(columns), right, rcond=1e-9)[0]
-    a = found[1:4]
+    solution = np.linalg.lstsq(np.column_stack(columns), right, rcond=1e-9)[0]
+    a = solution[1:4]
     reach = np.linalg.norm(x - a, axis=1)
     if distances is None:
         size = float(reach.mean())
         return a + center, size, reach - size
-    size = float(found[4]) if biased else 0.0
+    size = float(solution[4]) if biased else 0.0
     return a + center, size, reach + size - distances

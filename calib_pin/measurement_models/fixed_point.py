@@ -86,11 +86,11 @@ class FixedPoint(PointModel):
             base = pin.SE3(R, b)
         base = base or pin.SE3.Identity()
         centers = (np.array(given) - base.translation) @ base.rotation
-        tip, found = register_sockets(F, tip, label, centers, socket)
+        tip, xyz = register_sockets(F, tip, label, centers, socket)
         points, tool = located_tool(tip, self.points, tool)
-        found = np.nan_to_num(found) @ base.rotation.T + base.translation
+        xyz = np.nan_to_num(xyz) @ base.rotation.T + base.translation
         sites = tuple(
-            site if site.located else replace(site, xyz=found[k])
+            site if site.located else replace(site, xyz=xyz[k])
             for k, site in enumerate(self.sites)
             if isinstance(site, Point)
         )

@@ -36,19 +36,19 @@ def split_names(
 
 
 def named_points(
-    stated: Mapping[str, PointSetup], names: Iterable[str], kind: str
+    setups: Mapping[str, PointSetup], names: Iterable[str], kind: str
 ) -> tuple[Point, ...]:
     """The points that a setup states, or else those that rows name.
 
     Args:
-        stated: Points of the setup by name.
+        setups: Points of the setup by name.
         names: Names that rows give, empty ones among them.
         kind: Kind of the points.
 
     Raises:
         OptionError: If a point is known and not given.
     """
-    given = stated or dict.fromkeys(filter(None, names), PointSetup())
+    given = setups or dict.fromkeys(filter(None, names), PointSetup())
     for name, point in given.items():
         if point.estimate is False and point.xyz is None:
             raise OptionError(
@@ -84,12 +84,12 @@ def tip_points(points: Sequence[Point], tool: pin.SE3 | None) -> Floats:
 
 
 def located_tool(
-    found: Floats, points: Sequence[Point], tool: pin.SE3 | None
+    in_tip: Floats, points: Sequence[Point], tool: pin.SE3 | None
 ) -> tuple[tuple[Point, ...], pin.SE3]:
     """The tool frame and its points from what the tip carries.
 
     Args:
-        found: Points in the tip frame, that of the tool's origin last, shape (J + 1,
+        in_tip: Points in the tip frame, that of the tool's origin last, shape (J + 1,
             3) [m]; NaN where no row tells.
         points: The J points.
         tool: The tool frame in the tip where it is known.
@@ -97,19 +97,19 @@ def located_tool(
     Returns:
         The points, all of them placed, and the tool frame.
     """
-    told = ~np.isnan(found[:, 0])
+    seen = ~np.isnan(in_tip[:, 0])
     if tool is None:
         xyz = [*(point.xyz for point in points), np.zeros(3)]
-        known = [k for k, site in enumerate(xyz) if site is not None and told[k]]
+        known = [k for k, site in enumerate(xyz) if site is not None and seen[k]]
         tool = pin.SE3.Identity()
         if known:
             here = np.array([xyz[k] for k in known])
-            tool = fit_pose(here, found[known])
-    inside = (found - tool.translation) @ tool.rotation
+            tool = fit_pose(here, in_tip[known])
+    in_tool = (in_tip - tool.translation) @ tool.rotation
     return tuple(
         point
         if point.located
-        else replace(point, xyz=inside[k] if told[k] else np.zeros(3))
+        else replace(point, xyz=in_tool[k] if seen[k] else np.zeros(3))
         for k, point in enumerate(points)
     ), tool
 

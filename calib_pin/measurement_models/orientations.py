@@ -23,8 +23,8 @@ def quaternions(
     if reading is None or reading.columns not in (None, columns):
         return _quaternions(numbers, columns)
     numbers = numbers if columns == "quaternion" else numbers * reading.factor
-    found = _quaternions(numbers, reading.hold or columns)
-    return inverse(found) if reading.inverse else found
+    result = _quaternions(numbers, reading.hold or columns)
+    return inverse(result) if reading.inverse else result
 
 
 def inverse(quaternions: Floats) -> Floats:

@@ -283,5 +283,5 @@ def undistort(points: Floats, coefficients: Floats) -> Floats:
         at = np.column_stack(distort(x, y, coefficients))
         missed = np.abs(at - points).max(axis=1, initial=0.0)
         within = np.hypot(x, y) < turning_radius(coefficients)
-    found = (missed < EXACT) & within
-    return np.where(found[:, None], np.column_stack([x, y]), np.nan)
+    valid = (missed < EXACT) & within
+    return np.where(valid[:, None], np.column_stack([x, y]), np.nan)

@@ -108,8 +108,8 @@ def last_motions(data: Observations, rows: Indices | slice = slice(None)) -> Flo
         rows: Those whose last motions are asked for.
     """
     before = np.arange(len(data))
-    for own in in_files(data):
-        before[own[1:]] = own[:-1]
+    for index in in_files(data):
+        before[index[1:]] = index[:-1]
     return np.asarray(data.q[rows] - data.q[before[rows]])
 
 
@@ -137,19 +137,19 @@ def located(data: Observations, place: str) -> int:
         for name in data.files.distinct
         if not file or name == file or name.endswith(f"/{file}")
     ]
-    found = np.zeros(len(data), bool)
+    matches = np.zeros(len(data), bool)
     if len(names) == 1:
-        own = data.files.where(names[0])
-        lines = data.lines if data.lines[own].any() else _numbers(data)
-        found = own & (lines == int(line))
-    if not found.any():
+        in_file = data.files.where(names[0])
+        lines = data.lines if data.lines[in_file].any() else _numbers(data)
+        matches = in_file & (lines == int(line))
+    if not matches.any():
         raise InputError(
             f"'reading' names the line {place}, where no measurement stands"
             if len(names) == 1 or file
             else f"'reading' names the line {place}, but there are several files",
             allowed="a line of a measurement, such as 12, or file.csv:12",
         )
-    return int(np.argmax(found))
+    return int(np.argmax(matches))
 
 
 def place_of(data: Observations, row: int) -> str:
@@ -183,8 +183,8 @@ def _numbers(data: Observations) -> Indices:
 
 def measured_lengths(block: Measurements) -> Booleans:
     """Which columns of the values of a block are lengths."""
-    stated = declared(block.model)
-    units = [*(stated.units if stated.contact else stated.columns).values()]
+    kind = declared(block.model)
+    units = [*(kind.units if kind.contact else kind.columns).values()]
     units = units[: block.values.shape[1]]
     units += [""] * (block.values.shape[1] - len(units))
     return np.array([unit == "m" for unit in units], bool)
@@ -213,11 +213,11 @@ def _converted(data: Observations, parts: Sequence[ConvertedSetup]) -> Observati
     for part in parts:
         which = np.ones(len(data), bool)
         if part.lines:
-            found = np.array([located(data, place) for place in part.lines])
+            rows = np.array([located(data, place) for place in part.lines])
             rank = np.argsort(data.in_order)
-            which = np.isin(np.arange(len(data)), found)
+            which = np.isin(np.arange(len(data)), rows)
             if not part.each:
-                which = (rank >= rank[found[0]]) & (rank <= rank[found[1]])
+                which = (rank >= rank[rows[0]]) & (rank <= rank[rows[1]])
         if part.joints:
             q, columns = data.q.copy(), _columns(data, part.joints)
             q[:, columns] *= np.where(which, part.factor, 1.0)[:, None]
@@ -232,8 +232,8 @@ def scaled(data: Observations, factors: Floats) -> Observations:
     of_block = iter(data.slices)
 
     def change(block: Measurements, lengths: Booleans) -> Floats:
-        own = factors[next(of_block), None]
-        return np.where(lengths, block.values * own, block.values)
+        factor = factors[next(of_block), None]
+        return np.where(lengths, block.values * factor, block.values)
 
     return with_values(data, change)
 
@@ -251,8 +251,8 @@ def _columns(data: Observations, joints: Sequence[str]) -> list[int]:
 
 def _reversed(data: Observations, _: bool) -> Observations:
     q = data.q.copy()
-    for own in in_files(data):
-        q[own] = data.q[own[::-1]]
+    for index in in_files(data):
+        q[index] = data.q[index[::-1]]
     return with_positions(data, q)
 
 
@@ -278,28 +278,28 @@ def from_below(
     Raises:
         InputError: If such a line does not exist.
     """
-    parts, found = in_files(data), np.arange(len(data))
+    parts, result = in_files(data), np.arange(len(data))
     if places:
         first = [located(data, place) for place in places]
-        parts = [own[k:] for own in parts for k in np.flatnonzero(np.isin(own, first))]
-    for own in parts:
-        number = of(data.q[own])
-        there = np.searchsorted(number, number + shift)
-        exists = (number + shift >= 0) & (there < len(own))
-        found[own] = np.where(exists, own[np.minimum(there, len(own) - 1)], -1)
-    return found
+        parts = [run[k:] for run in parts for k in np.flatnonzero(np.isin(run, first))]
+    for run in parts:
+        number = of(data.q[run])
+        target = np.searchsorted(number, number + shift)
+        exists = (number + shift >= 0) & (target < len(run))
+        result[run] = np.where(exists, run[np.minimum(target, len(run) - 1)], -1)
+    return result
 
 
 def _from_below(
     data: Observations, shift: int, of: Numbers, places: Sequence[str]
 ) -> Observations:
     """Measurements with the joint positions of others, see `from_below`."""
-    there = from_below(data, shift, of, places)
-    if (there < 0).all():
+    source = from_below(data, shift, of, places)
+    if (source < 0).all():
         raise InputError(
             f"'reading' shifts joint positions by {shift}, beyond any file"
         )
-    return with_positions(data, data.q[there]).rows(there >= 0)
+    return with_positions(data, data.q[source]).rows(source >= 0)
 
 
 def _lagging(data: Observations, lag: Mapping[str, float]) -> Observations:
@@ -333,10 +333,10 @@ def _steadied(data: Observations, drift: Sequence[float]) -> Observations:
     part, of_block = elapsed(data)[:, None], iter(data.slices)
 
     def change(block: Measurements, lengths: Booleans) -> Floats:
-        values, own = block.values.copy(), part[next(of_block)]
+        values, time = block.values.copy(), part[next(of_block)]
         columns = tuple(declared(block.model).columns)
         count = 3 if columns[:3] == AXES else int(columns[:1] == ("distance",))
-        values[:, :count] -= own * np.array(drift[:count])
+        values[:, :count] -= time * np.array(drift[:count])
         return values
 
     return with_values(data, change)
@@ -351,7 +351,7 @@ def _renamed(data: Observations, places: Sequence[str], kind: Frame) -> Observat
     return apart(data, kind, Labels(names, part))[0]
 
 
-def _left(data: Observations, places: Sequence[str]) -> Observations:
+def _without(data: Observations, places: Sequence[str]) -> Observations:
     kept = np.ones(len(data), bool)
     kept[[located(data, place) for place in places]] = False
     if not kept.any():
@@ -375,7 +375,7 @@ STEPS: dict[str, Callable[[Observations, Any], Observations]] = {
     "drift": _steadied,
     "moved": partial(_renamed, kind="station"),
     "remounted": partial(_renamed, kind="tool"),
-    "without": _left,
+    "without": _without,
     "sigmas": _unstated,
 }
 """The change of each key but `orientation` and shifts."""

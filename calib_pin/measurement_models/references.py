@@ -303,9 +303,9 @@ def turned_rows(
     count = len(index)
     normals, offsets, slopes = (np.zeros((count, *n)) for n in ((3,), (), (3, 2)))
     for k in np.unique(index):
-        own, plane = index == k, planes[k]
+        mask, plane = index == k, planes[k]
         assert isinstance(plane, Plane)
-        normals[own], offsets[own], slopes[own] = plane.turned(values[own][0])
+        normals[mask], offsets[mask], slopes[mask] = plane.turned(values[mask][0])
     return normals, offsets, slopes
 
 

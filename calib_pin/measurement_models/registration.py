@@ -222,12 +222,12 @@ def _translations(
     A = _translation_matrix(F, unknown, label)
     if b is not None:
         A = A[:, 3:]
-    found = np.linalg.lstsq(A, right.reshape(-1), rcond=1e-9)[0]
+    solution = np.linalg.lstsq(A, right.reshape(-1), rcond=1e-9)[0]
     t = tool.copy()
     if len(unknown):
-        t[unknown] = found[-3 * len(unknown) :].reshape(-1, 3)
+        t[unknown] = solution[-3 * len(unknown) :].reshape(-1, 3)
     if b is None:
-        b = center - R @ origin + R @ found[:3]
+        b = center - R @ origin + R @ solution[:3]
     return b, t
 
 
@@ -286,10 +286,10 @@ def _descended(A: Floats, a: Floats, R: Floats) -> tuple[Floats, float]:
         # The cost bends with the residual, too, which is large where nothing fits.
         S = np.swapaxes(R, 1, 2) @ (residuals @ A).reshape(-1, 3, 3)
         trace = np.trace(S, axis1=1, axis2=2)[:, None, None]
-        own = D @ np.swapaxes(D, 1, 2)
-        size = np.trace(own, axis1=1, axis2=2) / 3.0 + 1e-300
+        normal = D @ np.swapaxes(D, 1, 2)
+        size = np.trace(normal, axis1=1, axis2=2) / 3.0 + 1e-300
         bends, V = np.linalg.eigh(
-            own + 0.5 * (S + np.swapaxes(S, 1, 2)) - trace * np.eye(3)
+            normal + 0.5 * (S + np.swapaxes(S, 1, 2)) - trace * np.eye(3)
         )
         along = (gradient[:, None] @ V)[:, 0] / (
             np.abs(bends) + (damping * size)[:, None]

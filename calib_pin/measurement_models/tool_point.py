@@ -167,14 +167,14 @@ class PointModel(PointsAndSites):
         used = {name: setup.targets[name] for name in points if name in setup.targets}
         # All of them count without measurements, or where one names what is not stated.
         wrong = any(name and name not in setup.targets for name in points)
-        stated = setup.targets if wrong or not targets else used
-        found = named_points(stated, points, "target")
-        origin = "" in points if targets else not found
+        setups = setup.targets if wrong or not targets else used
+        references = named_points(setups, points, "target")
+        origin = "" in points if targets else not references
         sites = cls.sites_of_setup(setup, names)
         if targets and {site.name for site in sites}.issuperset(names):
             # What nobody has placed and no measurement names cannot be found.
             sites = tuple(p for p in sites if p.located or p.name in names)
-        return cls(points=found, sites=sites, origin=origin)
+        return cls(points=references, sites=sites, origin=origin)
 
     def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Noise-free values, shape (N, d); none where nothing but contact is known."""

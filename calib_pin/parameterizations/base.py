@@ -120,7 +120,7 @@ class Drive:
 
 def drives(chain: Chain) -> list[Drive]:
     """The drives of all joints of a chain but those that stand still."""
-    model, found = chain.robot.model, []
+    model, result = chain.robot.model, []
     for frame, (joint, motion) in enumerate(
         zip(chain.joints, chain.motions, strict=True), start=1
     ):
@@ -128,8 +128,8 @@ def drives(chain: Chain) -> list[Drive]:
         if mimic.factor:
             unit = "rad" if turns(model, mimic.leader) else "m"
             given = mimic.leader, unit, frame, motion, mimic.factor, mimic.offset
-            found.append(Drive(*given))
-    return found
+            result.append(Drive(*given))
+    return result
 
 
 @dataclass(frozen=True)

@@ -131,13 +131,13 @@ class ErrorModel:
         robot: list[Screw] = []
         for name in parameterizations:
             defined = {screw.parameter.name for screw in robot}
-            found = parameterization(name, setup).screws(chain)
-            for screw in found:
+            new = parameterization(name, setup).screws(chain)
+            for screw in new:
                 if screw.parameter.name in defined:
                     raise OptionError(
                         f"parameter '{screw.parameter.name}' is defined twice"
                     )
-            robot += found
+            robot += new
         count = len(chain.joints)
         screws = [
             *frame_screws("base", 0, free=estimate_base),
@@ -180,8 +180,8 @@ class ErrorModel:
 
     @cached_property
     def _varying(self) -> NDArray[np.intp]:
-        found = [k for k, s in enumerate(self.screws) if s.basis is not None]
-        return np.array(found, np.intp)
+        index = [k for k, s in enumerate(self.screws) if s.basis is not None]
+        return np.array(index, np.intp)
 
     @cached_property
     def _along(self) -> NDArray[np.bool_]:
@@ -379,8 +379,8 @@ class ErrorModel:
         moved = q
         if amounts.any():
             joints = [self.screws[k].frame - 1 for k in self.joint_corrections]
-            own = basis if self._along.all() else basis[:, self._along]
-            moved = moved + (own * amounts) @ np.eye(q.shape[1])[joints]
+            functions = basis if self._along.all() else basis[:, self._along]
+            moved = moved + (functions * amounts) @ np.eye(q.shape[1])[joints]
         if self.learned is not None and self.learned.space == "joint":
             moved = moved + self.learned(q)
         return moved

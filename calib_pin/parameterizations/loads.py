@@ -65,10 +65,10 @@ class Loads:
         result = np.empty(0)
         for name in names.distinct:
             rows = names.where(name)
-            found = loading(q[rows], self.gravity, self._carried(name))
+            values = loading(q[rows], self.gravity, self._carried(name))
             if not result.size:
-                result = np.empty((len(q), *found.shape[1:]))
-            result[rows] = found
+                result = np.empty((len(q), *values.shape[1:]))
+            result[rows] = values
         return result if len(q) else loading(q, self.gravity, None)
 
     def usual(self, functions: BasisFunctions, chain: Chain, name: str) -> Floats:

@@ -91,8 +91,8 @@ class ThermalGrowth(_Growth):
     @classmethod
     def of_setup(cls, setup: Setup) -> Self:
         """The growth from the reference temperature of a setup."""
-        stated = setup.thermal.reference
-        return cls(_Warmth(REFERENCE if stated is None else stated))
+        reference = setup.thermal.reference
+        return cls(_Warmth(REFERENCE if reference is None else reference))
 
 
 @dataclass(frozen=True)

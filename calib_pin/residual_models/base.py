@@ -159,14 +159,14 @@ class TrainingRows:
         Raises:
             InputError: With the number of configurations that are needed.
         """
-        found = len(np.unique(self.groups))
+        distinct = len(np.unique(self.groups))
         count = (PARTS - 1) * self.values
         enough = -(-(len(self.shift) + directions) * PARTS // count)
         needed = max(4 * PARTS, enough)
-        if found < needed:
+        if distinct < needed:
             raise InputError(
                 f"a {model} needs at least {needed} different configurations to learn "
-                f"from, there are {found}"
+                f"from, there are {distinct}"
             )
 
 

@@ -41,15 +41,15 @@ class Array:
         Raises:
             ValueError: If they are not.
         """
-        found, names = np.asarray(value), self.shape.split()
-        known = {k: n for k, n in zip(names, found.shape, strict=False)} | sizes
+        array, names = np.asarray(value), self.shape.split()
+        known = {k: n for k, n in zip(names, array.shape, strict=False)} | sizes
         shape = tuple(int(k) if k.isdigit() else known.get(k) for k in names)
-        if found.shape != shape or not (found.size or self.empty):
+        if array.shape != shape or not (array.size or self.empty):
             want = self.shape or "that of one number"
-            raise ValueError(f"'{name}' has the shape {found.shape}, not {want}")
-        if not (np.abs(found) <= LARGEST).all():
+            raise ValueError(f"'{name}' has the shape {array.shape}, not {want}")
+        if not (np.abs(array) <= LARGEST).all():
             raise ValueError(f"'{name}' holds a number that is not finite or too large")
-        if self.positive and not (found > 0.0).all():
+        if self.positive and not (array > 0.0).all():
             raise ValueError(f"'{name}' holds a number that is not positive")
         sizes |= known
 
@@ -67,9 +67,9 @@ def restored(
     Raises:
         ValueError: If it is not one.
     """
-    found = Taker(document=True).record(document, kind)
-    _check(found, dict(sizes))
-    return cast(_Part, found)
+    part = Taker(document=True).record(document, kind)
+    _check(part, dict(sizes))
+    return cast(_Part, part)
 
 
 def _check(part: object, sizes: dict[str, int]) -> None:

@@ -254,8 +254,8 @@ class Likelihood:
         blocks = by_K.reshape(rows, d, rows, d)
         by_component = np.empty((m, rows, rows))
         for a, result in zip(np.moveaxis(self.A, 2, 0), by_component, strict=True):
-            left = np.einsum("ac,acbe->abe", a, blocks)
-            np.einsum("abe,be->ab", left, a, out=result)
+            product = np.einsum("ac,acbe->abe", a, blocks)
+            np.einsum("abe,be->ab", product, a, out=result)
         own, short = np.zeros(len(covariance.own)), np.zeros(len(covariance.own))
         owns = covariance.own_correlations(self.angle, self.angle)
         for j, values in enumerate(owns):
@@ -303,7 +303,7 @@ def most_likely(data: Likelihood, form: Form, progress: Progress | None) -> Cova
         if progress is not None:
             progress(next(steps) / STEPS)
 
-    found = minimize(
+    minimum = minimize(
         cost,
         np.clip(first, lower, upper),
         jac=True,
@@ -312,7 +312,7 @@ def most_likely(data: Likelihood, form: Form, progress: Progress | None) -> Cova
         callback=tell,
         options={"maxiter": STEPS},
     )
-    return at(found.x)
+    return at(minimum.x)
 
 
 def symmetric_inverse(factor: Floats) -> Floats:
@@ -391,9 +391,9 @@ class GaussianProcess:
             ValueError: If it is not one.
         """
         sizes = {"n": joints, "m": joints if document.get("space") == "joint" else 6}
-        found = restored(GaussianProcess, document, sizes)
-        found.covariance.require(joints, sizes["m"])
-        return found
+        process = restored(GaussianProcess, document, sizes)
+        process.covariance.require(joints, sizes["m"])
+        return process
 
 
 @dataclass(frozen=True)
@@ -442,8 +442,8 @@ class Conditioned:
         K[np.diag_indices_from(K)] += process.covariance.noise
         factor = np.asarray(cholesky(K, lower=True, overwrite_a=True))
         target = (at.by_shift @ known.about - base).reshape(-1)
-        found, alpha = replace(process, q=rows.q), cho_solve((factor, True), target)
-        return Conditioned(found, A, absorbed, released, known.about, factor, alpha)
+        process, alpha = replace(process, q=rows.q), cho_solve((factor, True), target)
+        return Conditioned(process, A, absorbed, released, known.about, factor, alpha)
 
     def given(self, alpha: Floats) -> GaussianProcess:
         """The process by residuals times their inverse covariance, shape (N d,)."""
@@ -563,14 +563,14 @@ def _given_all(
     predicted = predicted.reshape(before.shape)
     if not convincing(before, predicted):
         predicted, kept = before, 0.0
-    found = replace(
+    process = replace(
         process,
         shift=kept * process.shift,
         covariance=process.covariance.scaled(surprise),
         weights=kept * process.weights / surprise,
         held_out=(root_mean_square(before), root_mean_square(predicted)),
     )
-    return found, predicted
+    return process, predicted
 
 
 def _of_groups(factor: Floats, alpha: Floats, groups: NDArray[np.int64]) -> Floats:

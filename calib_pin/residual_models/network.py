@@ -133,18 +133,18 @@ def unit_columns(A: Floats, circle: Circle, weights: Weights) -> Floats:
     # The last of these functions is the unit, the others are its slopes: there the term
     # of the joint is replaced by its own slope.
     table = np.repeat(terms[:, None], joints + 1, axis=1)
-    own = np.arange(joints)
-    table[own, own] = turned
+    j = np.arange(joints)
+    table[j, j] = turned
     others = _others(table)
-    units, slopes = others[-1, -1] * terms[-1], others[own, own] * turned
+    units, slopes = others[-1, -1] * terms[-1], others[j, j] * turned
     both = np.stack([np.broadcast_to(units, slopes.shape), slopes], axis=3)
     by_output = A[:, :, None, :, None] * both.transpose(1, 2, 0, 3)[:, None]
     u, v = weights.outputs[:, :, 0], weights.outputs[:, :, 1]
     gain = np.concatenate(
         [A.transpose(2, 0, 1)[..., None] * v.T[:, None, None], (A @ u.T)[None]]
     )
-    turns = gain[:-1] * others[own, own][:, :, None]
-    others[own, own] = 0.0
+    turns = gain[:-1] * others[j, j][:, :, None]
+    others[j, j] = 0.0
     sums = np.einsum("jndh,kjnh->kndh", gain, others)
     sine, cosine = (part.T[:, :, None, None] for part in circle)
     by_factor = np.stack(
@@ -249,10 +249,10 @@ class Member:
         joints, length = len(unit), len(inputs.bands)
         self._shape = units, joints, length
         bands = inputs.bands.max(initial=-1) + 1
-        own = np.add.outer(bands * np.arange(joints), inputs.bands)
+        series = np.add.outer(bands * np.arange(joints), inputs.bands)
         out = joints * bands + np.tile(np.arange(2 * joints), units)
         into = joints * (bands + 2) + np.tile(np.repeat(np.arange(joints), 3), units)
-        self._group = np.concatenate([own.ravel(), out, into]).astype(np.int64)
+        self._group = np.concatenate([series.ravel(), out, into]).astype(np.int64)
         self._count = np.bincount(self._group, minlength=joints * (bands + 3))
         self._decay = np.ones(len(self._count))
         self._decay[joints * bands : joints * (bands + 2)] = 0.1
@@ -318,17 +318,18 @@ class Member:
 
     def correction(self, weights: Weights) -> Floats:
         """Corrections of all measurements, shape (N, n) [rad, m]."""
-        own = self._inputs.waves @ weights.series.reshape(len(self._unit), -1, 1)
-        inside = combined(self._inputs.circle, weights) + own[:, :, 0].T
+        series = self._inputs.waves @ weights.series.reshape(len(self._unit), -1, 1)
+        inside = combined(self._inputs.circle, weights) + series[:, :, 0].T
         return np.asarray(inside * self._unit)
 
     def _weights(self, w: Floats) -> Weights:
         units, joints, length = self._shape
-        own, out, into = np.split(w, np.cumsum([joints * length, units * joints * 2]))
+        cuts = np.cumsum([joints * length, units * joints * 2])
+        series, out, into = np.split(w, cuts)
         return Weights(
             into.reshape(units, joints, 3),
             out.reshape(units, joints, 2),
-            own.reshape(joints, 2, -1),
+            series.reshape(joints, 2, -1),
         )
 
     def _linearize(self, f: Floats, shift: Floats) -> None:
@@ -346,10 +347,10 @@ class Member:
         values = self._A.shape[0] * self._A.shape[1]
         self._left, self._back = _absorbed(at.by_shift[self._training])
         self._target = -self._projected(self._base[self._training].reshape(-1))
-        own = np.einsum("ndj,jnm->ndjm", self._A, self._inputs.waves[:, self._training])
-        columns = own.reshape(values, -1)[:, self._kept]
-        self._own = self._projected(columns)
-        self._gram = self._own.T @ self._own
+        waves = self._inputs.waves[:, self._training]
+        columns = np.einsum("ndj,jnm->ndjm", self._A, waves).reshape(values, -1)
+        self._columns = self._projected(columns[:, self._kept])
+        self._gram = self._columns.T @ self._columns
 
     def _projected(self, columns: Floats) -> Floats:
         return np.asarray(columns - self._left @ (self._left.T @ columns))
@@ -368,10 +369,10 @@ class Member:
         """Normal matrix and gradient of the squares, and which weights are in it."""
         weights = self._weights(self._w)
         J = self._projected(unit_columns(self._A, self._circle, weights))
-        across = self._own.T @ J
+        across = self._columns.T @ J
         normal = np.block([[self._gram, across], [across.T, J.T @ J]])
         r = self._residual(self._w)
-        gradient = np.concatenate([self._own.T @ r, J.T @ r])
+        gradient = np.concatenate([self._columns.T @ r, J.T @ r])
         inside = np.concatenate([self._kept, np.ones(J.shape[1], bool)])
         return normal, gradient, inside
 
@@ -379,8 +380,8 @@ class Member:
         """Residuals of the training measurements that the shift does not explain."""
         f = combined(self._circle, self._weights(w))
         r = times(self._A, f).reshape(-1)
-        own = w[: len(self._kept)][self._kept]
-        return np.asarray(self._projected(r) + self._own @ own - self._target)
+        series = w[: len(self._kept)][self._kept]
+        return np.asarray(self._projected(r) + self._columns @ series - self._target)
 
     def _cost(self, w: Floats) -> float:
         r = self._residual(w)
@@ -446,9 +447,9 @@ def _absorbed(by_shift: Floats) -> tuple[Floats, Floats]:
     """
     count, d, shifts = by_shift.shape
     columns = by_shift.reshape(count * d, shifts)
-    left, s, right = np.linalg.svd(columns, full_matrices=False)
+    U, s, Vt = np.linalg.svd(columns, full_matrices=False)
     keep = s > INDEPENDENT * s.max(initial=0.0)
-    return left[:, keep], right[keep].T / s[keep]
+    return U[:, keep], Vt[keep].T / s[keep]
 
 
 FAILED = 2.0

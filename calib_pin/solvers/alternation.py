@@ -68,9 +68,9 @@ def alternation(
         rounds += 1
         before = x
         for half in halves:
-            found = gauss_newton(linearize, cost_of, x, half, max_iterations=20)
-            evaluations += found.nfev
-            x, r, J = found.x, found.fun, found.jac
+            solution = gauss_newton(linearize, cost_of, x, half, max_iterations=20)
+            evaluations += solution.nfev
+            x, r, J = solution.x, solution.fun, solution.jac
         if not np.isfinite(r).all():
             status = Status.NOT_FINITE
             break

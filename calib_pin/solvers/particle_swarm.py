@@ -174,12 +174,12 @@ class _Swarm:
         # Strays come back into this very array.
         return self.Y
 
-    def _fly(self, own: Floats, best: Floats) -> None:
-        """Move by the velocity, from own best places (S, D) and the best of all."""
+    def _fly(self, personal: Floats, best: Floats) -> None:
+        """Move by the velocity, from the personal bests (S, D) and the global best."""
         options, Y = self.options, self.Y
         r1, r2 = self.rng.random((2, *Y.shape))
         V = options.inertia * self.V
-        V += options.c1 * r1 * (own - Y) + options.c2 * r2 * (best - Y)
+        V += options.c1 * r1 * (personal - Y) + options.c2 * r2 * (best - Y)
         self.V = np.clip(V, -self.fastest, self.fastest)
         moved = Y + options.w * self.V
         self.V[(moved < self.box.lower) | (moved > self.box.upper)] = 0.0

@@ -64,7 +64,7 @@ def test_a_single_chain() -> None:
 def test_joints_of_several_chains(talos: Robot) -> None:
     names = (LEFT, "", "touch", WORLD, RIGHT, LEFT)
     stated = {"touch": ChainSetup(RIGHT, LEFT)}
-    chains = Chains(talos, tip="head_2_link", stated=stated, names=names)
+    chains = Chains(talos, tip="head_2_link", setups=stated, names=names)
     assert chains.names == (LEFT, "", "touch", WORLD, RIGHT)
     places = [talos.model.getJointId(joint) for joint in chains.joints]
     assert places == sorted(set(places))
@@ -88,13 +88,13 @@ def test_joints_of_several_chains(talos: Robot) -> None:
 def test_the_base_of_chains(talos: Robot) -> None:
     stated = {"a": ChainSetup(LEFT), "b": ChainSetup(LEFT, "torso_1_link")}
     names = ("a", "b", RIGHT, WORLD)
-    chains = Chains(talos, "torso_2_link", stated=stated, names=names)
+    chains = Chains(talos, "torso_2_link", setups=stated, names=names)
     bases = [chains[name].base for name in names]
     assert bases == ["torso_2_link", "torso_1_link", "torso_2_link", "torso_2_link"]
     # What a robot measures of its own by default is asked for only where it is named.
-    assert Chains(talos, stated=stated, names=("a", WORLD))[WORLD].tip == talos.root
+    assert Chains(talos, setups=stated, names=("a", WORLD))[WORLD].tip == talos.root
     # A stated chain may have the name of a link.
-    renamed = Chains(talos, stated={LEFT: ChainSetup(RIGHT)}, names=(LEFT,))
+    renamed = Chains(talos, setups={LEFT: ChainSetup(RIGHT)}, names=(LEFT,))
     assert renamed[LEFT].tip == RIGHT
     more = renamed.named((LEFT, WORLD))
     assert more[LEFT] is renamed[LEFT] and renamed.names == (LEFT,)
@@ -104,13 +104,13 @@ def test_names_that_cannot_be_used(hand: Robot) -> None:
     left = {"left": ChainSetup("nail")}
     everything = "world, left, base, palm, thumb, finger, nail, dial"
     with refused(RobotError, "'left'", allowed=everything, file="hand.urdf"):
-        Chains(hand, stated=left, names=("lefd",))
+        Chains(hand, setups=left, names=("lefd",))
     with refused(RobotError, "'nil'"):
-        Chains(hand, stated={"left": ChainSetup("nil")}, names=("left",))
+        Chains(hand, setups={"left": ChainSetup("nil")}, names=("left",))
     with refused(RobotError, "3 possible tips"):
         Chains(hand)
     with refused(RobotError, "'world'"):
-        Chains(hand, stated={WORLD: ChainSetup("nail")}, names=("nail",))
+        Chains(hand, setups={WORLD: ChainSetup("nail")}, names=("nail",))
     for arguments in ({"tip": "base"}, {"names": ("base",)}):
         with refused(RobotError, "'base'", allowed="world"):
             Chains(hand, **arguments)

@@ -53,7 +53,7 @@ def tree() -> Chains:
     finger = joint("left_finger", f"{wrist} finger", at, "0 1 0", more=follows)
     robot = parse_robot(urdf_of(*joints, finger).encode(), "tree.urdf")
     stated = {"left": ChainSetup(tip="finger"), "right": ChainSetup(tip="right_link_3")}
-    return Chains(robot, stated=stated, names=("left", "right"))
+    return Chains(robot, setups=stated, names=("left", "right"))
 
 
 @pytest.fixture

@@ -201,7 +201,7 @@ def test_several_chains_are_drawn_in_the_root():
     stated = {name: ChainSetup(link) for name, link in hands.items()}
     # What the left hand carries looks at the right one: its base moves.
     stated["touch"] = ChainSetup(hands["right"], hands["left"])
-    chains = Chains(robot, stated=stated, names=("left", "touch"))
+    chains = Chains(robot, setups=stated, names=("left", "touch"))
     keys = [BlockKey("position", "left"), BlockKey("position", "touch")]
     problem = nominal_problem(chains, keys, Setup())
     theta, rng = np.zeros(len(problem.parameters)), np.random.default_rng(4)

@@ -89,11 +89,11 @@ def student_quantile(dof: float, tail: float) -> float:
     return -float(stdtrit(dof, tail))
 
 
-def share_interval(found: int, count: int) -> tuple[float, float, float]:
+def share_interval(successes: int, count: int) -> tuple[float, float, float]:
     """A share and its 95 % interval by the score test (Wilson 1927).
 
     Args:
-        found: Number of successes.
+        successes: Number of successes.
         count: Number of trials; without any nothing is known (NaN).
 
     Examples:
@@ -104,7 +104,7 @@ def share_interval(found: int, count: int) -> tuple[float, float, float]:
         return nan, nan, nan
     from scipy.stats import binomtest
 
-    share = found / count
-    low, high = binomtest(found, count).proportion_ci(0.95, "wilson")
+    share = successes / count
+    low, high = binomtest(successes, count).proportion_ci(0.95, "wilson")
     # At its ends the interval holds the share but for rounding.
     return share, min(float(low), share), max(float(high), share)

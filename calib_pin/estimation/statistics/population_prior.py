@@ -102,18 +102,18 @@ def prior_of_type(evidences: Sequence[RobotEvidence]) -> PopulationPrior:
     every = Components(blocks, each / count, each / count)
     together = every.relabeled(np.zeros(count, int))
     common = estimate_variances(together, np.ones(1)).values * each
-    stated = Components(blocks, STATED * each, STATED * common)
-    found = estimate_variances(stated, common)
-    robots = np.maximum(found.redundancies - STATED, 0.0)
-    widened = found.values * [_widening(STATED + number) for number in robots]
-    covariance = np.diag(widened) + found.covariance
+    components = Components(blocks, STATED * each, STATED * common)
+    model = estimate_variances(components, common)
+    robots = np.maximum(model.redundancies - STATED, 0.0)
+    widened = model.values * [_widening(STATED + number) for number in robots]
+    covariance = np.diag(widened) + model.covariance
     parameters = map(
         ParameterPrior,
         first.names,
         first.units,
-        (scales * found.unknowns).tolist(),
-        (scales * np.sqrt(np.diag(found.covariance))).tolist(),
-        (scales * np.sqrt(found.values)).tolist(),
+        (scales * model.unknowns).tolist(),
+        (scales * np.sqrt(np.diag(model.covariance))).tolist(),
+        (scales * np.sqrt(model.values)).tolist(),
         robots.tolist(),
     )
     return PopulationPrior(
@@ -223,12 +223,12 @@ class Explanation:
         numbers = [(cause.worth, cause.size, cause.most) for cause in acting]
         worth, size, most = np.reshape(numbers, (-1, 3)).T
         components = Components([block], worth, worth * size**2)
-        found = estimate_variances(components, size**2, upper=most**2)
-        sizes = dict(zip(names, np.sqrt(found.values).tolist(), strict=True))
-        told = dict(zip(names, (found.redundancies - worth).tolist(), strict=True))
+        model = estimate_variances(components, size**2, upper=most**2)
+        sizes = dict(zip(names, np.sqrt(model.values).tolist(), strict=True))
+        counts = dict(zip(names, (model.redundancies - worth).tolist(), strict=True))
         causes = [replace(c, size=sizes.get(c.name, c.size)) for c in self.causes]
         result = replace(self, causes=tuple(causes))
-        return result, tuple(told.get(cause.name, 0.0) for cause in causes)
+        return result, tuple(counts.get(cause.name, 0.0) for cause in causes)
 
     def misfit(self, effects: Floats) -> float:
         """Chi-square of the innovations with effects of any size, shape (r, k)."""
@@ -248,16 +248,16 @@ class Explanation:
         """
         EE = cause.effects @ cause.effects.T
         V = self.covariance + np.square(cause.sizes)[:, None, None] * EE
-        found = _likelihoods(self.values, V)
-        best = float(found.max())
-        mean = best + float(np.log(cause.chance * np.mean(np.exp(found - best))))
-        return mean, replace(cause, size=float(cause.sizes[int(np.argmax(found))]))
+        log_L = _likelihoods(self.values, V)
+        best = float(log_L.max())
+        mean = best + float(np.log(cause.chance * np.mean(np.exp(log_L - best))))
+        return mean, replace(cause, size=float(cause.sizes[int(np.argmax(log_L))]))
 
     def expected(self, other: Explanation) -> float:
         """Logarithm of how likely the sizes are beforehand by those of another one."""
         pairs = zip(self.causes, other.causes, strict=False)
-        acting = [(own, cause) for own, cause in pairs if np.isfinite(own.worth)]
-        squares = [(own.worth, (cause.size / own.size) ** 2) for own, cause in acting]
+        acting = [(c, new) for c, new in pairs if np.isfinite(c.worth)]
+        squares = [(c.worth, (new.size / c.size) ** 2) for c, new in acting]
         terms = [worth * float(np.log(r) + 1.0 / r - 1.0) for worth, r in squares]
         return -0.5 * sum(terms)
 
@@ -281,36 +281,36 @@ def explained(
         these, in the order in which they were accepted; and the logarithm of the
         evidence by that without them.
     """
-    found, evidence = list[Cause](), 0.0
-    left = {cause.name: cause for cause in causes}
-    while left and len(found) < most:
-        gain, cause = _best(first, found, [*left.values()])
+    accepted, evidence = list[Cause](), 0.0
+    remaining = {cause.name: cause for cause in causes}
+    while remaining and len(accepted) < most:
+        gain, cause = _best(first, accepted, [*remaining.values()])
         if gain < np.log(sure):
             break
-        found.append(cause)
+        accepted.append(cause)
         evidence += gain
-        del left[cause.name]
-    for cause in found[:-1]:
-        others = [other for other in found if other is not cause]
+        del remaining[cause.name]
+    for cause in accepted[:-1]:
+        others = [other for other in accepted if other is not cause]
         gain, _ = _best(first, others, [cause])
         if gain < np.log(sure):
-            found, evidence = others, evidence - gain
-    result, _ = replace(first, causes=(*first.causes, *found)).fitted()
-    return result, tuple(found), evidence
+            accepted, evidence = others, evidence - gain
+    result, _ = replace(first, causes=(*first.causes, *accepted)).fitted()
+    return result, tuple(accepted), evidence
 
 
 def _best(
-    first: Explanation, found: Sequence[Cause], causes: Sequence[Cause]
+    first: Explanation, accepted: Sequence[Cause], causes: Sequence[Cause]
 ) -> tuple[float, Cause]:
     """The cause with the most evidence, by that without it, and its size.
 
     What always acts may have grown for want of the cause, and is fitted beside it.
     """
-    now, _ = replace(first, causes=(*first.causes, *found)).fitted()
+    now, _ = replace(first, causes=(*first.causes, *accepted)).fitted()
     promising = sorted(map(now.evidence, causes), key=lambda pair: -pair[0])
     result = []
     for _, cause in promising[:PROMISING]:
-        beside = replace(first, causes=(*first.causes, *found, cause))
+        beside = replace(first, causes=(*first.causes, *accepted, cause))
         other, _ = beside.fitted()
         evidence, cause = other.without({cause.name}).evidence(cause)
         result.append((evidence + first.expected(other), cause))

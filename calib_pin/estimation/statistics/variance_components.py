@@ -205,17 +205,17 @@ class Groups:
         Returns:
             The variances of those that are chosen, and the model with them.
         """
-        left = [kind for kind in kinds if kind in self.kind_of]
+        remaining = [kind for kind in kinds if kind in self.kind_of]
         gain = 0.5 * chi_square_quantile(1.0, 2.0 * chance)
         chosen, best = [*always], self.estimated(always)
-        while left:
-            tried = {kind: self.estimated([*chosen, kind]) for kind in left}
-            kind = max(tried, key=lambda key: tried[key].likelihood)
-            if tried[kind].likelihood - best.likelihood < gain:
+        while remaining:
+            models = {kind: self.estimated([*chosen, kind]) for kind in remaining}
+            kind = max(models, key=lambda key: models[key].likelihood)
+            if models[kind].likelihood - best.likelihood < gain:
                 break
             chosen.append(kind)
-            left.remove(kind)
-            best = tried[kind]
+            remaining.remove(kind)
+            best = models[kind]
         variances = dict(zip(chosen, best.values[len(self.counts) :], strict=True))
         return {k: float(v) for k, v in variances.items() if k not in always}, best
 
@@ -232,11 +232,11 @@ def variance_components(
     """
     half = half_covariance(result.jac, basis, problem.parameters)
     groups = by_quantity(problem, result.x, result.fun, result.jac, half)
-    found, factors = _tested(problem, groups)
-    told = _pure_errors(problem, result.x, leverages(problem, result.jac, half))
+    model, factors = _tested(problem, groups)
+    pure_errors = _pure_errors(problem, result.x, leverages(problem, result.jac, half))
     return tuple(
-        _component(problem, k, found, float(factors[k]), float(groups.counts[k]), pure)
-        for k, pure in enumerate(told)
+        _component(problem, k, model, float(factors[k]), float(groups.counts[k]), pure)
+        for k, pure in enumerate(pure_errors)
     )
 
 
@@ -264,8 +264,8 @@ def grouped(problem: Problem, rows: Floats, kind_of: Sequence[str] = ()) -> Grou
         kind_of: Kinds of the last columns, see `Groups`.
     """
     current, known = current_units(problem) ** 2, rows[len(problem.layout.row) :]
-    own = (rows[at] for at in problem.layout.of_components)
-    products = np.array([part.T @ part for part in own]) * current[:, None, None]
+    parts = (rows[at] for at in problem.layout.of_components)
+    products = np.array([part.T @ part for part in parts]) * current[:, None, None]
     return Groups(_counts(problem), products, known.T @ known, current, kind_of)
 
 
@@ -289,10 +289,10 @@ def by_quantity(
     half = with_response(stations, half)
     settled = completed(stations, np.zeros(len(half)))
     of_keys = problem.layout.of_keys.items()
-    quantities = {key: list(dict.fromkeys(own.tolist())) for key, own in of_keys}
+    quantities = {key: list(dict.fromkeys(index.tolist())) for key, index in of_keys}
     for place in range(max(map(len, quantities.values()))):
         # One quantity of each block is what is left where the others weigh nothing.
-        chosen = [own[place] for own in quantities.values() if place < len(own)]
+        chosen = [index[place] for index in quantities.values() if place < len(index)]
         kept = np.isin(np.arange(len(current)), chosen)
         alone = problem
         if not kept.all():
@@ -308,9 +308,9 @@ def by_quantity(
             station = stations.get(term.frames.station)
             if station is not None:
                 # What its station absorbs of measurements is no redundancy.
-                mine = np.flatnonzero(np.isin(term.index, station.own))
-                root = station.root[np.searchsorted(station.own, term.index[mine])]
-                counts[k] -= float(np.sum((J[:, mine] @ root) ** 2))
+                local = np.flatnonzero(np.isin(term.index, station.local))
+                root = station.root[np.searchsorted(station.local, term.index[local])]
+                counts[k] -= float(np.sum((J[:, local] @ root) ** 2))
     products *= current[:, None, None] ** 2
     further = problem.further
     known = np.column_stack([further.jacobian(theta) @ half, further.residual(theta)])
@@ -347,25 +347,25 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
     """
     stated = _stated(problem)
     stations = len({component.station for component in problem.layout.components})
-    found = groups.estimated()
-    few = found.redundancies < FEW
+    model = groups.estimated()
+    few = model.redundancies < FEW
     if few.all():
-        return found, np.sqrt(groups.current)
+        return model, np.sqrt(groups.current)
     tail = 0.5 * REJECTED / stations
-    pairs = zip(found.values, found.dof, strict=True)
+    pairs = zip(model.values, model.dof, strict=True)
     above = [chi_square_tail(v * f, f) if f >= FEW else 0.5 for v, f in pairs]
     stands = np.abs(np.array(above) - 0.5) <= 0.5 - tail
     # Each is estimated beside what stands, or shares a variance with the largest.
     labels = np.arange(len(few))
     labels[stated & (few | stands)] = KNOWN
-    labels[few & ~stated] = labels[np.argmax(found.redundancies)]
+    labels[few & ~stated] = labels[np.argmax(model.redundancies)]
     open_ = labels != KNOWN
     leaders, labels[open_] = np.unique(labels[open_], return_inverse=True)
     rest = groups.components().relabeled(labels)
-    variances = estimate_variances(rest, found.values[leaders])
+    variances = estimate_variances(rest, model.values[leaders])
     factors = np.ones(len(few))
     factors[open_] = np.sqrt(variances.values[labels[open_]])
-    return found, np.maximum(factors, LEAST * factors.max())
+    return model, np.maximum(factors, LEAST * factors.max())
 
 
 def _interval(variance: float, dof: float) -> tuple[float, float]:
@@ -380,7 +380,7 @@ def _interval(variance: float, dof: float) -> tuple[float, float]:
 def _component(
     problem: Problem,
     k: int,
-    found: Variances,
+    model: Variances,
     factor: float,
     count: float,
     pure: PureError | None,
@@ -393,9 +393,9 @@ def _component(
     component, stated = problem.layout.components[k], bool(_stated(problem)[k])
     given = problem.given_sigma[problem.layout.of_components[k]]
     size = float(np.sqrt(np.mean(given**2))) if len(given) else np.nan
-    redundancy, variance = float(found.redundancies[k]), float(found.values[k])
-    low, high = _interval(variance, float(found.dof[k]))
-    told: dict[str, float | None] = {}
+    redundancy, variance = float(model.redundancies[k]), float(model.values[k])
+    low, high = _interval(variance, float(model.dof[k]))
+    extra: dict[str, float | None] = {}
     if pure is not None:
         squares, between = variance * redundancy, redundancy - pure.dof
         common = max(squares - pure.variance * redundancy, 0.0)
@@ -408,10 +408,10 @@ def _component(
             # Residuals of one configuration are one value of what the model lacks.
             variance = pure.variance + common
             low, high = _interval(variance, between)
-        told = {"pure": size * pure.variance**0.5, "unmodeled": size * common**0.5}
-        told |= {"lack_of_fit": lack, "pure_test": 2.0 * min(above, 1.0 - above)}
+        extra = {"pure": size * pure.variance**0.5, "unmodeled": size * common**0.5}
+        extra |= {"lack_of_fit": lack, "pure_test": 2.0 * min(above, 1.0 - above)}
     elif stated:
-        told = {"unmodeled": size * (variance - 1.0) ** 0.5 if low > 1.0 else 0.0}
+        extra = {"unmodeled": size * (variance - 1.0) ** 0.5 if low > 1.0 else 0.0}
     known = redundancy > 0.0
     return VarianceComponent(
         quantity=component.name,
@@ -424,7 +424,7 @@ def _component(
         redundancy=redundancy / max(count, 1.0),
         values=count,
         contradicted=known and stated and factor != 1.0,
-        **told,
+        **extra,
     )
 
 
@@ -455,34 +455,34 @@ def _pure_errors(
         leverages: Leverage of every measured value, shape (M,).
     """
     layout, label = problem.layout, repetitions(problem)
-    found, many = list[PureError | None](), np.bincount(label)[label]
+    result, many = list[PureError | None](), np.bincount(label)[label]
     if many.max(initial=1) == 1:
         return [None] * len(layout.components)
     weight = problem.data.weight[layout.row]
     residual = kept(problem.errors(theta) / problem.given_sigma, weight == 0.0)
     place = label[layout.row] * layout.width + layout.column
-    for own in layout.of_components:
-        r, w = residual[own], weight[own]
-        _, group = numbered(place[own])
+    for index in layout.of_components:
+        r, w = residual[index], weight[index]
+        _, group = numbered(place[index])
         total = np.bincount(group, w)
         mean = np.bincount(group, w * r) / np.where(total > 0.0, total, 1.0)
         squares = float(np.sum(w * (r - mean[group]) ** 2))
         dof = float((w > 0.0).sum() - (total > 0.0).sum())
         # The columns of Z are as long as repetitions are many.
-        trace = float(weight[own].sum() - many[layout.row[own]] @ leverages[own])
+        trace = float(weight[index].sum() - many[layout.row[index]] @ leverages[index])
         enough = dof >= REPEATED
-        found.append(PureError(squares / dof, dof, trace) if enough else None)
-    return found
+        result.append(PureError(squares / dof, dof, trace) if enough else None)
+    return result
 
 
 def repetitions(problem: Problem) -> NDArray[np.intp]:
     """Label of the configuration of each row, its own for one that is alone, (N,)."""
     used = problem.data.weight > 0.0
-    for _, data, own, _ in problem.blocks:
+    for _, data, rows, _ in problem.blocks:
         # Of contacts the joint positions are measured, and from another start it is
         # another distance.
         if not data.values.shape[1] or data.start.size:
-            used[own] = False
+            used[rows] = False
     return np.where(used, repeated(problem), np.arange(len(used), 2 * len(used)))
 
 
@@ -597,10 +597,10 @@ def systematic(
     groups = rows_with_effects(sample, theta, directions.basis, X, effects.kinds)
     if groups is None:
         return None
-    chosen, found = groups.selected(PARAMETERIZATIONS, CHANCE)
+    chosen, model = groups.selected(PARAMETERIZATIONS, CHANCE)
     if not chosen:
         return None
-    noise = found.values[: len(groups.counts)] / groups.current
+    noise = model.values[: len(groups.counts)] / groups.current
     variances = np.array([chosen.get(kind, 0.0) for kind in effects.kinds])
     variances *= min(1.0, MOST * _share(groups, noise, variances))
     kept = np.isin(effects.kinds, [*chosen])
@@ -622,8 +622,8 @@ def _share(groups: Groups, noise: Floats, variances: Floats) -> float:
     sizes = np.sqrt(np.append(groups.current, 1.0))
     X = np.vstack([*(groups.rows / sizes[:, None, None])])[:, -1 - len(variances) : -1]
     predicted = variances @ (np.sum(X**2, axis=0) - np.sum((U.T @ X) ** 2, axis=0))
-    found = float(e @ e - noise @ fitted.redundancies)
-    return max(found, 0.0) / float(predicted)
+    excess = float(e @ e - noise @ fitted.redundancies)
+    return max(excess, 0.0) / float(predicted)
 
 
 def variances(problem: Problem, effects: Systematic | None) -> Floats:
@@ -687,8 +687,8 @@ def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None
         for parameter in errors[name].parameters:
             joint, kind, component = parameter.name.rsplit(".", 2)
             # A mimic joint has the errors of its leader, which may be of no chain.
-            told = component in kinds.get(kind, ()) and turns.get(joint)
-            if told or kind in whole:
+            acts = component in kinds.get(kind, ()) and turns.get(joint)
+            if acts or kind in whole:
                 sizes[parameter.name] = parameter.scale
     if not sizes:
         return None
@@ -767,8 +767,8 @@ class Components:
         """
         new = np.append(labels, KNOWN)
         blocks = [replace(block, labels=new[block.labels]) for block in self.blocks]
-        of = labels[:, None] == np.arange(labels.max() + 1)
-        return Components(blocks, self.counts @ of, self.squares @ of)
+        member = labels[:, None] == np.arange(labels.max() + 1)
+        return Components(blocks, self.counts @ member, self.squares @ member)
 
 
 @dataclass(frozen=True)
@@ -813,14 +813,14 @@ class Variances:
         for (rows, F, _), block in zip(white, blocks, strict=True):
             e, U = rows @ np.append(unknowns, 1.0), rows[:, :q] @ half
             whitened.append((e, U, F))
-            of = (block.labels[:, None] == np.arange(len(values))).astype(float)
+            member = (block.labels[:, None] == np.arange(len(values))).astype(float)
             if F is None:
-                u, told, Q = e, 1.0 - np.sum(U**2, axis=1), e[:, None] * of
+                u, dof, Q = e, 1.0 - np.sum(U**2, axis=1), e[:, None] * member
             else:
-                u, told = F.T @ e, np.sum(F**2, axis=0) - np.sum((U.T @ F) ** 2, axis=0)
-                Q = (F * u) @ of
-            squares = squares + u**2 @ of
-            redundancies += told @ of
+                u, dof = F.T @ e, np.sum(F**2, axis=0) - np.sum((U.T @ F) ** 2, axis=0)
+                Q = (F * u) @ member
+            squares = squares + u**2 @ member
+            redundancies += dof @ member
             information += Q.T @ Q
             shared += U.T @ Q
             missed += float(e @ e)
@@ -894,12 +894,12 @@ def estimate_variances(
             if np.abs(step).max(initial=0.0) < DONE:
                 return best
             values = np.clip(best.values * np.exp(step), lower, upper)
-            found = Variances.at(components, values)
-            if found.likelihood >= best.likelihood - DONE:
+            candidate = Variances.at(components, values)
+            if candidate.likelihood >= best.likelihood - DONE:
                 break
         else:
             break
-        best = found
+        best = candidate
     return best
 
 

@@ -416,7 +416,7 @@ def training_rows(
             result.by_shift[rows, columns] = by_shift
         return result
 
-    def some(index: NDArray[np.int64]) -> TrainingRows:
+    def subset(index: NDArray[np.int64]) -> TrainingRows:
         few = replace(problem, data=problem.data.rows(index))
         return training_rows(few, theta, directions, known)
 
@@ -427,7 +427,7 @@ def training_rows(
         by_joint=partial(linearize, "joint"),
         by_tip=partial(linearize, "tip"),
         values=layout.width,
-        some=some,
+        subset=subset,
         shift=Shifts(np.zeros(directions.shape[1])) if known is None else known,
     )
 

@@ -266,7 +266,7 @@ class Fit:
             return self.problem, self.result, self.directions.basis
         problem = replace(self.problem, expected=self.evidence.expected)
         result = _of_problem(self.result, self.problem, problem)
-        return problem, result, self.directions.every
+        return problem, result, self.directions.full_basis
 
     @cached_property
     def covariance(self) -> Floats:
@@ -405,7 +405,7 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
             break
         current = current_units(fitted.problem)
         noise = variance_components(*fitted.held)
-        change = np.array([one.factor for one in noise]) / current
+        change = np.array([c.factor for c in noise]) / current
         alone = len(fitted.problem.further) == 0
         common = float(np.exp(np.mean(np.log(change)))) if alone else 1.0
         relative = np.abs(np.log(change / common)).max()
@@ -505,11 +505,11 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
     r, J = before.fun, before.jac
     if problem.held_at:
         r, J = problem.linearize(nominal)
-    about = np.zeros(len(parameters))
+    reference = np.zeros(len(parameters))
     if any(term.measurement.declaration.contact for term in terms):
         # What is touched must be where the tool can touch it.
-        about = np.where(parameters.nuisance, nominal, 0.0)
-    structure, at_zero = analyze_structure(problem, about, solver.rng)
+        reference = np.where(parameters.nuisance, nominal, 0.0)
+    structure, at_zero = analyze_structure(problem, reference, solver.rng)
     visible = visible_directions(at_zero, parameters)
     count = known_count(problem) - absorbed(problem)
     # A search takes errors for which the linear prediction of sigma0 is no good.
@@ -665,7 +665,7 @@ def shrunk(fitted: Fit) -> Fit:
         return replace(fitted, evidence=replace(evidence, matters=False))
     # Whitened like the rows, whose unit weight is not in their standard deviations.
     expected = replace(evidence.expected, rows=evidence.expected.rows * unit)
-    basis = problem.parameters.scales[:, None] * fitted.directions.every
+    basis = problem.parameters.scales[:, None] * fitted.directions.full_basis
     held = replace(problem, expected=expected)
     solution = _of_problem(refine(held, result.x, basis), held, problem)
     return replace(fitted, evidence=evidence, result=solution.after(result))
@@ -709,9 +709,9 @@ def expected_errors(fitted: Fit) -> Evidence:
     sizes, likely = np.ones(len(V)), np.ones((PARTS, len(V)))
     sizes[mask], likely[:, mask] = of_kinds[kinds], parts[kinds].T
     P, t, _ = np.linalg.svd(half * sizes / deviations[:, None], full_matrices=False)
-    kept = (P * (t / np.hypot(1.0, t)) ** 2) @ P.T
-    change = kept @ (values / deviations) - current / deviations
-    shift = change / np.sqrt(np.diag(kept))
+    shrinkage = (P * (t / np.hypot(1.0, t)) ** 2) @ P.T
+    change = shrinkage @ (values / deviations) - current / deviations
+    shift = change / np.sqrt(np.diag(shrinkage))
     return Evidence(
         expected=Priors.expected(V, sizes, parameters.scales, places),
         sizes=sizes,

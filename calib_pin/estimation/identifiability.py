@@ -390,8 +390,8 @@ def _aligned(twists: Floats, scales: Floats, place: _Place) -> Floats:
     towards = np.array(place.directions(axis)).T
     for rows, part in ((shifts, slice(0, 3)), (turns, slice(3, 6))):
         given = twists[rows, part]
-        alike = len(rows) == 3 and np.ptp(scales[rows]) == 0.0
-        if alike and np.abs(given @ given.T - np.eye(3)).max() < 1e-9:
+        triple = len(rows) == 3 and np.ptp(scales[rows]) == 0.0
+        if triple and np.abs(given @ given.T - np.eye(3)).max() < 1e-9:
             result[np.ix_(rows, rows)] = given @ towards
     return result
 
@@ -458,7 +458,7 @@ class Directions:
         return np.column_stack([self.nuisances, self.robot])
 
     @property
-    def every(self) -> Floats:
+    def full_basis(self) -> Floats:
         """Moved directions and those held at nominal, shape (P, f + r + w)."""
         return np.column_stack([self.nuisances, self.robot, self.weak])
 

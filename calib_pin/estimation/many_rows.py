@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, link_kernels, row_kernels
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.terms import Block, Term, kept
+from calib_pin.estimation.terms import Block, Term, zeroed
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch
 from calib_pin.observations import Conditions, Measurements
@@ -80,16 +80,16 @@ class ManyRows:
         if isinstance(last, ManyRows) and last._prepared_for(error):
             self._threads, self._chunks = last._threads, last._chunks
             self._passes = [
-                one.for_weights(block.term, self._sigma) for one in last._passes
+                known.for_weights(block.term, self._sigma) for known in last._passes
             ]
             return
 
         def chunk(start: int) -> _Chunk:
             # Views: nothing is copied but the factors of joint corrections.
             rows = slice(start, start + CHUNK)
-            some = data.rows(rows)
-            factors = error.basis(some.q, some.conditions) * segments.factors
-            return _Chunk(some, rows, factors.T.copy())
+            part = data.rows(rows)
+            factors = error.basis(part.q, part.conditions) * segments.factors
+            return _Chunk(part, rows, factors.T.copy())
 
         starts = range(0, len(data), CHUNK)
         self._chunks += self._threads.map(chunk, starts)
@@ -157,7 +157,7 @@ class ManyRows:
             aside, R = weights == 0.0, np.zeros((len(to_parameters),) * 2)
             corrections = row_kernels.Corrections(self._along, chunk.factors)
             given = at.links, motion, starts, corrections
-            rows = kept(linear.J_pose, aside), kept(others, aside), weights
+            rows = zeroed(linear.J_pose, aside), zeroed(others, aside), weights
             row_kernels.triangular_factor(*given, *rows, R)
             return R
 

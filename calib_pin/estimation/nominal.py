@@ -151,15 +151,15 @@ def structure_at(
         InputError: If the measured values have no derivative.
     """
     J, count = jacobian_at(problem, theta, at), sum(map(len, at))
-    alike = _omitted(problem, [block.key for block in at])
-    shown = problem.parameters.without(alike)
+    omitted = _omitted(problem, [block.key for block in at])
+    shown = problem.parameters.without(omitted)
     if not np.isfinite(J).all():
         reason = "the measured values have no derivative, like a distance of zero"
         raise InputError(f"{reason}; check the base and tip links")
     result = structure(J[: len(J) - len(problem.further.priors)], shown, count)
     known = scale_deviation(problem, theta, at, J) < UNKNOWN
     scaled = known or not _has_lengths(problem, theta, at)
-    return replace(result, scaled=scaled, alike=alike), J
+    return replace(result, scaled=scaled, alike=omitted), J
 
 
 def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> Floats:
@@ -435,8 +435,8 @@ def observable_configurations(
         size = max(count, AT_ONCE * len(missing)) if tries > 1 else count
         wanted = np.resize(missing, size)
         q = problem.chains.random_configurations(len(wanted), rng)
-        looked, carried = [target[i] for i in wanted], [loads[i] for i in wanted]
-        at = asked(problem, key, q, looked, Conditions(Labels.of(carried)))
+        targets, payloads = [target[i] for i in wanted], [loads[i] for i in wanted]
+        at = asked(problem, key, q, targets, Conditions(Labels.of(payloads)))
         if declared.contact:
             q, seen = brought_to_contact(problem, theta, at)
         else:
@@ -483,31 +483,31 @@ def brought_to_contact(
     """
     term = problem.terms[at.key]
     robot, instrument = term.values(theta)
-    chain, every = term.error.chain, at.q.copy()
-    q = every[:, term.columns]
+    chain, full = term.error.chain, at.q.copy()
+    q = full[:, term.columns]
     touches, active = np.zeros(len(q), bool), np.arange(len(q))
     for _ in range(NEWTON):
         names, conditions = at.target[active], at.conditions.rows(active)
         T, J_q = term.error.kinematics(q[active], robot, conditions)
         linear = term.linearized(T, instrument, q[active], names)
-        short = -linear.residual if gap is None else gap[active] - linear.residual
-        size = np.abs(short).max(axis=1)
+        error = -linear.residual if gap is None else gap[active] - linear.residual
+        size = np.abs(error).max(axis=1)
         touches[active[size < TOUCHING]] = True
         # Not finite: an arm at its stretched singularity never reaches contact.
         moving = (size >= TOUCHING) & np.isfinite(size)
-        active, short, J = active[moving], short[moving], (linear.J_pose @ J_q)[moving]
+        active, error, J = active[moving], error[moving], (linear.J_pose @ J_q)[moving]
         if not len(active):
             break
         damped = J @ np.swapaxes(J, 1, 2)
         scale = np.trace(damped, axis1=1, axis2=2)[:, None, None]
         damped = damped + (1e-12 * scale + 1e-30) * np.eye(damped.shape[1])
-        step = np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, short[:, :, None])
+        step = np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, error[:, :, None])
         longest = np.abs(step[:, :, 0]).max(axis=1)
         shorter = np.minimum(1.0, FARTHEST / np.maximum(longest, FARTHEST))
         q[active] += step[:, :, 0] * shorter[:, None]
     within = ((q >= chain.lower) & (q <= chain.upper)).all(axis=1)
-    every[:, term.columns] = q
-    return every, touches & within
+    full[:, term.columns] = q
+    return full, touches & within
 
 
 # Closed-form starts.
@@ -719,9 +719,9 @@ def _with_stations(
         theta: Parameter values, shape (P,).
         new: Measurements from these stations.
     """
-    every = {**problem.terms, **{b.key: _elsewhere(problem, b) for b in new}}
+    terms = {**problem.terms, **{b.key: _elsewhere(problem, b) for b in new}}
     other = replace(problem, data=Observations(tuple(new)))
-    other, values = _of_terms(other, every, theta)
+    other, values = _of_terms(other, terms, theta)
     located = Located()
     for key in problem.terms:
         located.keep(other.terms[key], values)

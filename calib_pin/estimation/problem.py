@@ -371,7 +371,7 @@ class Problem(Terms):
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (M,)."""
-        parts = [one.errors(theta).reshape(-1) for one in self._evaluators]
+        parts = [rows.errors(theta).reshape(-1) for rows in self._evaluators]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def residual(self, theta: Floats) -> Floats:
@@ -400,7 +400,7 @@ class Problem(Terms):
         They are by the block's own parameters; of very many measurements those of a
         smaller system with the same normal equations, to full precision.
         """
-        return [one.factorize(theta) for one in self._evaluators]
+        return [rows.factorize(theta) for rows in self._evaluators]
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual and its Jacobian by all parameters.
@@ -552,13 +552,13 @@ def known_count(problem: Problem) -> int:
 
 def evaluator(problem: Problem) -> str:
     """Name of the way in which measurements are evaluated."""
-    plain = all(isinstance(one, RowByRow) for one in problem._evaluators)
+    plain = all(isinstance(rows, RowByRow) for rows in problem._evaluators)
     return "pinocchio" if plain else "kernel"
 
 
 def tool_points(problem: Problem, theta: Floats) -> list[Floats]:
     """Tool points of every block in its measurement frame, shape (N, 3)."""
-    return [one.points(theta) for one in problem._evaluators]
+    return [rows.points(theta) for rows in problem._evaluators]
 
 
 def absorbed(problem: Problem) -> int:
@@ -604,7 +604,7 @@ def representative(problem: Problem) -> list[BlockKey]:
     if not problem.own_of_stations:
         return keys
     kinds = station_kinds(problem).values()
-    shown = {station for alike in kinds for station in alike[:ALIKE]}
+    shown = {station for names in kinds for station in names[:ALIKE]}
     return [key for key in keys if problem.terms[key].frames.station in shown]
 
 

@@ -226,7 +226,7 @@ class Studentized:
         self.configuration, self.quantity = cells // width, cells % width
         with np.errstate(over="ignore"):
             self.components = np.where(np.isfinite(r), r**2, np.inf)
-        sums = (np.bincount(place, of, len(cells)) for of in (self.components, counts))
+        sums = (np.bincount(place, w, len(cells)) for w in (self.components, counts))
         self.squares, self.counts = (np.asarray(total, float) for total in sums)
         self.least = np.full(width, OPTIONS.alone)
         if states_sigmas(problem.data):
@@ -284,13 +284,13 @@ class Studentized:
 
 def failing(problem: Problem) -> Indices:
     """Labels of rows that fail together, 0 to G - 1, shape (N,)."""
-    labels, every = problem.data.groups(), np.arange(len(problem.data))
-    alone = [b for b in problem.blocks if b.term.measurement.declaration.separable]
-    if not alone:
+    labels, rows = problem.data.groups(), np.arange(len(problem.data))
+    blocks = [b for b in problem.blocks if b.term.measurement.declaration.separable]
+    if not blocks:
         return labels
-    labels = labels + len(every)
-    for block in alone:
-        labels[block.rows] = every[block.rows]
+    labels = labels + len(rows)
+    for block in blocks:
+        labels[block.rows] = rows[block.rows]
     return numbered(labels)[1]
 
 
@@ -516,8 +516,8 @@ def _agreeing(problem: Problem, theta: Floats, weight: Floats) -> Flags:
             held = replace(held, data=held.data.sample(SAMPLE))
         # The solution of accepted configurations is a redescending one away.
         for _ in range(2):
-            alike = np.ones(len(held.layout.row))
-            theta = theta + _step(held, *held.linearize_rows(theta), alike)
+            ones = np.ones(len(held.layout.row))
+            theta = theta + _step(held, *held.linearize_rows(theta), ones)
         z = studentized(problem, theta, basis, accepted[failing(problem)])
         scale = _scale(z, accepted)
         passed = _passed(z, scale)
@@ -550,14 +550,14 @@ def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
     unknown = int((parameters.free & parameters.nuisance).sum())
     size = max(ceil(unknown / (max(values, 1.0) * len(targets))) + 1, 3)
 
-    def drawn() -> Indices:
+    def draw() -> Indices:
         """Rows of some images, each of which tells a pose by all its corners.
 
         Else of every target, of different configurations where there are.
         """
         if images:
-            some = rng.permutation(few.data.configurations)[: OPTIONS.images]
-            return np.flatnonzero(np.isin(labels, some))
+            subset = rng.permutation(few.data.configurations)[: OPTIONS.images]
+            return np.flatnonzero(np.isin(labels, subset))
         chosen = []
         for order in map(rng.permutation, targets):
             chosen.append(order[firsts(labels[order])][:size])
@@ -565,7 +565,7 @@ def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
 
     best, least, agreed = problem, np.inf, 0
     for _ in range(OPTIONS.trials):
-        candidate, total = _concentrated(few, drawn(), targets)
+        candidate, total = _concentrated(few, draw(), targets)
         if candidate is None:
             continue
         agreed += abs(total - least) <= OPTIONS.same * least < np.inf
@@ -646,8 +646,8 @@ def _exchanged(
             continue
         i, j = (rows[k] for k in np.triu_indices(len(rows), 1))
         labels, codes = z.labels[block.rows], block.data.target.codes
-        alike = (codes[i] == codes[j]) & (labels[i] != labels[j])
-        i, j = i[alike], j[alike]
+        possible = (codes[i] == codes[j]) & (labels[i] != labels[j])
+        i, j = i[possible], j[possible]
         fits = []
         for a, b in ((i, j), (j, i)):
             trial = replace(block.data.rows(a), values=block.data.values[b])

@@ -281,13 +281,13 @@ def feet(chain: Chain) -> Floats:
     Lengths of a crane are off by more than those of an arm, while its angles are not:
     beyond `LARGE` translations grow with the way from place to place.
     """
-    frames, zero, way = chain.joint_frames(), np.zeros((1, len(chain.joints))), 0.0
+    frames, zero, reach = chain.joint_frames(), np.zeros((1, len(chain.joints))), 0.0
     point, result = chain.poses(zero)[0, :3, 3], np.tile(np.eye(6), (len(frames), 1, 1))
     for k in reversed(range(len(frames))):
         turn, origin, axis = frames[k, :3, :3], frames[k, :3, 3], chain.axes[k]
         place = ((point - origin) @ turn @ axis) * axis
         result[k, :3, 3:] = skew(place)
         point, last = origin + turn @ place, point
-        way += float(np.linalg.norm(last - point))
-    result[:, :3, :3] *= max(1.0, way / LARGE)
+        reach += float(np.linalg.norm(last - point))
+    result[:, :3, :3] *= max(1.0, reach / LARGE)
     return result

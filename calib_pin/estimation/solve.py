@@ -317,7 +317,7 @@ class PopulationCost:
                 self.evaluator = "loop"
                 return
             segments = Segments(error)
-            self._parts += [PopulationPart(block, segments, one) for one in batches]
+            self._parts += [PopulationPart(block, segments, batch) for batch in batches]
 
     def __call__(self, theta: Floats) -> Floats:
         """Costs of parameter values, shape (S, P) -> (S,)."""

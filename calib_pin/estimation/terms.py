@@ -78,10 +78,10 @@ class Frames:
 def whitened(values: Floats, sigma: Floats) -> Floats:
     """Values of components in their standard deviations, (N, d, ...) and (N, d)."""
     weight = 1.0 / sigma.reshape(*sigma.shape, *[1] * (values.ndim - 2))
-    return np.asarray(kept(values, np.isinf(sigma)) * weight)
+    return np.asarray(zeroed(values, np.isinf(sigma)) * weight)
 
 
-def kept(values: Floats, aside: NDArray[np.bool_]) -> Floats:
+def zeroed(values: Floats, aside: NDArray[np.bool_]) -> Floats:
     """Values with zeros for those that are set aside, shape (N, d, ...).
 
     They may be so wrong that they cannot be predicted, and nothing times infinity is

@@ -80,11 +80,11 @@ class Collisions:
         self._model = model
         self._configurations = Configurations(model, ids)
         solids = geometry.geometryObjects
-        every = [(pair.first, pair.second) for pair in geometry.collisionPairs]
-        moving = [_moves(model, solids[a], solids[b], ids) for a, b in every]
-        pairs = [pair for pair, moves in zip(every, moving, strict=True) if moves]
-        kept = np.broadcast_to(np.asarray(clearance, float), len(every))
-        self.clearances: Floats = kept[np.array(moving, bool)]
+        all_pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
+        moving = [_moves(model, solids[a], solids[b], ids) for a, b in all_pairs]
+        pairs = [pair for pair, moves in zip(all_pairs, moving, strict=True) if moves]
+        clearances = np.broadcast_to(np.asarray(clearance, float), len(all_pairs))
+        self.clearances: Floats = clearances[np.array(moving, bool)]
         self._meshes = _with_pairs(geometry.copy(), pairs)
         hulls = _with_pairs(_hulls(geometry), pairs)
         self._checks = PerThread(_checks, model, self._meshes, hulls, self.clearances)
@@ -173,8 +173,8 @@ class Collisions:
             center = solid.placement.act(np.array(shape.aabb_center))
             length = float(np.linalg.norm(center)) + float(shape.aabb_radius)
             for beyond in above[above.index(joint) + 1 :]:
-                way = model.jointPlacements[beyond].translation
-                length += float(np.linalg.norm(way))
+                offset = model.jointPlacements[beyond].translation
+                length += float(np.linalg.norm(offset))
                 length += slides.get(model.names[beyond], 0.0)
             longest = max(longest, length)
         return longest

@@ -45,8 +45,8 @@ class Skeleton:
         single = np.array(model.names)[np.array(model.nvs) == 1].tolist()
         still = {*robot.mimics, *robot.refused}
         self.joints: tuple[str, ...] = tuple(k for k in single if k not in still)
-        every, count = [*self.joints, *robot.mimics], len(self.joints)
-        space = self._space = JointSpace(model, every, robot.mimics)
+        joints, count = [*self.joints, *robot.mimics], len(self.joints)
+        space = self._space = JointSpace(model, joints, robot.mimics)
         ids = [model.getJointId(name) for name in space.joints]
         self._configurations = Configurations(model, ids)
         self.revolute = space.revolute[:count]
@@ -60,17 +60,17 @@ class Skeleton:
     def positions(self, joints: Sequence[str], q: Floats) -> Floats:
         """Positions (n,) of joints, also of those that follow others, at q (K,)."""
         places = [self._space.joints.index(joint) for joint in joints]
-        return np.asarray(self._every(q)[0, places])
+        return np.asarray(self._with_followers(q)[0, places])
 
     def placements(self, q: Floats) -> Floats:
         """Poses of all links in the base link at q (K,) [rad, m], shape (L, 4, 4)."""
         model, data = self._workspace.value
-        (full,) = self._configurations(self._every(q))
+        (full,) = self._configurations(self._with_followers(q))
         pin.framesForwardKinematics(model, data, full)
         T = np.array([data.oMf[frame].homogeneous for frame in self._frames])
         return np.asarray(invert(T[self._base]) @ T)
 
-    def _every(self, q: Floats) -> Floats:
+    def _with_followers(self, q: Floats) -> Floats:
         """Positions of all joints, those that follow others last, shape (1, n)."""
         followers = np.zeros(len(self._space.joints) - len(q))
         return self._space.follow(np.append(q, followers)[None])

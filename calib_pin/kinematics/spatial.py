@@ -97,10 +97,10 @@ def interpolate(first: Floats, last: Floats, part: Floats) -> Floats:
 
     The origin goes straight, the rotation takes the shortest turn.
     """
-    way = invert(first) @ last
-    result = np.zeros(np.broadcast_shapes(way.shape, (*part.shape, 4, 4)))
-    result[..., :3, :3] = so3_exp(part[..., None] * so3_log(way[..., :3, :3]))
-    result[..., :3, 3] = part[..., None] * way[..., :3, 3]
+    T = invert(first) @ last
+    result = np.zeros(np.broadcast_shapes(T.shape, (*part.shape, 4, 4)))
+    result[..., :3, :3] = so3_exp(part[..., None] * so3_log(T[..., :3, :3]))
+    result[..., :3, 3] = part[..., None] * T[..., :3, 3]
     result[..., 3, 3] = 1.0
     return np.asarray(first @ result)
 
@@ -119,14 +119,14 @@ def interpolated_twists(
         Body twists of the pose between by those of either, shape (..., 6, 6) both.
     """
     to_first = invert(first)
-    way, between = to_first @ last, to_first @ interpolate(first, last, part)
-    turn, share = so3_log(way[..., :3, :3]), part[..., None, None]
-    by_last = np.zeros((*way.shape[:-2], 6, 6))
-    R = np.swapaxes(between[..., :3, :3], -1, -2) @ way[..., :3, :3]
+    T, between = to_first @ last, to_first @ interpolate(first, last, part)
+    turn, share = so3_log(T[..., :3, :3]), part[..., None, None]
+    by_last = np.zeros((*T.shape[:-2], 6, 6))
+    R = np.swapaxes(between[..., :3, :3], -1, -2) @ T[..., :3, :3]
     by_last[..., :3, :3] = share * R
     turned = so3_log_derivative(part[..., None] * turn)
     by_last[..., 3:, 3:] = share * np.linalg.solve(turned, so3_log_derivative(turn))
-    by_first = adjoint(invert(between)) - by_last @ adjoint(invert(way))
+    by_first = adjoint(invert(between)) - by_last @ adjoint(invert(T))
     return by_first, by_last
 
 

@@ -42,26 +42,26 @@ def _shapes(robot: Robot, data: pin.Data, name: str, radius: float) -> Iterator[
     """The solids of a link, of a robot whose joints stand at zero."""
     model, number = robot.model, link_frame(robot.model, name)
     moved_by = model.frames[model.frames[number].parentFrame]
-    here, joint = data.oMf[number], moved_by.parentJoint
+    pose, joint = data.oMf[number], moved_by.parentJoint
     if moved_by.type == pin.FrameType.JOINT and model.nvs[joint] == 1:
         J = pin.getJointJacobian(model, data, joint, pin.WORLD).reshape(6, -1)
         twist = J[:, model.idx_vs[joint]]
-        axis = here.rotation.T @ (twist[3:] if twist[3:].any() else twist[:3])
+        axis = pose.rotation.T @ (twist[3:] if twist[3:].any() else twist[:3])
         solid = cylinder(WIDE * radius, 2.0 * WIDE * radius)
-        yield _about(name, np.zeros(3), axis, solid, JOINT)
+        yield _aligned(name, np.zeros(3), axis, solid, JOINT)
     elif name in robot.leaves:
         yield Shape(name, np.eye(4), ball(radius))
     kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
     for child, frame in enumerate(model.frames):
         if frame.parentFrame == number and frame.type in kinds:
-            end = here.actInv(data.oMf[child]).translation
+            end = pose.actInv(data.oMf[child]).translation
             length = float(np.linalg.norm(end))
             if length > 0.1 * radius:
                 tube = capsule(radius, length)
-                yield _about(name, 0.5 * end, end / length, tube, None)
+                yield _aligned(name, 0.5 * end, end / length, tube, None)
 
 
-def _about(
+def _aligned(
     link: str, center: Floats, axis: Floats, surface: Surface, color: Color | None
 ) -> Shape:
     """A surface whose z axis is turned to a unit axis of a link."""

@@ -119,8 +119,8 @@ class CameraModel(MeasurementModel):
         first = f" of {lacking[0]}" if len(lacking) == 1 else ""
         if len(lacking) > 1:
             first = f" of {lacking[0]} and {len(lacking) - 1} more"
-        asked = f"give the xyz{first} under 'targets', or a 'board',"
-        return f"{asked} in a setup file (--setup)"
+        advice = f"give the xyz{first} under 'targets', or a 'board',"
+        return f"{advice} in a setup file (--setup)"
 
     @property
     def targets(self) -> Sequence[str]:

@@ -84,9 +84,9 @@ class SiteModel(PointModel):
             rows = site == s
             if not rows.any():
                 continue
-            part, here = data.rows(rows), moved[rows]
+            part, poses = data.rows(rows), moved[rows]
             if not reference.located:
-                _, sites[s] = self.fit_site(here, part, np.zeros(3), reference)
+                _, sites[s] = self.fit_site(poses, part, np.zeros(3), reference)
                 if part.values.any():
                     sites[s] = sites[s].facing(F[rows, :3, 3])
         return replace(self, points=points, sites=tuple(sites)), base, tool
@@ -163,8 +163,8 @@ class RoundModel(SiteModel):
             size = getattr(site, kind.number)
             free = getattr(site, f"estimate_{kind.number}")
             free = size is None if free is None else free
-            about = xyz_or_none(site.xyz), size, site.estimate, free
-            sites.append(kind(name, *about))
+            values = xyz_or_none(site.xyz), size, site.estimate, free
+            sites.append(kind(name, *values))
         return tuple(sites) or tuple(map(kind, given_names(names, kind.kind)))
 
     @property

@@ -103,8 +103,7 @@ def located_tool(
         known = [k for k, site in enumerate(xyz) if site is not None and seen[k]]
         tool = pin.SE3.Identity()
         if known:
-            here = np.array([xyz[k] for k in known])
-            tool = fit_pose(here, in_tip[known])
+            tool = fit_pose(np.array([xyz[k] for k in known]), in_tip[known])
     in_tool = (in_tip - tool.translation) @ tool.rotation
     return tuple(
         point

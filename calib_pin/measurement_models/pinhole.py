@@ -188,9 +188,9 @@ class Image:
         """Derivative of the pixel by the point in the camera, shape (2, 3, N)."""
         (f_x, f_y), (xx, xy, yy) = self.intrinsics[:2], self._slope
         result = np.empty((2, 3, len(self.depth)))
-        for of, focal, x, y in ((result[0], f_x, xx, xy), (result[1], f_y, xy, yy)):
+        for row, focal, x, y in ((result[0], f_x, xx, xy), (result[1], f_y, xy, yy)):
             scale = focal / self.depth
-            of[0], of[1] = scale * x, scale * y
+            row[0], row[1] = scale * x, scale * y
         result[:, 2] = -(self.x * result[:, 0] + self.y * result[:, 1])
         return result
 
@@ -202,12 +202,12 @@ class Image:
         result[0, 2] = result[1, 3] = 1.0
         xx, yy = self.x * self.x, self.y * self.y
         rr = xx + yy
-        for of, value, focal in zip(
+        for row, value, focal in zip(
             result, (self.x, self.y), self.intrinsics[:2], strict=True
         ):
-            np.multiply(focal * value, rr, out=of[4])
-            np.multiply(of[4], rr, out=of[5])
-            np.multiply(of[5], rr, out=of[8])
+            np.multiply(focal * value, rr, out=row[4])
+            np.multiply(row[4], rr, out=row[5])
+            np.multiply(row[5], rr, out=row[8])
         f_x, f_y = self.intrinsics[:2]
         xy = 2.0 * self.x * self.y
         result[0, 6], result[0, 7] = f_x * xy, f_x * (rr + 2.0 * xx)

@@ -47,7 +47,7 @@ def read_otherwise(data: Observations, reading: ReadingSetup) -> Observations:
         OptionError: If a joint does not exist.
     """
     shifted = partial(_from_below, places=reading.shift_from)
-    shifts = {key: partial(shifted, of=of) for key, of in SHIFTS.items()}
+    shifts = {key: partial(shifted, numbers=numbers) for key, numbers in SHIFTS.items()}
     steps = STEPS | shifts
     for key in fields(ReadingSetup):
         value = getattr(reading, key.name)
@@ -265,14 +265,14 @@ def postures(q: Floats) -> Indices:
 
 
 def from_below(
-    data: Observations, shift: int, of: Numbers, places: Sequence[str] = ()
+    data: Observations, shift: int, numbers: Numbers, places: Sequence[str] = ()
 ) -> Indices:
     """For each measurement the one whose joint positions it has, -1 for none, (N,).
 
     Args:
         data: The measurements.
         shift: How many numbers these stand below it.
-        of: Numbers of lines.
+        numbers: Numbers of lines.
         places: Lines from which on they do; default all.
 
     Raises:
@@ -283,7 +283,7 @@ def from_below(
         first = [located(data, place) for place in places]
         parts = [run[k:] for run in parts for k in np.flatnonzero(np.isin(run, first))]
     for run in parts:
-        number = of(data.q[run])
+        number = numbers(data.q[run])
         target = np.searchsorted(number, number + shift)
         exists = (number + shift >= 0) & (target < len(run))
         result[run] = np.where(exists, run[np.minimum(target, len(run) - 1)], -1)
@@ -291,10 +291,10 @@ def from_below(
 
 
 def _from_below(
-    data: Observations, shift: int, of: Numbers, places: Sequence[str]
+    data: Observations, shift: int, numbers: Numbers, places: Sequence[str]
 ) -> Observations:
     """Measurements with the joint positions of others, see `from_below`."""
-    source = from_below(data, shift, of, places)
+    source = from_below(data, shift, numbers, places)
     if (source < 0).all():
         raise InputError(
             f"'reading' shifts joint positions by {shift}, beyond any file"

@@ -265,8 +265,8 @@ class Center(ReferenceObject):
 
     def stated(self) -> Stated:
         """Its place and number."""
-        about = triple(self.xyz), self.size, self.estimate, self.estimate_size
-        return self.statement(*about)
+        values = triple(self.xyz), self.size, self.estimate, self.estimate_size
+        return self.statement(*values)
 
 
 class Sphere(Center):

@@ -69,10 +69,10 @@ class _Growth(Parameterization):
                     prior=self.size,
                 ),
                 frame,
-                np.concatenate([way, np.zeros(3)]),
+                np.concatenate([link, np.zeros(3)]),
                 BasisFunction(self.function, 0),
             )
-            for frame, joint, way in _ways(chain)
+            for frame, joint, link in _ways(chain)
         ]
 
 
@@ -122,16 +122,16 @@ def _ways(chain: Chain) -> Iterator[tuple[int, str, Floats]]:
     for k, (joint, placement) in enumerate(
         zip(chain.joints, chain.placements, strict=True)
     ):
-        way = placement.translation
+        link = placement.translation
         if k == 0 and not chain.reversed[0]:
-            way = way - chain.ends[0].translation
-        if np.linalg.norm(way) > SHORTEST:
-            yield k + 1, joint, placement.rotation.T @ way
+            link = link - chain.ends[0].translation
+        if np.linalg.norm(link) > SHORTEST:
+            yield k + 1, joint, placement.rotation.T @ link
     if chain.tip_joint is not None:
-        way = chain.tip_placement.translation
-        if np.linalg.norm(way) > SHORTEST:
+        link = chain.tip_placement.translation
+        if np.linalg.norm(link) > SHORTEST:
             frame = len(chain.joints) + 1
-            yield frame, chain.tip_joint, chain.tip_placement.rotation.T @ way
+            yield frame, chain.tip_joint, chain.tip_placement.rotation.T @ link
 
 
 @dataclass(frozen=True)

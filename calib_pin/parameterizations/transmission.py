@@ -91,12 +91,12 @@ class Transmission(Parameterization):
         functions = _Waves(tuple(waves))
         return [
             Screw(
-                self.parameter(one.drive.joint, one.component, one.unit, one.scale),
-                one.drive.frame,
-                one.drive.motion,
+                self.parameter(wave.drive.joint, wave.component, wave.unit, wave.scale),
+                wave.drive.frame,
+                wave.drive.motion,
                 BasisFunction(functions, column),
             )
-            for column, one in enumerate(waves)
+            for column, wave in enumerate(waves)
         ]
 
 
@@ -136,10 +136,10 @@ class _Waves:
 
     def __call__(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
         result = np.empty((len(self.waves), len(q)))
-        for row, one in zip(result, self.waves, strict=True):
-            drive = one.drive
+        for row, wave in zip(result, self.waves, strict=True):
+            drive = wave.drive
             of_drive = (q[:, drive.frame - 1] - drive.offset) / drive.factor
-            if one.frequency != 0.0:
-                np.sin(one.frequency * of_drive + one.phase, out=of_drive)
+            if wave.frequency != 0.0:
+                np.sin(wave.frequency * of_drive + wave.phase, out=of_drive)
             np.multiply(drive.factor, of_drive, out=row)
         return result.T

@@ -119,7 +119,7 @@ class TrainingRows:
             (N, n), and the shift, shape (P,), in units in which its directions compare.
         by_tip: Residuals at tool poses T Exp(xi) and a shift, from xi, shape (N, 6).
         values: Number d of residual components of each row.
-        some: Some of the rows alone, from their positions, ascending.
+        subset: Some of the rows alone, from their positions, ascending.
         shift: Its P directions, and what is known of them.
     """
 
@@ -129,7 +129,7 @@ class TrainingRows:
     by_joint: Callable[[Floats, Floats], Linearized]
     by_tip: Callable[[Floats, Floats], Linearized]
     values: int
-    some: Callable[[NDArray[np.int64]], TrainingRows]
+    subset: Callable[[NDArray[np.int64]], TrainingRows]
     shift: Shifts = field(default_factory=lambda: Shifts(np.zeros(0)))
 
     def evaluate(self, space: Space) -> Callable[[Floats, Floats], Linearized]:

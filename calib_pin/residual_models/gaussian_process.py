@@ -368,7 +368,7 @@ class GaussianProcess:
     ) -> list[GaussianProcess]:
         """In closed form, see the module and `ResidualModel.left_out`."""
         chosen = evenly(len(rows.q), len(self.q))
-        few = rows.some(chosen)
+        few = rows.subset(chosen)
         whole = Conditioned.of(self, few, self(few.q), self.shift)
         inverse, alpha = symmetric_inverse(whole.factor), whole.alpha
         result = []
@@ -376,7 +376,7 @@ class GaussianProcess:
             g = np.repeat(mask[chosen], rows.values)
             block = np.linalg.solve(inverse[np.ix_(g, g)], alpha[g])
             others = np.where(g, 0.0, alpha - inverse[:, g] @ block)
-            result.append(whole.given(others))
+            result.append(whole.posterior(others))
         return result
 
     def document(self) -> dict[str, Any]:
@@ -445,7 +445,7 @@ class Conditioned:
         process, alpha = replace(process, q=rows.q), cho_solve((factor, True), target)
         return Conditioned(process, A, absorbed, released, known.about, factor, alpha)
 
-    def given(self, alpha: Floats) -> GaussianProcess:
+    def posterior(self, alpha: Floats) -> GaussianProcess:
         """The process by residuals times their inverse covariance, shape (N d,)."""
         weights = np.einsum("ndm,nd->nm", self.A, alpha.reshape(self.A.shape[:2]))
         shift = self.released @ (alpha @ self.absorbed) - self.about
@@ -494,13 +494,13 @@ def fit_gaussian_process(
     options = options or GaussianProcessOptions()
     rows.require("Gaussian process", 2 * len(rows.revolute))
     region = TrainedRegion.of(rows.q, rows.revolute, rng)
-    rows = rows.some(evenly(len(rows.q), options.largest // rows.values))
+    rows = rows.subset(evenly(len(rows.q), options.largest // rows.values))
     few = rng.permutation(len(rows.q))[: max(options.searched // rows.values, 1)]
     best, predicted, count = None, np.zeros(0), len(options.forms)
     for k, form in enumerate(options.forms):
         tell = portion(progress, k / count, 1.0 / count)
-        draft = _searched(rows, form, region, np.sort(few), tell)
-        process, others = _given_all(draft, rows)
+        draft = _likeliest(rows, form, region, np.sort(few), tell)
+        process, others = _conditioned(draft, rows)
         if best is None or convincing(predicted, others, MUCH):
             best, predicted = process, others
     if progress is not None:
@@ -509,7 +509,7 @@ def fit_gaussian_process(
     return best
 
 
-def _searched(
+def _likeliest(
     rows: TrainingRows,
     form: Form,
     region: TrainedRegion,
@@ -542,7 +542,7 @@ def _searched(
     )
 
 
-def _given_all(
+def _conditioned(
     draft: GaussianProcess, rows: TrainingRows
 ) -> tuple[GaussianProcess, Floats]:
     """A process given all rows, linearized again at its predictions.
@@ -554,20 +554,20 @@ def _given_all(
     process = draft
     for _ in range(2):
         known = Conditioned.of(process, rows, process(rows.q), process.shift)
-        process = known.given(known.alpha)
+        process = known.posterior(known.alpha)
     predicted = _of_groups(known.factor, known.alpha, rows.groups)
     # All variances times one number predict the same, but less surely: few
     # measurements chose them, and all of them tell how large they are.
     surprise = float(predicted @ known.alpha) / len(predicted) or 1.0
-    before, kept = rows.plain(process.space).residual, 1.0
+    before, factor = rows.plain(process.space).residual, 1.0
     predicted = predicted.reshape(before.shape)
     if not convincing(before, predicted):
-        predicted, kept = before, 0.0
+        predicted, factor = before, 0.0
     process = replace(
         process,
-        shift=kept * process.shift,
+        shift=factor * process.shift,
         covariance=process.covariance.scaled(surprise),
-        weights=kept * process.weights / surprise,
+        weights=factor * process.weights / surprise,
         held_out=(root_mean_square(before), root_mean_square(predicted)),
     )
     return process, predicted

@@ -537,8 +537,8 @@ class Network:
     ) -> list[Network]:
         """One member each, trained without, see `ResidualModel.left_out`."""
         few = NetworkOptions(members=1)
-        kept = [rows.some(np.flatnonzero(~mask)) for mask in masks]
-        return [fit_network(some, rng, options=few) for some in kept]
+        parts = [rows.subset(np.flatnonzero(~mask)) for mask in masks]
+        return [fit_network(part, rng, options=few) for part in parts]
 
     def document(self) -> dict[str, Any]:
         """The numbers."""
@@ -577,7 +577,7 @@ def fit_network(
     rows.require("network", 2 * len(rows.revolute))
     region = TrainedRegion.of(rows.q, rows.revolute, rng)
     if len(rows.q) > options.largest:
-        rows = rows.some(np.sort(rng.permutation(len(rows.q))[: options.largest]))
+        rows = rows.subset(np.sort(rng.permutation(len(rows.q))[: options.largest]))
     inputs = Inputs.of(region.angles(rows.q), len(np.unique(rows.groups)))
     unit = correction_unit(rows.plain("joint"), rows.revolute)
     part = rows.folds(rng)
@@ -600,11 +600,11 @@ def fit_network(
                 progress(done / (3 * len(members)))
     # Some may have ended in a poor local minimum.
     limit = FAILED * min(member.held_out for member in members)
-    kept = [member for member in members if member.held_out <= limit]
-    before = np.concatenate([member.before for member in kept])
-    after = np.concatenate([member.after for member in kept])
-    weights = [member.best for member in kept]
-    correction = np.mean([m.correction(m.best) for m in kept], axis=0)
+    usable = [member for member in members if member.held_out <= limit]
+    before = np.concatenate([member.before for member in usable])
+    after = np.concatenate([member.after for member in usable])
+    weights = [member.best for member in usable]
+    correction = np.mean([m.correction(m.best) for m in usable], axis=0)
     shift = _shift(rows, correction)
     if not convincing(before, after):
         # Where nothing is learned the shift of the noise is no use, either.

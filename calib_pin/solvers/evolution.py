@@ -214,8 +214,8 @@ def evolve(
         status = stops.reached(best_history[-1], mean, deviation)
         if callback is not None:
             generation = len(best_history) - 1
-            asked = callback(generation, population[best].copy(), best_history[-1])
-            status = status or (Status.STOPPED if asked else None)
+            stop = callback(generation, population[best].copy(), best_history[-1])
+            status = status or (Status.STOPPED if stop else None)
     return EvolutionResult(
         x=population[best].copy(),
         fun=best_history[-1],

@@ -113,7 +113,7 @@ def gauss_newton(
     x = np.array(x0, float)
     r, J = linearize(x)
     cost, evaluations = 0.5 * float(r @ r), 1
-    way, iteration, damping = 0.0, 0, 0.0
+    path, iteration, damping = 0.0, 0, 0.0
     status = Status.ITERATIONS if np.isfinite(cost) else Status.NOT_FINITE
     passed = [cost]
     while status is Status.ITERATIONS and iteration < max_iterations:
@@ -122,14 +122,14 @@ def gauss_newton(
             status = Status.NOT_FINITE
             break
         step = _Step(J @ basis, r)
-        limit = max(tolerance * way, OPTIONS.shortest), tolerance * cost
+        limit = max(tolerance * path, OPTIONS.shortest), tolerance * cost
         if spare and step.promised(step.solve(0.0)) <= limit[1]:
             status = Status.CONVERGED
             break
         trial = _search(step, cost_of, x, basis, damping, limit, complete)
         evaluations += trial.evaluations
         if trial.improved:
-            x, way = trial.x, way + trial.length
+            x, path = trial.x, path + trial.length
             r, J = linearize(x)
             cost = 0.5 * float(r @ r)
             damping = trial.damping / 10.0

@@ -114,8 +114,8 @@ def genetic_selection(
         if callback is not None:
             generation = len(best_history) - 1
             best = subsets[energies.argmin()]
-            asked = callback(generation, best.copy(), best_history[-1])
-            status = status or (Status.STOPPED if asked else None)
+            stop = callback(generation, best.copy(), best_history[-1])
+            status = status or (Status.STOPPED if stop else None)
     chosen = tuple(subsets[energies.argmin()].tolist())
     return SelectionResult(chosen, best_history[-1], len(best_history) - 1, status)
 

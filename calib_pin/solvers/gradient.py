@@ -153,14 +153,14 @@ def projected_descent(
         step = pairs.step(gradient, free, OPTIONS.first / largest)
         trial = problem.search(x, fun, gradient, reach.shortened(step))
         done = 0.0 <= trial.promised <= little  # If it failed, rounding hides the rest.
-        if trial.found:
+        if trial.improved:
             done = trial.part == 1.0 and fun - trial.fun <= little
             pairs.learn((trial.x - x) / problem.unit, trial.gradient - gradient)
             x, fun, gradient, nit = trial.x, trial.fun, trial.gradient, nit + 1
         closing = reach.learn(trial.blocked)
         if done and not closing:
             status = Status.CONVERGED
-        elif not trial.found and not closing:
+        elif not trial.improved and not closing:
             # Without learned curvature the step is along the gradient: the last resort.
             status = status if pairs.count else Status.STALLED
             pairs.forget()
@@ -174,7 +174,7 @@ class _Trial:
     """End of a search along the projected path.
 
     Attributes:
-        found: Whether the function fell enough; if not, x is where the search began.
+        improved: Whether the function fell enough; if not, x is where the search began.
         x: Components, shape (N,).
         fun: The function there.
         gradient: Its gradient per width of the box, shape (N,).
@@ -183,7 +183,7 @@ class _Trial:
         blocked: Points that the full step would have led astray, shape (K,).
     """
 
-    found: bool
+    improved: bool
     x: Floats
     fun: float
     gradient: Floats
@@ -243,10 +243,10 @@ class _Problem:
             gradient: Its gradient per width of the box, shape (N,).
             step: Where the full step leads, in widths of the box, shape (N,).
         """
-        slopes, way = gradient / self.unit, step * self.width
+        slopes, path = gradient / self.unit, step * self.width
         part, promised, blocked = 1.0, 0.0, self.nobody
         for trial in range(OPTIONS.trials):
-            moved = np.minimum(np.maximum(x + part * way, self.lower), self.upper)
+            moved = np.minimum(np.maximum(x + part * path, self.lower), self.upper)
             stopped = self._put_back(moved, x)
             slope = float(slopes @ (moved - x))
             if trial == 0:

@@ -85,7 +85,7 @@ class Study:
             by_joint=lambda dq, z: linearized(dq, np.zeros((count, 6)), z, False),
             by_tip=lambda xi, z: linearized(np.zeros(q.shape), xi, z, True),
             values=3,
-            some=lambda index: self.of(q[index], measured[index], groups[index]),
+            subset=lambda index: self.of(q[index], measured[index], groups[index]),
             shift=Shifts(np.zeros(self.columns.shape[1])),
         )
 

@@ -112,9 +112,9 @@ def test_left_out_rows_of_a_process_have_no_part(study: Arm) -> None:
     whole, mask = process(rows, forms=FORMS[:1]), np.arange(60) % 5 == 0
     (found,) = whole.left_out(rows, [mask], np.random.default_rng(0))
     kept = np.flatnonzero(~mask)
-    some, f, z = rows.some(kept), whole(rows.q)[kept], whole.shift
+    some, f, z = rows.subset(kept), whole(rows.q)[kept], whole.shift
     known = Conditioned.of(whole, some, f, z)
-    expected = known.given(known.alpha)
+    expected = known.posterior(known.alpha)
     q = study().rows(20, NOISE, 3).q
     # The noise makes up for a condition of the covariance of some 1e8.
     size = np.abs(whole(q)).max()

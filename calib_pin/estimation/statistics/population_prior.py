@@ -93,14 +93,14 @@ def prior_of_type(evidences: Sequence[RobotEvidence]) -> PopulationPrior:
     count = len(first.names)
     # The means are about one beforehand.
     blocks = [ErrorBlock(np.eye(count, count + 1), np.full(count, KNOWN))]
-    for one in evidences:
-        rows, number = np.column_stack([-one.rows, one.values]), len(one.values)
+    for e in evidences:
+        rows, number = np.column_stack([-e.rows, e.values]), len(e.values)
         labels = np.append(np.full(number, KNOWN), np.arange(count))
-        blocks.append(ErrorBlock(rows, labels, np.hstack([np.eye(number), one.rows])))
+        blocks.append(ErrorBlock(rows, labels, np.hstack([np.eye(number), e.rows])))
     each = np.ones(count)
     # One spread for all, in their scales, then one for each.
-    every = Components(blocks, each / count, each / count)
-    together = every.relabeled(np.zeros(count, int))
+    individual = Components(blocks, each / count, each / count)
+    together = individual.relabeled(np.zeros(count, int))
     common = estimate_variances(together, np.ones(1)).values * each
     components = Components(blocks, STATED * each, STATED * common)
     model = estimate_variances(components, common)
@@ -127,8 +127,8 @@ def prior_of_type(evidences: Sequence[RobotEvidence]) -> PopulationPrior:
 
 def _median_noise(evidences: Sequence[RobotEvidence]) -> Mapping[str, float]:
     """The noise of every quantity; a few bad measurements of robots do not matter."""
-    names = dict.fromkeys(name for one in evidences for name in one.noise)
-    known = {n: [one.noise[n] for one in evidences if n in one.noise] for n in names}
+    names = dict.fromkeys(name for e in evidences for name in e.noise)
+    known = {n: [e.noise[n] for e in evidences if n in e.noise] for n in names}
     return {name: float(np.median(sigmas)) for name, sigmas in known.items()}
 
 

@@ -81,7 +81,7 @@ from calib_pin.estimation.statistics.distributions import (
     chi_square_tail,
     f_tail,
 )
-from calib_pin.estimation.terms import Term, assembled, kept
+from calib_pin.estimation.terms import Term, assembled, zeroed
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
@@ -293,10 +293,10 @@ def by_quantity(
     for place in range(max(map(len, quantities.values()))):
         # One quantity of each block is what is left where the others weigh nothing.
         chosen = [index[place] for index in quantities.values() if place < len(index)]
-        kept = np.isin(np.arange(len(current)), chosen)
+        active = np.isin(np.arange(len(current)), chosen)
         alone = problem
-        if not kept.all():
-            alone = replace(problem, units=np.where(kept, current, np.inf))
+        if not active.all():
+            alone = replace(problem, units=np.where(active, current, np.inf))
         factors = alone.factorize(theta)
         for (term, *_), (r, J) in zip(alone.blocks, factors, strict=True):
             if place >= len(quantities[term.key]):
@@ -459,7 +459,7 @@ def _pure_errors(
     if many.max(initial=1) == 1:
         return [None] * len(layout.components)
     weight = problem.data.weight[layout.row]
-    residual = kept(problem.errors(theta) / problem.given_sigma, weight == 0.0)
+    residual = zeroed(problem.errors(theta) / problem.given_sigma, weight == 0.0)
     place = label[layout.row] * layout.width + layout.column
     for index in layout.of_components:
         r, w = residual[index], weight[index]
@@ -519,10 +519,10 @@ class Systematic:
             theta: Parameter values at which frames and instrument stand, shape (P,).
         """
         moved = problem.rebased(theta)[0].terms.values()
-        terms, given = assembled([replace(t, error=self._about(t)) for t in moved])
+        terms, given = assembled([replace(t, error=self._model(t)) for t in moved])
         plain, data = Setup(noise=problem.setup.noise), problem.data
-        there = Problem(problem.chains, terms, given, data, plain, problem.units)
-        _, J = there.linearize_rows(np.zeros(len(given)))
+        effects = Problem(problem.chains, terms, given, data, plain, problem.units)
+        _, J = effects.linearize_rows(np.zeros(len(given)))
         columns = [given.index(name) for name in self.names]
         return np.asarray(J[:, columns] * self.sizes)
 
@@ -533,13 +533,13 @@ class Systematic:
             term: The term about its solution, see `Terms.rebased`.
             q: Positions of its joints, shape (N, n) [rad, m].
         """
-        there = self._about(term)
-        _, J = there.jacobian(q, np.zeros(len(there.screws)))
+        model = self._model(term)
+        _, J = model.jacobian(q, np.zeros(len(model.screws)))
         # Several parameters may be one effect: those of a joint and of its followers.
-        names = np.array(there.parameters.names)
+        names = np.array(model.parameters.names)
         return np.asarray(J @ ((names[:, None] == self.names) * self.sizes))
 
-    def _about(self, term: Term) -> ErrorModel:
+    def _model(self, term: Term) -> ErrorModel:
         """The effects of the chain of a term about its frames."""
         error = self.errors[term.key.chain]
         return error.with_frames(term.error.base, term.error.tool)

@@ -215,7 +215,7 @@ def problem_of(mix: Mix, body: Robot) -> Problem:
     """The problem of a mix, without measurements."""
     robot = load_robot(mix.robot) if mix.robot else body
     names = dict.fromkeys(key.chain for key in mix.keys)
-    chains = Chains(robot, stated=mix.setup.chains, names=tuple(names))
+    chains = Chains(robot, setups=mix.setup.chains, names=tuple(names))
     measured = {
         key: SEEN if key.chain == WORLD else LOOKED_AT.get(key.model, ("",))
         for key in mix.keys

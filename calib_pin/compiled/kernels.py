@@ -444,7 +444,7 @@ def _move(
     """
     size = factors.shape[1]
     for joint in range(len(motion)):
-        given, result = motion[joint], moved[joint]
+        source, result = motion[joint], moved[joint]
         # The corrections first stand where the cosines will.
         for k in range(size):
             result[k] = 0.0
@@ -455,7 +455,7 @@ def _move(
                     result[k] += amount * factor[k]
         if not revolute[joint]:
             for k in range(size):
-                result[2 * BLOCK + k] = given[2 * BLOCK + k] + result[k]
+                result[2 * BLOCK + k] = source[2 * BLOCK + k] + result[k]
                 result[k], result[BLOCK + k] = 1.0, 0.0
             continue
         largest = 0.0
@@ -463,12 +463,12 @@ def _move(
             largest = max(largest, abs(result[k]))
             result[2 * BLOCK + k] = 0.0
         if largest < 0.5:
-            _turn_little(given, size, result)
+            _turn_little(source, size, result)
             continue
         for k in range(size):
             c, s = cos(result[k]), sin(result[k])
-            result[k] = given[k] * c - given[BLOCK + k] * s
-            result[BLOCK + k] = given[BLOCK + k] * c + given[k] * s
+            result[k] = source[k] * c - source[BLOCK + k] * s
+            result[BLOCK + k] = source[BLOCK + k] * c + source[k] * s
 
 
 @compiled

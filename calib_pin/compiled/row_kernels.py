@@ -62,8 +62,8 @@ def triangular_factor(
     first = 6 * len(chain) + len(corrections.twists)
     for block in range(len(motion)):
         rows = slice(starts[block], starts[block + 1])
-        given = J_pose[rows], others[rows], weights[rows]
-        _fill(chain, motion[block], *given, panel, first)
+        inputs = J_pose[rows], others[rows], weights[rows]
+        _fill(chain, motion[block], *inputs, panel, first)
         _correct(corrections, starts[block], starts[block + 1], 6 * len(chain), panel)
         # One column after the other: the loops over them are many and short.
         size = starts[block + 1] - starts[block]

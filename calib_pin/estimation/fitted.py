@@ -411,7 +411,7 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
         relative = np.abs(np.log(change / common)).max()
         # A search that was cut short, or told when to end, is not carried on.
         if relative < STANDS or fitted.result.status is not Status.CONVERGED:
-            fitted = _converted(fitted, common)
+            fitted = _rescaled(fitted, common)
             break
         if relative < LIKE:
             fitted = fit_in_units(fitted, current * change)
@@ -431,7 +431,7 @@ def fit_in_units(fitted: Fit, units: Floats) -> Fit:
     return shrunk(_fit_of(last, fitted.directions, result.after(fitted.result)))
 
 
-def _converted(fitted: Fit, factor: float) -> Fit:
+def _rescaled(fitted: Fit, factor: float) -> Fit:
     """A fit in units that are all multiplied by one factor."""
     result, units = fitted.result, factor * current_units(fitted.problem)
     fun, jac = result.fun / factor, result.jac / factor
@@ -547,7 +547,7 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
         weak = np.column_stack([last.directions.weak, chosen.weak])
         last = fit_along(replace(chosen, weak=weak))
     if last.result.cost > VISIBLE**2 * before.cost:
-        last = _extended(last)
+        last = _with_revealed(last)
     return shrunk(last)
 
 
@@ -572,7 +572,7 @@ def _fit_of(last: Fit, directions: Directions, result: Solution) -> Fit:
     return Fit(*given, result, rank, sigma0, unit)
 
 
-def _extended(last: Fit) -> Fit:
+def _with_revealed(last: Fit) -> Fit:
     """A fit that moves directions which the errors have made visible, if worthwhile.
 
     Special geometry hides them at nominal: parallel or intersecting axes. Away from it

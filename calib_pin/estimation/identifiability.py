@@ -322,16 +322,16 @@ def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
             parameter = parameters[position]
             if parameter.free and not parameter.nuisance and position not in labels:
                 together[screw.frame, stem].append((position, screw))
-                labels[position] = _beyond(screw)
+                labels[position] = _correction_label(screw)
         for (frame, _), entries in together.items():
             place = places[frame - 1]
             geometric = [(k, s) for k, s in entries if s.basis is None]
             positions = [k for k, _ in geometric]
             twists = np.array([s.twist for _, s in geometric]).reshape(-1, 6)
-            block = _aligned(twists, parameters.scales[positions], place)
+            block = _named_directions(twists, parameters.scales[positions], place)
             turned[np.ix_(positions, positions)] = block
             for k, twist in zip(positions, block.T @ twists, strict=True):
-                labels[k] = _named(twist, place, turns)
+                labels[k] = _geometric_label(twist, place, turns)
             for k, _ in entries:
                 # What describes links and joints comes first, then the rest.
                 kind = labels[k].kind
@@ -340,7 +340,7 @@ def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
     return Columns(turned, labels, tuple(sorted(ranked, key=ranked.__getitem__)))
 
 
-def _beyond(screw: Screw) -> Label:
+def _correction_label(screw: Screw) -> Label:
     """A joint correction, by its name."""
     owner, kind, component = screw.parameter.name.rsplit(".", 2)
     joint = owner.removeprefix("joint:")
@@ -373,7 +373,7 @@ def _moved_link(chain: Chain, joint: str) -> str:
     return next((name for name in names if name in chain.robot.links), joint)
 
 
-def _aligned(twists: Floats, scales: Floats, place: _Place) -> Floats:
+def _named_directions(twists: Floats, scales: Floats, place: _Place) -> Floats:
     """Orthogonal matrix that turns screws of one frame into named directions.
 
     Only of full triples of translations or of rotations about one point; others keep
@@ -389,14 +389,14 @@ def _aligned(twists: Floats, scales: Floats, place: _Place) -> Floats:
         axis = place.along
     towards = np.array(place.directions(axis)).T
     for rows, part in ((shifts, slice(0, 3)), (turns, slice(3, 6))):
-        given = twists[rows, part]
+        axes = twists[rows, part]
         triple = len(rows) == 3 and np.ptp(scales[rows]) == 0.0
-        if triple and np.abs(given @ given.T - np.eye(3)).max() < 1e-9:
-            result[np.ix_(rows, rows)] = given @ towards
+        if triple and np.abs(axes @ axes.T - np.eye(3)).max() < 1e-9:
+            result[np.ix_(rows, rows)] = axes @ towards
     return result
 
 
-def _named(twist: Floats, place: _Place, turns: Mapping[str, bool]) -> Label:
+def _geometric_label(twist: Floats, place: _Place, turns: Mapping[str, bool]) -> Label:
     """The kind of an error by its screw, in the frame of the joint.
 
     Args:

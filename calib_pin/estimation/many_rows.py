@@ -156,9 +156,9 @@ class ManyRows:
             weights = 1.0 / self._sigma[chunk.rows]
             aside, R = weights == 0.0, np.zeros((len(to_parameters),) * 2)
             corrections = row_kernels.Corrections(self._along, chunk.factors)
-            given = at.links, motion, starts, corrections
+            inputs = at.links, motion, starts, corrections
             rows = zeroed(linear.J_pose, aside), zeroed(others, aside), weights
-            row_kernels.triangular_factor(*given, *rows, R)
+            row_kernels.triangular_factor(*inputs, *rows, R)
             return R
 
         factors = np.concatenate([*self._threads.map(reduced, self._chunks)])
@@ -180,8 +180,8 @@ class ManyRows:
         revolute = segments.revolute
         motion, starts = compiled.motions(chunk.data.q * segments.signs, revolute)
         if at.amounts.any():
-            given = motion.copy(), starts, revolute, segments.joints, chunk.factors
-            kernels.move(*given, at.amounts, motion)
+            inputs = motion.copy(), starts, revolute, segments.joints, chunk.factors
+            kernels.move(*inputs, at.amounts, motion)
         kernels.poses(at.links, motion, starts, T)
         return T, motion, starts
 
@@ -290,8 +290,8 @@ class Segments:
     def links(self, theta: Floats) -> Floats:
         """Links of a population of parameter values, (S, P) -> (S, n + 1, 12)."""
         result = np.empty((len(theta), *self.constants.shape))
-        given = self.constants, self._places, self.parameter, self._twists
-        link_kernels.links(*given, np.ascontiguousarray(theta), result)
+        inputs = self.constants, self._places, self.parameter, self._twists
+        link_kernels.links(*inputs, np.ascontiguousarray(theta), result)
         return result
 
     def columns(self, theta: Floats) -> Floats:

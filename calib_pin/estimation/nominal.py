@@ -202,7 +202,7 @@ def scale_deviation(
     free = problem.parameters.free.copy()
     free[list(_omitted(problem, [block.key for block in at]))] = False
     scales = problem.parameters.scales
-    by_all, displaced, b = _growing(problem, theta, at)
+    by_all, displaced, b = _tool_twists(problem, theta, at)
     moved, frames = np.column_stack([by_all[:, free], displaced]), displaced.shape[1]
     rows = np.column_stack([(J * scales)[:, free], np.zeros((len(J), frames))])
     _, s, Vt = np.linalg.svd(np.linalg.qr(moved, mode="r"))
@@ -220,7 +220,7 @@ def scale_deviation(
     return 1.0 / size if size > least else np.inf
 
 
-def _growing(
+def _tool_twists(
     problem: Problem, theta: Floats, at: Sequence[Measurements]
 ) -> tuple[Floats, Floats, Floats]:
     """Twists of every tool as parameters change, frames are moved, and lengths grow.
@@ -247,7 +247,7 @@ def _growing(
         on_tool = term.frames.offset.toActionMatrixInverse()
         displaced[:, last : last + 6] = np.tile(on_tool, (count, 1))
         moved.append(displaced)
-        grown.append(_grown(poses, poses.to_base).reshape(-1))
+        grown.append(_growth_twists(poses, poses.to_base).reshape(-1))
     return np.concatenate(changed), np.concatenate(moved), np.concatenate(grown)
 
 
@@ -261,7 +261,7 @@ def _has_lengths(problem: Problem, theta: Floats, at: Sequence[Measurements]) ->
     for block in at:
         q = np.column_stack([np.roll(x, k) for k, x in enumerate(block.q.T)])
         apart.append(replace(block, q=q))
-    _, displaced, b = _growing(problem, theta, apart)
+    _, displaced, b = _tool_twists(problem, theta, apart)
     Q = column_space(displaced)
     length = float(np.linalg.norm(b - Q @ (Q.T @ b))) / np.sqrt(len(b) / 6)
     return bool(length > LENGTH_SCALE)
@@ -297,17 +297,17 @@ def growth(problem: Problem, theta: Floats) -> Floats:
     changes = []
     for term, data, _, _ in problem.blocks:
         T, poses, start = RowByRow(term, data).linear_poses(theta)
-        grown = _grown(poses, poses.to_base @ invert(poses.to_tip))
+        grown = _growth_twists(poses, poses.to_base @ invert(poses.to_tip))
         if start is not None:
             # The twist of T_0^-1 T is that of T without that of T_0, transformed there.
-            begins = _grown(start, start.to_base @ invert(start.to_tip))
+            begins = _growth_twists(start, start.to_base @ invert(start.to_tip))
             grown -= (adjoint(invert(T)) @ begins[:, :, None])[:, :, 0]
         J_pose = term.measurement.linearize(T, term.values(theta)[1], data).J_pose
         changes.append((J_pose @ grown[:, :, None]).reshape(-1))
     return np.asarray(np.concatenate(changes) / problem.sigma)
 
 
-def _grown(poses: PoseLinearization, to_point: Floats) -> Floats:
+def _growth_twists(poses: PoseLinearization, to_point: Floats) -> Floats:
     """Body twists of the tool as a point on it, (N, 4, 4), leaves the base, (N, 6)."""
     twists = np.zeros((len(to_point), 6))
     R, p = poses.to_base[:, :3, :3], to_point[:, :3, 3]
@@ -549,9 +549,9 @@ class Located:
     def state(self, parameters: ParameterSet, term: Term) -> None:
         """Take over the frames of a term that a setup states."""
         frames, ends = term.frames, (term.index[:FRAME], term.of_error[-FRAME:])
-        if (base := _given(parameters, frames.base, ends[0])) is not None:
+        if (base := _given_pose(parameters, frames.base, ends[0])) is not None:
             self.bases.setdefault(frames.station, base)
-        if (tool := _given(parameters, frames.end, ends[1])) is not None:
+        if (tool := _given_pose(parameters, frames.end, ends[1])) is not None:
             self.tools.setdefault(frames.tool, tool)
 
     def register(self, block: Block, theta: Floats) -> Term:
@@ -594,7 +594,7 @@ class Located:
             theta: Parameter values, shape (P,); those of the robot count.
         """
         terms, identity = dict(problem.terms), pin.SE3.Identity()
-        for block in _in_turn(blocks, self):
+        for block in _registration_order(blocks, self):
             terms[block.term.key] = self.register(block, theta)
         for key, term in terms.items():
             base = self.bases.get(term.frames.station, identity)
@@ -620,7 +620,7 @@ def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
     return replace(problem, terms=located.placed(problem, few, theta))
 
 
-def _in_turn(blocks: Sequence[Block], located: Located) -> Iterator[Block]:
+def _registration_order(blocks: Sequence[Block], located: Located) -> Iterator[Block]:
     """Blocks in an order in which each can be located.
 
     A model with its own measurement frame comes first, since sites stand in it, and
@@ -661,7 +661,7 @@ def _require_loose(problem: Problem) -> None:
             raise OptionError(reason, file=problem.setup.file or None)
 
 
-def _given(
+def _given_pose(
     parameters: ParameterSet, frame: FrameSetup, part: NDArray[np.intp]
 ) -> pin.SE3 | None:
     """The pose that a frame starts from, None for a closed-form estimate.
@@ -719,7 +719,7 @@ def _with_stations(
         theta: Parameter values, shape (P,).
         new: Measurements from these stations.
     """
-    terms = {**problem.terms, **{b.key: _elsewhere(problem, b) for b in new}}
+    terms = {**problem.terms, **{b.key: _term_elsewhere(problem, b) for b in new}}
     other = replace(problem, data=Observations(tuple(new)))
     other, values = _of_terms(other, terms, theta)
     located = Located()
@@ -733,7 +733,7 @@ def _with_stations(
     return replace(other, terms=located.placed(other, other.blocks, values)), values
 
 
-def _elsewhere(problem: Problem, block: Measurements) -> Term:
+def _term_elsewhere(problem: Problem, block: Measurements) -> Term:
     """The term of measurements from another station than any that was fitted."""
     key, setup = block.key, problem.setup
     fitted = reversed([*problem.terms.items()])

@@ -182,10 +182,10 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
         fitted = balanced(_weighted(problem, accepted), solver)
         z = _studentized_about(fitted, accepted)
         scale = _scale(z, accepted)
-        passed = _passed(z, scale)
-        if np.array_equal(passed, accepted):
+        plausible = _plausible(z, scale)
+        if np.array_equal(plausible, accepted):
             break
-        accepted = passed
+        accepted = plausible
     return replace(fitted, robust=RobustDecision(_outliers(fitted, z, scale), squared))
 
 
@@ -308,7 +308,7 @@ def studentized(
         accepted: The rows that were fitted, shape (N,).
     """
     if problem.many:
-        return _unfitted(problem, problem.residual(theta))
+        return _unstudentized(problem, problem.residual(theta))
     layout, counts = problem.layout, np.isfinite(problem.sigma).astype(float)
     fun, jac = problem.linearize_rows(theta)
     count = len(counts)
@@ -332,7 +332,7 @@ def studentized(
     return Studentized(problem, r, counts)
 
 
-def _unfitted(problem: Problem, r: Floats) -> Studentized:
+def _unstudentized(problem: Problem, r: Floats) -> Studentized:
     """Residuals as they are, of a model that hardly follows single configurations."""
     used = np.isfinite(problem.sigma)
     return Studentized(problem, r[: len(used)], used.astype(float))
@@ -394,14 +394,14 @@ def _studentized_about(fitted: Fit, accepted: Flags) -> Studentized:
     return studentized(_weighted(held), fitted.theta, basis, rows)
 
 
-def _passed(z: Studentized, scale: Floats) -> Flags:
+def _plausible(z: Studentized, scale: Floats) -> Flags:
     """The configurations whose residuals may be chance at a scale, (Q,) -> (G,)."""
     noise_only = bool((scale <= OPTIONS.held * z.least).all())
     chance = OPTIONS.stated_chance if noise_only else OPTIONS.chance
     tail = chance / max(len(z.whole), 1)
-    passed = np.asarray(z.statistic(scale) <= z.limit(tail))
-    lost = np.bincount(z.whole, ~passed) / np.bincount(z.whole)
-    return np.asarray(passed & (lost <= OPTIONS.lost)[z.whole])
+    plausible = np.asarray(z.statistic(scale) <= z.limit(tail))
+    lost = np.bincount(z.whole, ~plausible) / np.bincount(z.whole)
+    return np.asarray(plausible & (lost <= OPTIONS.lost)[z.whole])
 
 
 def _scale(z: Studentized, accepted: Flags) -> Floats:
@@ -420,7 +420,7 @@ def _suspicious(fitted: Fit, z: Studentized, scale: Floats) -> bool:
     much is left that they may hide.
     """
     carried = z.scale(np.ones(len(z.whole), bool)) > OPTIONS.carried * scale
-    if not _passed(z, scale).all() or carried.any():
+    if not _plausible(z, scale).all() or carried.any():
         return True
     sigma, layout = fitted.problem.sigma, fitted.problem.layout
     for size, rows, c in zip(
@@ -458,7 +458,7 @@ def _robust_start(
     share = min(0.5 * (1.0 + (rank + 1) / measured_count(few)), OPTIONS.largest_share)
     for _ in range(OPTIONS.steps):
         r, J = few.linearize_rows(theta)
-        z = _unfitted(few, r)
+        z = _unstudentized(few, r)
         scale = z.robust_scale(share)
         before, weight = weight, _weights(z, scale)
         if len(before) and np.abs(weight - before).max() < OPTIONS.still:
@@ -467,7 +467,7 @@ def _robust_start(
         rows = np.sqrt(weight)[z.labels][layout.row] / scale[layout.component]
         theta = theta + _step(few, r, J, rows)
     if few is not whole:
-        weight = _weights(_unfitted(whole, whole.residual(theta)), scale)
+        weight = _weights(_unstudentized(whole, whole.residual(theta)), scale)
     return replace(whole, units=scale), theta, weight
 
 
@@ -520,10 +520,10 @@ def _agreeing(problem: Problem, theta: Floats, weight: Floats) -> Flags:
             theta = theta + _step(held, *held.linearize_rows(theta), ones)
         z = studentized(problem, theta, basis, accepted[failing(problem)])
         scale = _scale(z, accepted)
-        passed = _passed(z, scale)
-        if np.array_equal(passed, accepted):
+        plausible = _plausible(z, scale)
+        if np.array_equal(plausible, accepted):
             break
-        accepted = passed
+        accepted = plausible
         problem = replace(problem, units=problem.units * scale)
     return accepted
 
@@ -565,7 +565,7 @@ def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
 
     best, least, agreed = problem, np.inf, 0
     for _ in range(OPTIONS.trials):
-        candidate, total = _concentrated(few, draw(), targets)
+        candidate, total = _concentrate(few, draw(), targets)
         if candidate is None:
             continue
         agreed += abs(total - least) <= OPTIONS.same * least < np.inf
@@ -577,7 +577,7 @@ def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
     return replace(problem, terms=best.terms)
 
 
-def _concentrated(
+def _concentrate(
     problem: Problem, rows: Indices, targets: list[Indices]
 ) -> tuple[Problem | None, float]:
     """Register by some rows, then by the better half of each target, until it stands.
@@ -620,10 +620,10 @@ def _outliers(fitted: Fit, z: Studentized, scale: Floats) -> tuple[Outlier, ...]
     The weights are in the data of the fit; the scale is by quantity, shape (Q,).
     """
     problem, data = fitted.problem, fitted.problem.data
-    out = ~_passed(z, scale)[z.labels] | (data.weight == 0.0)
+    out = ~_plausible(z, scale)[z.labels] | (data.weight == 0.0)
     if not out.any():
         return ()
-    exchanged = dict(_exchanged(problem, fitted.theta, out, z, scale))
+    exchanged = dict(_exchanged_pairs(problem, fitted.theta, out, z, scale))
     rows, sizes = np.flatnonzero(out), z.sizes(scale)
     order = rows[np.argsort(-sizes[rows], kind="stable")].tolist()
     numbers = sizes[order].tolist(), data.weight[order].tolist()
@@ -631,7 +631,7 @@ def _outliers(fitted: Fit, z: Studentized, scale: Floats) -> tuple[Outlier, ...]
     return tuple(map(Outlier, map(data.source, order), order, *numbers, causes))
 
 
-def _exchanged(
+def _exchanged_pairs(
     problem: Problem, theta: Floats, out: Flags, z: Studentized, scale: Floats
 ) -> Iterator[tuple[int, str]]:
     """Rows of pairs each of which fits the values of the other, with their cause."""

@@ -177,7 +177,7 @@ class Chain:
         Returns:
             `T_base_tip`, shape (N, 4, 4).
         """
-        return self._recalled(self._poses, q, placements)[0]
+        return self._cached_sweep(self._poses, q, placements)[0]
 
     def regressor(
         self, q: Floats, placements: Sequence[Placement] | None = None
@@ -192,7 +192,7 @@ class Chain:
             `T_base_tip`, shape (N, 4, 4), and R, shape (N, 6, 6 n): the body twist of
             the tip per placement twist, joints in chain order.
         """
-        T, R = self._recalled(self._regressor, q, placements)
+        T, R = self._cached_sweep(self._regressor, q, placements)
         return T, R
 
     def jacobian(
@@ -316,7 +316,7 @@ class Chain:
             frame, joint = placed[joint] * frame, self._model.parents[joint]
         return frame
 
-    def _recalled(
+    def _cached_sweep(
         self, sweep: Sweep, q: Floats, placements: Sequence[Placement] | None
     ) -> tuple[Floats, ...]:
         """The results of a sweep, or those of the same one a moment ago.

@@ -79,11 +79,11 @@ class Chains:
         }
         model = robot.model
         moving = [chain.joints for chain in self._chains.values() if chain.joints]
-        given = list(dict.fromkeys(joined.from_iterable(moving)))
+        joints = list(dict.fromkeys(joined.from_iterable(moving)))
         if len(moving) > 1:
-            leaders = JointSpace(model, given, robot.mimics).joints
-            given = sorted(leaders, key=model.getJointId)
-        self._space = JointSpace(model, given, robot.mimics)
+            leaders = JointSpace(model, joints, robot.mimics).joints
+            joints = sorted(leaders, key=model.getJointId)
+        self._space = JointSpace(model, joints, robot.mimics)
         self.joints = self._space.joints
         self.mimics = self._space.mimics
         self.revolute = self._space.revolute

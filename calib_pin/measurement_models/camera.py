@@ -239,7 +239,7 @@ class CameraModel(MeasurementModel):
         index = self._index(data.target, data)
         starts = [self._start(self.camera, F, data, index, base, tool)]
         if self.camera.estimate:
-            others = self._zoomed(F, data, index)
+            others = self._cameras(F, data, index)
             starts += [self._start(c, F, data, index, base, tool) for c in others]
         _, camera, outer, inner = min(starts, key=lambda start: start[0])
         if outer is None or inner is None:
@@ -261,7 +261,7 @@ class CameraModel(MeasurementModel):
             )
         return model, outer, inner
 
-    def _zoomed(self, F: Floats, data: Measurements, index: Indices) -> list[Camera]:
+    def _cameras(self, F: Floats, data: Measurements, index: Indices) -> list[Camera]:
         """The camera with focal lengths that the images tell."""
         focal, cameras = self.camera.intrinsics[:2], list[Camera]()
         # With a wrong focal length a distortion is undone in the wrong places.

@@ -168,7 +168,7 @@ class Rays:
                 return
             inner = fit_pose(few.points, carried).homogeneous
         if outer is None:
-            outer = pose_of_points(few._moved(np.eye(4), inner), few.rays)
+            outer = pose_of_points(few._in_camera(np.eye(4), inner), few.rays)
         if outer is not None:
             yield outer, inner
 
@@ -181,7 +181,7 @@ class Rays:
             self.F[rows], self.points[seen], index, self.rays[rows], self.image[rows]
         )
 
-    def _moved(self, outer: Floats, inner: Floats) -> Floats:
+    def _in_camera(self, outer: Floats, inner: Floats) -> Floats:
         """`O F_i I P_i`, shape (N, 3) [m]."""
         T = outer @ self.F @ inner
         points = self.points[self.index]
@@ -189,7 +189,7 @@ class Rays:
 
     def error(self, ends: tuple[Floats, Floats]) -> float:
         """Median error of the rays; a point behind the camera has an infinite one."""
-        X = self._moved(*ends)
+        X = self._in_camera(*ends)
         front = X[:, 2] > NEAR
         depth = np.where(front, X[:, 2], 1.0)
         error = np.linalg.norm(X[:, :2] / depth[:, None] - self.rays, axis=1)
@@ -232,11 +232,11 @@ def pose_of_points(points: Floats, rays: Floats) -> Floats | None:
     local = (points - center) @ axes.T
     candidates: list[tuple[float, Floats]] = []
     if extent[2] < FLAT * extent[0]:
-        candidates += _placed(_plane_rotation(local, rays), local, rays)
+        candidates += _scored_pose(_plane_rotation(local, rays), local, rays)
     if extent[2] > THIN * extent[0]:
         if len(points) >= 6:
-            candidates += _placed(_space_rotation(local, rays), local, rays)
-        candidates += _placed(_scaled_rotation(local, rays), local, rays)
+            candidates += _scored_pose(_space_rotation(local, rays), local, rays)
+        candidates += _scored_pose(_scaled_rotation(local, rays), local, rays)
     if not candidates:
         return None
     _, pose = min(candidates, key=lambda candidate: candidate[0])
@@ -381,7 +381,7 @@ def _scaled_rotation(local: Floats, rays: Floats) -> Floats | None:
     return R
 
 
-def _placed(
+def _scored_pose(
     R: Floats | None, local: Floats, rays: Floats
 ) -> list[tuple[float, Floats]]:
     """Error of the rays and pose with a rotation, where points are in front."""

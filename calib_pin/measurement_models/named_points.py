@@ -48,8 +48,8 @@ def named_points(
     Raises:
         OptionError: If a point is known and not given.
     """
-    given = setups or dict.fromkeys(filter(None, names), PointSetup())
-    for name, point in given.items():
+    points = setups or dict.fromkeys(filter(None, names), PointSetup())
+    for name, point in points.items():
         if point.estimate is False and point.xyz is None:
             raise OptionError(
                 f"'{name}' is known, and its place is not given", allowed="xyz"
@@ -61,7 +61,7 @@ def named_points(
             xyz_or_none(point.xyz),
             point.estimate is not False,
         )
-        for name, point in given.items()
+        for name, point in points.items()
     )
 
 

@@ -261,13 +261,13 @@ def _minimize_over_rotations(rows: Floats) -> Floats:
     factor: Floats = np.asarray(np.linalg.qr(rows, mode="r"))
     A, a = factor[:, :9], factor[:, 9]
     free: Floats = np.asarray(np.linalg.lstsq(A, a, rcond=None)[0])
-    R, cost = _descended(A, a, nearest_rotation(free.reshape(3, 3))[None])
+    R, cost = _best_rotation(A, a, nearest_rotation(free.reshape(3, 3))[None])
     if cost > NEAR * float(np.sum((A @ free - a) ** 2)):
-        R, _ = _descended(A, a, np.array(_cube_rotations()))
+        R, _ = _best_rotation(A, a, np.array(_cube_rotations()))
     return R
 
 
-def _descended(A: Floats, a: Floats, R: Floats) -> tuple[Floats, float]:
+def _best_rotation(A: Floats, a: Floats, R: Floats) -> tuple[Floats, float]:
     """The best rotation, and its cost, from starts of shape (S, 3, 3).
 
     All of them take their damped Newton steps at once.

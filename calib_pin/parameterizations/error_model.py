@@ -224,7 +224,7 @@ class ErrorModel:
             q: Commanded joint positions, shape (N, n) [rad, m].
             theta: Parameter values, shape (P,).
         """
-        return self._moved(q, self._shifted(theta), self.basis(q))
+        return self._corrected(q, self._shifted(theta), self.basis(q))
 
     def corrections(self, theta: Floats) -> list[pin.SE3]:
         """Product of the screws of every frame, `Exp(S_1 t_1) Exp(S_2 t_2) ...`."""
@@ -249,7 +249,7 @@ class ErrorModel:
         shifted = self._shifted(theta)
         bends = self._bends(shifted, basis)
         base, placements, tip, tool = self._placed(self.corrections(shifted), bends)
-        F = self.chain.poses(self._moved(q, shifted, basis), placements)
+        F = self.chain.poses(self._corrected(q, shifted, basis), placements)
         T = matrix(base) @ F @ matrix(joined(tip, tool))
         if self.learned is None:
             return np.asarray(T)
@@ -274,7 +274,7 @@ class ErrorModel:
         basis = self.basis(q, conditions)
         bends = self._bends(theta, basis)
         _, placements, tip, _ = self._placed(self.corrections(theta), bends)
-        moved = self._moved(q, theta, basis)
+        moved = self._corrected(q, theta, basis)
         return np.asarray(self.chain.poses(moved, placements) @ matrix(tip))
 
     def linearize(
@@ -306,7 +306,7 @@ class ErrorModel:
         columns, corrections = ordered_screws(self.screws, theta, self._frames)
         bends = self._bends(theta, basis)
         base, placements, tip, tool = self._placed(corrections, bends)
-        F, R = self.chain.regressor(self._moved(q, theta, basis), placements)
+        F, R = self.chain.regressor(self._corrected(q, theta, basis), placements)
         to_tip = matrix(joined(tip, tool))
         to_base = F @ to_tip
         T, motion = matrix(base) @ to_base, None
@@ -349,7 +349,7 @@ class ErrorModel:
         moved, bends = q, Bends()
         if theta[self._varying].any():
             basis = self.basis(q, conditions)
-            moved, bends = self._moved(q, theta, basis), self._bends(theta, basis)
+            moved, bends = self._corrected(q, theta, basis), self._bends(theta, basis)
         base, placements, tip, tool = self._placed(self.corrections(theta), bends)
         F, J = self.chain.jacobian(moved, placements)
         to_tool = joined(tip, tool)
@@ -373,7 +373,7 @@ class ErrorModel:
         """Parameter values with the shift that belongs to the learned correction."""
         return theta if self.learned is None else theta + self.learned.shift
 
-    def _moved(self, q: Floats, theta: Floats, basis: Floats) -> Floats:
+    def _corrected(self, q: Floats, theta: Floats, basis: Floats) -> Floats:
         """Joint positions with all corrections; q itself where there are none."""
         amounts = theta[self.joint_corrections]
         moved = q

@@ -65,7 +65,7 @@ class Loads:
         result = np.empty(0)
         for name in names.distinct:
             rows = names.where(name)
-            values = loading(q[rows], self.gravity, self._carried(name))
+            values = loading(q[rows], self.gravity, self._payload(name))
             if not result.size:
                 result = np.empty((len(q), *values.shape[1:]))
             result[rows] = values
@@ -99,7 +99,7 @@ class Loads:
             )
         return np.asarray(usual)
 
-    def _carried(self, name: str) -> Payload | None:
+    def _payload(self, name: str) -> Payload | None:
         """The payload of a name in the measurements, None for nothing.
 
         Raises:

@@ -267,7 +267,7 @@ class Member:
         )
         self.best = self._weights(np.zeros_like(self._w))
         self._linearize(np.zeros((len(rows.q), joints)), np.zeros(len(rows.shift)))
-        self.before = self.after = self._watched(self._base)
+        self.before = self.after = self._held_out_residual(self._base)
         # Without any residual, any noise will do.
         self._start = float((self._target**2).mean()) or 1.0
         self._noise = NOISE * float(np.sqrt(self._start))
@@ -296,7 +296,7 @@ class Member:
                 self._weigh()
             weights = self._weights(self._w)
             residual = self._base + times(self._slope, self.correction(weights))
-            after = self._watched(residual)
+            after = self._held_out_residual(residual)
             held_out, best = float((after**2).mean()), self.held_out
             better = held_out < (1.0 - LEAST_GAIN) * best
             waited = 0 if better or k < eager else waited + 1
@@ -345,7 +345,7 @@ class Member:
         self._base = at.residual - times(self._slope, f) - at.by_shift @ shift
         self._A = self._slope[self._training] * self._unit
         values = self._A.shape[0] * self._A.shape[1]
-        self._left, self._back = _absorbed(at.by_shift[self._training])
+        self._explained, self._shifts = _shift_basis(at.by_shift[self._training])
         self._target = -self._projected(self._base[self._training].reshape(-1))
         waves = self._inputs.waves[:, self._training]
         columns = np.einsum("ndj,jnm->ndjm", self._A, waves).reshape(values, -1)
@@ -353,14 +353,14 @@ class Member:
         self._gram = self._columns.T @ self._columns
 
     def _projected(self, columns: Floats) -> Floats:
-        return np.asarray(columns - self._left @ (self._left.T @ columns))
+        return np.asarray(columns - self._explained @ (self._explained.T @ columns))
 
     def _shift(self, residual: Floats) -> Floats:
         """Shift that explains most of the training measurements, shape (P,)."""
         r = residual[self._training].reshape(-1)
-        return np.asarray(-self._back @ (self._left.T @ r))
+        return np.asarray(-self._shifts @ (self._explained.T @ r))
 
-    def _watched(self, residual: Floats) -> Floats:
+    def _held_out_residual(self, residual: Floats) -> Floats:
         """Residuals of the held-out measurements, of those of all, shape (N, d)."""
         shifted = residual + self._by_shift @ self._shift(residual)
         return np.asarray(shifted[~self._training])
@@ -431,12 +431,12 @@ class Member:
         update = np.clip((determined + 1e-3) / (size + 1e-3), 1e-6, 1e6)
         self._decay = np.where(inside, update, decay)
         r = self._residual(self._w)
-        free = r.size - self._left.shape[1] - determined.sum()
+        free = r.size - self._explained.shape[1] - determined.sum()
         square = float(r @ r) / max(free, 0.05 * r.size)
         self._noise = float(np.sqrt(max(square, 1e-14 * self._start)))
 
 
-def _absorbed(by_shift: Floats) -> tuple[Floats, Floats]:
+def _shift_basis(by_shift: Floats) -> tuple[Floats, Floats]:
     """Orthonormal residuals that a shift explains, and the shift for each.
 
     Args:

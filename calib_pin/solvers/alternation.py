@@ -86,7 +86,7 @@ def alternation(
             status = Status.STALLED
             break
         seen.append((before, x))
-        mixed = _mixed(seen)
+        mixed = _mixture(seen)
         evaluations += 1
         if mixed is not None and cost_of(mixed) < cost:
             x = mixed
@@ -100,7 +100,7 @@ def alternation(
     return result
 
 
-def _mixed(seen: deque[tuple[Floats, Floats]]) -> Floats | None:
+def _mixture(seen: deque[tuple[Floats, Floats]]) -> Floats | None:
     """The mixture of the last rounds whose change is least (Anderson 1965)."""
     if len(seen) < 2:
         return None

@@ -140,8 +140,8 @@ class Box:
             place = (rng.permuted(slices, axis=0) + place) / size
         members = self.lower + place * (self.upper - self.lower)
         if x0 is not None:
-            given = np.atleast_2d(x0)
-            members[: len(given)] = given
+            first = np.atleast_2d(x0)
+            members[: len(first)] = first
         # Rounding may have led past the upper bound.
         return np.clip(members, self.lower, self.upper)
 

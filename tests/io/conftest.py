@@ -29,7 +29,7 @@ def tree() -> Chains:
     )
     touch = ChainSetup(base="left_hand", tip="right_hand")
     robot = parse_robot(text.encode(), "tree.urdf")
-    return Chains(robot, tip="right_hand", stated={"touch": touch})
+    return Chains(robot, tip="right_hand", setups={"touch": touch})
 
 
 @pytest.fixture(scope="session")

@@ -167,7 +167,7 @@ def chains_of(case: str) -> Chains:
     names = tuple(key.chain for key in measured)
     if names[0] == "":
         return Chains.of(Chain(load_robot("arm.urdf"), setup.base, setup.tip))
-    return Chains(load_robot("pair.urdf"), tip="left_hand", stated=ENDS, names=names)
+    return Chains(load_robot("pair.urdf"), tip="left_hand", setups=ENDS, names=names)
 
 
 @cache

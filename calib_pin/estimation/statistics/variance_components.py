@@ -232,7 +232,7 @@ def variance_components(
     """
     half = half_covariance(result.jac, basis, problem.parameters)
     groups = by_quantity(problem, result.x, result.fun, result.jac, half)
-    model, factors = _tested(problem, groups)
+    model, factors = _test_variances(problem, groups)
     pure_errors = _pure_errors(problem, result.x, leverages(problem, result.jac, half))
     return tuple(
         _component(problem, k, model, float(factors[k]), float(groups.counts[k]), pure)
@@ -335,7 +335,7 @@ def _stated(problem: Problem) -> NDArray[np.bool_]:
     return np.array([c.quantity.name in noise for c in components]) | by_rows
 
 
-def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
+def _test_variances(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
     """Estimate the variances of all quantities, and choose those to use.
 
     Of an instrument at very many stations one or another would be rejected by mistake,

@@ -397,13 +397,13 @@ def training_rows(
         widths = values.shape[1], len(shift)
         by = (np.zeros((*shape, width)) for width in widths)
         result = Linearized(np.zeros(shape), *by)
-        moved = directions @ shift
+        change = directions @ shift
         for known_basis, block in zip(basis, problem.blocks, strict=True):
             term, data, rows, flat = block
-            of_robot, instrument = term.values(theta)
-            given = _Given(space, values[rows], moved[term.of_error])
+            robot, instrument = term.values(theta)
+            given = _Given(space, values[rows], change[term.of_error])
             corrected = replace(term.error, learned=given)
-            poses = corrected.linearize(data.q, of_robot, known_basis)
+            poses = corrected.linearize(data.q, robot, known_basis)
             linear = term.measurement.linearize(poses.T, instrument, data)
             sigma = block.table(problem.sigma)
             J_pose = linear.J_pose / sigma[:, :, None]

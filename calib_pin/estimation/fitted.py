@@ -480,9 +480,9 @@ def _pulls(fitted: Fit) -> dict[int, float]:
     problem, result = fitted.problem, fitted.result
     held = list(problem.held_at)
     basis = fitted.directions.basis
-    moved = result.jac @ half_covariance(result.jac, basis, problem.parameters)
+    Q = result.jac @ half_covariance(result.jac, basis, problem.parameters)
     columns = result.jac[:, held]
-    alone = columns - moved @ (moved.T @ columns)
+    alone = columns - Q @ (Q.T @ columns)
     size = np.linalg.norm(alone, axis=0)
     # Where the moved directions can do what it does, rounding is left.
     seen = size > rounding(result.jac) * np.linalg.norm(columns, axis=0)
@@ -522,8 +522,8 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
         previous = None
         if last.rank:
             # Within other directions; the rest returns to nominal.
-            moved, x = directions.basis, last.theta / parameters.scales
-            kept = parameters.scales * (moved @ (moved.T @ x))
+            basis, x = directions.basis, last.theta / parameters.scales
+            kept = parameters.scales * (basis @ (basis.T @ x))
             stay = parameters.nuisance | ~parameters.free
             previous = np.where(stay, last.theta, kept)
         result = solver.solve(problem, directions, nominal, previous)
@@ -587,8 +587,8 @@ def _with_revealed(last: Fit) -> Fit:
     known = np.column_stack([directions.robot, directions.weak])
     hidden = column_space(robot - known @ (known.T @ robot))
     A = result.jac * parameters.scales
-    moved, columns = column_space(A @ directions.basis), A @ hidden
-    rest = columns - moved @ (moved.T @ columns)
+    Q, columns = column_space(A @ directions.basis), A @ hidden
+    rest = columns - Q @ (Q.T @ columns)
     U, s, Vt = np.linalg.svd(rest, full_matrices=False)
     shown = s * WEAK > last.sigma0
     more = hidden @ Vt[shown].T

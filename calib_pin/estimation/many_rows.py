@@ -168,9 +168,9 @@ class ManyRows:
     def _at(self, theta: Floats) -> _At:
         """Parameter values as kernels take them."""
         term = self._block.term
-        of_robot, instrument = term.values(theta)
-        links = self._segments.links(of_robot[None])[0]
-        return _At(links, of_robot[term.error.joint_corrections], instrument)
+        robot, instrument = term.values(theta)
+        links = self._segments.links(robot[None])[0]
+        return _At(links, robot[term.error.joint_corrections], instrument)
 
     def _poses(
         self, chunk: _Chunk, at: _At
@@ -375,9 +375,9 @@ class PopulationPart:
 
     def costs(self, theta: Floats) -> Floats:
         """Half the sums of squares of these measurements, shape (S, P) -> (S,)."""
-        of_robot, instrument = self._term.values(theta)
-        links = self._segments.links(of_robot)
-        amounts = of_robot[:, self._term.error.joint_corrections]
+        robot, instrument = self._term.values(theta)
+        links = self._segments.links(robot)
+        amounts = robot[:, self._term.error.joint_corrections]
         geometry, result = self._batch.geometry(instrument), np.empty(len(instrument))
         of_members = links, amounts, geometry.points, geometry.sites
         kernels.population_costs(self._comparison, *of_members, self._rows, result)

@@ -203,13 +203,13 @@ def scale_deviation(
     free[list(_omitted(problem, [block.key for block in at]))] = False
     scales = problem.parameters.scales
     by_all, displaced, b = _tool_twists(problem, theta, at)
-    moved, frames = np.column_stack([by_all[:, free], displaced]), displaced.shape[1]
+    twists, frames = np.column_stack([by_all[:, free], displaced]), displaced.shape[1]
     rows = np.column_stack([(J * scales)[:, free], np.zeros((len(J), frames))])
-    _, s, Vt = np.linalg.svd(np.linalg.qr(moved, mode="r"))
+    _, s, Vt = np.linalg.svd(np.linalg.qr(twists, mode="r"))
     rank = int((s > 1e-11 * s[0]).sum())
     # Minimum-norm growth, and all that changes without moving the tool.
-    z = Vt[:rank].T @ ((Vt[:rank] @ (moved.T @ b)) / s[:rank] ** 2)
-    if np.linalg.norm(moved @ z - b) > EXACT * np.linalg.norm(b):
+    z = Vt[:rank].T @ ((Vt[:rank] @ (twists.T @ b)) / s[:rank] ** 2)
+    if np.linalg.norm(twists @ z - b) > EXACT * np.linalg.norm(b):
         return 0.0
     still = rows @ Vt[rank:].T
     noticed = rows @ z
@@ -232,7 +232,7 @@ def _tool_twists(
     named = [problem.terms[block.key].frames for block in at]
     ends = dict.fromkeys([*(s.station for s in named), *(s.tool for s in named)])
     first_of = {name: 6 * k for k, name in enumerate(ends)}
-    changed, moved, grown = [], [], []
+    changes, frames, growths = [], [], []
     for block in at:
         term = problem.terms[block.key]
         _, poses, _ = RowByRow(term, term.on_chain(block)).linear_poses(theta)
@@ -240,15 +240,15 @@ def _tool_twists(
         by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
         by_parameters = np.zeros((6 * count, len(term.index)))
         by_parameters[:, : by_error.shape[2]] = by_error.reshape(6 * count, -1)
-        changed.append(problem.spread(term, by_parameters) * problem.parameters.scales)
+        changes.append(problem.spread(term, by_parameters) * problem.parameters.scales)
         displaced = np.zeros((6 * count, 6 * len(ends)))
         first, last = first_of[term.frames.station], first_of[term.frames.tool]
         displaced[:, first : first + 6] = adjoint(invert(poses.to_base)).reshape(-1, 6)
         on_tool = term.frames.offset.toActionMatrixInverse()
         displaced[:, last : last + 6] = np.tile(on_tool, (count, 1))
-        moved.append(displaced)
-        grown.append(_growth_twists(poses, poses.to_base).reshape(-1))
-    return np.concatenate(changed), np.concatenate(moved), np.concatenate(grown)
+        frames.append(displaced)
+        growths.append(_growth_twists(poses, poses.to_base).reshape(-1))
+    return np.concatenate(changes), np.concatenate(frames), np.concatenate(growths)
 
 
 def _has_lengths(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> bool:
@@ -557,11 +557,11 @@ class Located:
     def register(self, block: Block, theta: Floats) -> Term:
         """Register the part of a block, and remember what that has located."""
         (term,) = with_shared_references([block.term], self.references)
-        data, frames, of_robot = block.data, term.frames, term.values(theta)[0]
-        F = term.error.tip_poses(data.q, of_robot, data.conditions)
+        data, frames, robot = block.data, term.frames, term.values(theta)[0]
+        F = term.error.tip_poses(data.q, robot, data.conditions)
         if data.start.size:
             begun = data.conditions.at_start
-            F = invert(term.error.tip_poses(data.start, of_robot, begun)) @ F
+            F = invert(term.error.tip_poses(data.start, robot, begun)) @ F
         base, tool = self.bases.get(frames.station), self.tools.get(frames.tool)
         at_end = None if tool is None else tool * frames.offset
         measurement, base, at_end = term.measurement.register(F, data, base, at_end)
@@ -576,9 +576,9 @@ class Located:
 
     def keep(self, term: Term, theta: Floats) -> None:
         """Take over everything of a term at parameter values, shape (P,)."""
-        moved = term.rebased(theta)
-        self.bases[term.frames.station] = moved.error.base
-        self.tools[term.frames.tool] = moved.error.tool * term.frames.offset.inverse()
+        rebased = term.rebased(theta)
+        self.bases[term.frames.station] = rebased.error.base
+        self.tools[term.frames.tool] = rebased.error.tool * term.frames.offset.inverse()
         for reference in term.measurement.references:
             self.references[term.frames.place(reference)] = reference
 
@@ -766,8 +766,8 @@ def _of_terms(
     """
     terms, given = assembled([*terms.values()])
     position = {name: k for k, name in enumerate(given.names)}
-    moved = [position[name] for name in problem.given.names]
+    index = [position[name] for name in problem.given.names]
     values = np.zeros(len(given))
-    values[moved] = theta
-    held = {moved[k]: value for k, value in problem.held_at.items()}
+    values[index] = theta
+    held = {index[k]: value for k, value in problem.held_at.items()}
     return replace(problem, terms=terms, given=given, held_at=held), values

@@ -388,8 +388,8 @@ def _weighted(problem: Problem, accepted: Flags | None = None) -> Problem:
 
 def _studentized_about(fitted: Fit, accepted: Flags) -> Studentized:
     """All configurations about a fit of the accepted ones, shape (G,)."""
-    held, _, moved = fitted.held
-    basis = held.parameters.scales[:, None] * moved
+    held, _, directions = fitted.held
+    basis = held.parameters.scales[:, None] * directions
     rows = accepted[failing(held)]
     return studentized(_weighted(held), fitted.theta, basis, rows)
 

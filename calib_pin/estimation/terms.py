@@ -206,8 +206,8 @@ class Term:
         Args:
             theta: Values of all parameters, shape (P,).
         """
-        of_robot, instrument = self.values(theta)
-        base, *_, tool = self.error.corrections(of_robot)
+        robot, instrument = self.values(theta)
+        base, *_, tool = self.error.corrections(robot)
         error = self.error.with_frames(self.error.base * base, self.error.tool * tool)
         measurement = self.measurement.rebased(instrument)
         return replace(self, error=error, measurement=measurement)
@@ -238,8 +238,8 @@ class RowByRow:
         Args:
             theta: Values of all parameters, shape (P,).
         """
-        error, of_robot = self._term.error, self._term.values(theta)[0]
-        T, *start = (error.poses(q, of_robot, basis) for q, basis in self._ends)
+        error, robot = self._term.error, self._term.values(theta)[0]
+        T, *start = (error.poses(q, robot, basis) for q, basis in self._ends)
         return np.asarray(invert(start[0]) @ T) if start else T
 
     def linear_poses(
@@ -249,8 +249,8 @@ class RowByRow:
 
         The latter two have derivatives, as if they were absolute.
         """
-        error, of_robot = self._term.error, self._term.values(theta)[0]
-        poses, *start = (error.linearize(q, of_robot, basis) for q, basis in self._ends)
+        error, robot = self._term.error, self._term.values(theta)[0]
+        poses, *start = (error.linearize(q, robot, basis) for q, basis in self._ends)
         if not start:
             return poses.T, poses, None
         return invert(start[0].T) @ poses.T, poses, start[0]

@@ -141,8 +141,8 @@ class Collisions:
         clearance between them, so that what keeps off at both touches nothing between.
         """
         clearance = float(self.clearances.max(initial=0.0))
-        moved = float(np.abs(b - a) @ self.reach)
-        count = 1 + max(1, int(np.ceil(moved / max(2.0 * clearance, LEAST))))
+        length = float(np.abs(b - a) @ self.reach)
+        count = 1 + max(1, int(np.ceil(length / max(2.0 * clearance, LEAST))))
         places = np.linspace(a, b, count)
         # A few places far apart first: most moves that are blocked are so for long.
         return all(self.free(places[k::7]).all() for k in range(7))

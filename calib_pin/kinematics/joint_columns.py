@@ -119,13 +119,13 @@ class JointColumns:
             InputError: If the couplings cannot be undone.
         """
         result, n = np.zeros((len(q), len(self.names))), len(self.tells)
-        square, moved = self.factors[self.tells, :n], (q - self.offsets)[:, self.tells]
+        square, right = self.factors[self.tells, :n], (q - self.offsets)[:, self.tells]
         if np.linalg.matrix_rank(square) < n:
             raise InputError("the couplings in 'joints' cannot be undone")
         diag = np.diag(square)
         # Without couplings nothing is solved, so that no digit changes.
         alone = (np.diag(diag) == square).all()
-        result[:, :n] = moved / diag if alone else np.linalg.solve(square, moved.T).T
+        result[:, :n] = right / diag if alone else np.linalg.solve(square, right.T).T
         return result
 
 
@@ -133,8 +133,8 @@ def drives_of(chain: Chain | Chains) -> list[str]:
     """The joints whose drives move a chain: those that mimic none, and leaders."""
     mimics = chain.mimics
     # With a factor of zero a mimic joint stands still, whatever its leader does.
-    moved = [j for j in chain.joints if j not in mimics or mimics[j].factor]
-    return [*dict.fromkeys(mimics[j].leader if j in mimics else j for j in moved)]
+    joints = [j for j in chain.joints if j not in mimics or mimics[j].factor]
+    return [*dict.fromkeys(mimics[j].leader if j in mimics else j for j in joints)]
 
 
 def advice(chain: Chain, missing: Sequence[str]) -> str:

@@ -182,8 +182,8 @@ class RoundModel(SiteModel):
 
     def seen(self, values: Floats) -> Floats:
         """Centers, and these numbers."""
-        moved = values.reshape(len(values), -1, 4) * [1.0, 1.0, 1.0, self.sign]
-        return np.column_stack([_centers(self.sites), self.added]) + moved
+        shifts = values.reshape(len(values), -1, 4) * [1.0, 1.0, 1.0, self.sign]
+        return np.column_stack([_centers(self.sites), self.added]) + shifts
 
 
 @dataclass(frozen=True)

@@ -376,14 +376,14 @@ class ErrorModel:
     def _corrected(self, q: Floats, theta: Floats, basis: Floats) -> Floats:
         """Joint positions with all corrections; q itself where there are none."""
         amounts = theta[self.joint_corrections]
-        moved = q
+        result = q
         if amounts.any():
             joints = [self.screws[k].frame - 1 for k in self.joint_corrections]
             functions = basis if self._along.all() else basis[:, self._along]
-            moved = moved + (functions * amounts) @ np.eye(q.shape[1])[joints]
+            result = result + (functions * amounts) @ np.eye(q.shape[1])[joints]
         if self.learned is not None and self.learned.space == "joint":
-            moved = moved + self.learned(q)
-        return moved
+            result = result + self.learned(q)
+        return result
 
     def _bends(self, theta: Floats, basis: Floats) -> Bends:
         """How the places are bent, by basis functions of shape (N, C)."""

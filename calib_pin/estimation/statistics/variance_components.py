@@ -518,8 +518,8 @@ class Systematic:
             problem: A problem with the rows.
             theta: Parameter values at which frames and instrument stand, shape (P,).
         """
-        moved = problem.rebased(theta)[0].terms.values()
-        terms, given = assembled([replace(t, error=self._model(t)) for t in moved])
+        rebased = problem.rebased(theta)[0].terms.values()
+        terms, given = assembled([replace(t, error=self._model(t)) for t in rebased])
         plain, data = Setup(noise=problem.setup.noise), problem.data
         effects = Problem(problem.chains, terms, given, data, plain, problem.units)
         _, J = effects.linearize_rows(np.zeros(len(given)))

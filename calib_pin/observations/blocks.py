@@ -65,12 +65,12 @@ class Observations(SourcedRows):
         """
         if len(parts) == 1 and isinstance(parts[0], Observations):
             return parts[0]
-        found: dict[BlockKey, list[Measurements]] = {}
+        by_key: dict[BlockKey, list[Measurements]] = {}
         for part in taken("measurements", parts, Sequence[Measurements | Observations]):
             blocks = part.blocks if isinstance(part, Observations) else (part,)
             for block in blocks:
-                found.setdefault(block.key, []).append(block)
-        joined = [Measurements.concatenate(blocks) for blocks in found.values()]
+                by_key.setdefault(block.key, []).append(block)
+        joined = [Measurements.concatenate(blocks) for blocks in by_key.values()]
         return Observations(
             tuple(block for block in joined if len(block)) or tuple(joined[:1])
         )
@@ -217,11 +217,11 @@ def apart(
     blocks, index = [], []
     for block, rows in zip(data.blocks, data.slices, strict=True):
         for name in names[rows].distinct:
-            own = np.flatnonzero(names[rows].where(name))
+            members = np.flatnonzero(names[rows].where(name))
             whole = (getattr(block, kind) or kind) + name
             named: dict[str, Any] = {kind: whole} if name else {}
-            blocks.append(replace(block.rows(own), **named))
-            index.append(rows.start + own)
+            blocks.append(replace(block.rows(members), **named))
+            index.append(rows.start + members)
     return Observations.of(*blocks), np.concatenate(index)
 
 
@@ -239,18 +239,18 @@ def with_directions(data: Observations) -> Observations:
     order = data.in_order
     if source == "time":
         order = np.lexsort((data.lines, data.conditions.time, data.files.codes))
-    found = np.zeros(data.q.shape, np.int8)
+    directions = np.zeros(data.q.shape, np.int8)
     chains = Labels.of([key.chain for key in data.keys]).codes[data.block_of]
     # Of one file and chain, in their order.
     group = data.files.codes[order] * len(data.keys) + chains[order]
     order = order[np.argsort(group, kind="stable")]
     ends = np.flatnonzero(np.diff(np.sort(group))) + 1
-    for own in np.split(order, ends):
+    for run in np.split(order, ends):
         for joint, position in enumerate(data.q.T):
-            found[own, joint] = approached(position[own, None])[:, 0]
+            directions[run, joint] = approached(position[run, None])[:, 0]
     blocks = []
     for block, rows in zip(data.blocks, data.slices, strict=True):
-        held, signs = block.conditions, found[rows]
+        held, signs = block.conditions, directions[rows]
         if held.direction.size:
             signs = np.where(held.direction.any(axis=0), held.direction, signs)
         if not block.start.size and not np.array_equal(signs, held.direction):

@@ -84,13 +84,13 @@ class Conditions:
 
     def rows(self, index: NDArray[Any] | slice) -> Conditions:
         """Those of the rows that a mask, a slice or an index array picks."""
-        stated = {
+        columns = {
             name: getattr(self, name)[index]
             for name in ROWS
             if len(getattr(self, name))
         }
         spare = {name: column[index] for name, column in self.spare.items()}
-        return replace(self, **stated, spare=spare)
+        return replace(self, **columns, spare=spare)
 
     @property
     def at_start(self) -> Conditions:
@@ -115,7 +115,7 @@ class Conditions:
             else np.zeros((len(part.payload), width), np.int8)
             for part in parts
         ]
-        stated = {
+        columns = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("temperature", "time")
             if all(len(getattr(part, name)) for part in parts)
@@ -129,7 +129,7 @@ class Conditions:
         return Conditions(
             payload,
             np.concatenate(directions) if width else np.zeros((0, 0), np.int8),
-            **stated,
+            **columns,
             spare=spare,
             steps={joint: n for part in parts for joint, n in part.steps.items()},
             source=min(sources, key=SOURCES.index, default=""),
@@ -155,10 +155,10 @@ def approached(q: Floats) -> Signs:
     """
     result = np.zeros(q.shape, np.int8)
     # Joint by joint: there may be millions of rows.
-    for own, position in zip(result.T, q.T, strict=True):
+    for column, position in zip(result.T, q.T, strict=True):
         moved = np.diff(position)
         (rows,) = np.nonzero(np.abs(moved) > SAME)
         signs = np.sign(moved[rows]).astype(np.int8)
         if len(rows):
-            own[rows[0] + 1 :] = np.repeat(signs, np.diff(rows, append=len(q) - 1))
+            column[rows[0] + 1 :] = np.repeat(signs, np.diff(rows, append=len(q) - 1))
     return result

@@ -141,15 +141,15 @@ def marker_corners(image: Floats, corners: Floats, cells: int) -> tuple[Floats, 
             across = normal - slope[k] * along
             powers = float(k) ** np.arange(degree, -1, -1)
             ends.append((across, across @ place, powers @ covariance @ powers))
-    found, sigma = np.empty((4, 2)), np.empty((4, 2))
+    points, sigma = np.empty((4, 2)), np.empty((4, 2))
     for k in range(4):
         # The end of the edge before, and the start of its own.
         two = ends[2 * k - 1], ends[2 * k]
         inverse = np.linalg.pinv(np.array([across for across, _, _ in two]))
-        found[k] = inverse @ [offset for _, offset, _ in two]
+        points[k] = inverse @ [offset for _, offset, _ in two]
         both = inverse**2 @ [variance for _, _, variance in two]
         sigma[k] = np.sqrt(both + ROUNDING**2)
-    return found, np.clip(sigma, None, LARGEST)
+    return points, np.clip(sigma, None, LARGEST)
 
 
 def _steepest(image: Floats, at: Floats, y: Floats) -> Floats:
@@ -171,8 +171,8 @@ def _curve(x: Floats, y: Floats, degree: int) -> tuple[Floats, Floats]:
     kept = np.ones(len(x), bool)
     for _ in range(3):
         curve, inverse = np.polyfit(x[kept], y[kept], degree, cov="unscaled")
-        left = np.abs(np.polyval(curve, x) - y)
-        kept = left <= max(FAR * float(np.median(left)), 1e-3)
+        residual = np.abs(np.polyval(curve, x) - y)
+        kept = residual <= max(FAR * float(np.median(residual)), 1e-3)
     r = y[kept] - np.polyval(curve, x[kept])
     dof = max(int(kept.sum()) - degree - 1, 1)
     return curve, ALIKE * float(r @ r) / dof * inverse

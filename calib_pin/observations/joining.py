@@ -244,8 +244,8 @@ class _Motion:
     def clock(self, readings: Log) -> Clock:
         """The clock of readings by motions, or else by the standstills alone."""
         ahead = self._coarse(readings)
-        found = None if ahead is None else self._fine(readings, ahead)
-        return found or self._by_standstills(readings)
+        clock = None if ahead is None else self._fine(readings, ahead)
+        return clock or self._by_standstills(readings)
 
     def _coarse(self, readings: Log) -> float | None:
         """The offset with which both move at the same times; None if neither tells."""
@@ -267,11 +267,11 @@ class _Motion:
         if not (a.any() and b.any()):
             return None
         one_a, one_b = np.ones(len(a)), np.ones(len(b))
-        found, shared = _correlated(b, a), _correlated(one_b, one_a)
+        products, shared = _correlated(b, a), _correlated(one_b, one_a)
         ones = _correlated(b**2, one_a), _correlated(one_b, a**2)
         enough = shared >= 0.5 * min(len(a), len(b))
         scale = np.sqrt(np.maximum(ones[0] * ones[1], 1e-300))
-        likeness = np.where(enough, found / scale, -1.0)
+        likeness = np.where(enough, products / scale, -1.0)
         best = int(np.argmax(likeness))
         if likeness[best] < ALIKE:
             return None
@@ -281,25 +281,25 @@ class _Motion:
     def _fine(self, readings: Log, ahead: float) -> Clock | None:
         """The offset with which readings are smooth functions of the way."""
         for _ in range(30):
-            found = [
-                told
+            parts = [
+                part
                 for (_, start), (end, _) in pairwise(self.standstills)
-                if (told := self._told(readings, ahead, start, end)) is not None
+                if (part := self._part(readings, ahead, start, end)) is not None
             ]
-            if not found:
+            if not parts:
                 return None
-            slopes, weights, squares, dof = np.array(found).T
+            slopes, weights, squares, dof = np.array(parts).T
             moved = float(slopes.sum() / weights.sum())
             ahead += np.clip(moved, -0.2, 0.2)
             if abs(moved) < 1e-6:
                 break
         each = slopes / weights
-        own = np.sqrt(squares.sum() / max(dof.sum(), 1.0) / weights.sum())
+        sigma = np.sqrt(squares.sum() / max(dof.sum(), 1.0) / weights.sum())
         spread = np.sqrt(np.sum(weights**2 * (each - moved) ** 2)) / weights.sum()
         least = LEAST * self.step
-        return Clock(float(ahead), float(max(own, spread, least)), len(found))
+        return Clock(float(ahead), float(max(sigma, spread, least)), len(parts))
 
-    def _told(
+    def _part(
         self, readings: Log, ahead: float, start: float, end: float
     ) -> tuple[float, float, float, float] | None:
         """A motion's part: slope, weight, square sum and degrees of freedom."""
@@ -350,15 +350,15 @@ class _Motion:
         def counted(zone: float) -> NDArray[np.int64]:
             time = readings.time - zone
             common = np.mean((time > starts[0] - longest) & (time < ends[-1] + longest))
-            sought = near if common >= MOSTLY or not zone else near[:0]
-            return np.array([inside(zone + ahead) for ahead in sought], np.int64)
+            offsets = near if common >= MOSTLY or not zone else near[:0]
+            return np.array([inside(zone + ahead) for ahead in offsets], np.int64)
 
         zone, counts, count = 0.0, counted(0.0), len(readings.time)
         if counts.max() < HARDLY * count:
-            every = {zone: counted(zone) for zone in ZONES}
-            best = max(every, key=lambda zone: every[zone].max(initial=0))
-            if every[best].max(initial=0) >= MOSTLY * count:
-                zone, counts = best, every[best]
+            by_zone = {zone: counted(zone) for zone in ZONES}
+            best = max(by_zone, key=lambda zone: by_zone[zone].max(initial=0))
+            if by_zone[best].max(initial=0) >= MOSTLY * count:
+                zone, counts = best, by_zone[best]
         if not counts.max():
             spans = [f"{t[0]:.1f} to {t[-1]:.1f} s" for t in (self.grid, readings.time)]
             both = "joints are of {}, readings of {}".format(*spans)
@@ -390,15 +390,15 @@ def join_by_name(
         ours: The name of each row of the joints.
         theirs: The name of each reading.
     """
-    own, names = (np.array([*map(str.lower, told)]) for told in (ours, theirs))
-    found = [
+    poses, names = (np.array([*map(str.lower, words)]) for words in (ours, theirs))
+    standstills = [
         Standstill(float(k), joints.values[k], rows)
-        for k, name in enumerate(own)
+        for k, name in enumerate(poses)
         for kind in readings.kinds
         if len(rows := kind[names[kind] == name])
     ]
-    alone = tuple(sorted({*own.tolist()} ^ {*names.tolist()}))
-    return Joined(None, tuple(found), 0, 0, 0, alone)
+    alone = tuple(sorted({*poses.tolist()} ^ {*names.tolist()}))
+    return Joined(None, tuple(standstills), 0, 0, 0, alone)
 
 
 def in_one_unit(joints: Log, readings: Log) -> tuple[Log, Log, int]:
@@ -439,10 +439,10 @@ def means(standstills: Sequence[Standstill], values: Floats, oriented: bool) -> 
         values: Values of all readings, shape (N, k).
         oriented: Whether the last four are quaternions.
     """
-    found = np.array([values[one.readings].mean(axis=0) for one in standstills])
-    for mean in found if oriented else ():
+    averages = np.array([values[one.readings].mean(axis=0) for one in standstills])
+    for mean in averages if oriented else ():
         mean[-4:] /= np.linalg.norm(mean[-4:])
-    return found
+    return averages
 
 
 def mean_sigmas(
@@ -483,16 +483,16 @@ def mean_sigmas(
         # Parts of the readings that have a partner, and covariances about the means.
         shares = np.maximum(counts - lag, 0) / counts
         pairs, part = float(shares @ counts), shares.mean() * (2.0 if lag else 1.0)
-        found = np.sum(rest[:, lag:] * rest[:, : rest.shape[1] - lag], axis=(0, 1))
-        total = total + part * found / pairs
+        products = np.sum(rest[:, lag:] * rest[:, : rest.shape[1] - lag], axis=(0, 1))
+        total = total + part * products / pairs
         lacking += part * shares.sum() / pairs
         of_mean = total / (1.0 - lacking)  # Times the number of readings.
         if not lag:
-            variance = found / pairs
+            variance = products / pairs
         of_one = np.maximum(variance + len(counts) / counts.sum() * of_mean, TINY)
         still = lag < WINDOW * tau
         if not still.any():
             break
         tau = np.where(still, np.maximum(of_mean / of_one, 1.0), tau)
-    alike = np.minimum(tau / counts[:, None], 1.0)
-    return np.asarray(np.sqrt(of_one * alike))
+    share = np.minimum(tau / counts[:, None], 1.0)
+    return np.asarray(np.sqrt(of_one * share))

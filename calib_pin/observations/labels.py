@@ -57,8 +57,8 @@ class Labels(Sequence[str]):
         number: dict[str, int] = {}
         codes = [np.zeros(0, np.int64)]
         for part in parts:
-            own = [number.setdefault(name, len(number)) for name in part.names]
-            codes.append(np.array(own, np.int64)[part.codes])
+            numbers = [number.setdefault(name, len(number)) for name in part.names]
+            codes.append(np.array(numbers, np.int64)[part.codes])
         return Labels(tuple(number), np.concatenate(codes))
 
     @property

@@ -94,10 +94,10 @@ class SourcedRows:
         allowed: str | None = None,
     ) -> InputError:
         """The error that refuses a row, with the place where the row stands."""
-        told: dict[str, Any] = {"column": column, "allowed": allowed}
+        details: dict[str, Any] = {"column": column, "allowed": allowed}
         if file := self.files[row]:
-            return InputError(reason, file=file, line=int(self.lines[row]), **told)
-        return InputError(f"{self.source(row)}: {reason}", **told)
+            return InputError(reason, file=file, line=int(self.lines[row]), **details)
+        return InputError(f"{self.source(row)}: {reason}", **details)
 
 
 @dataclass(frozen=True, repr=False)
@@ -286,8 +286,8 @@ def trusted(data: Measurements) -> Measurements:
     if data.weight.all():
         return data
     count = len(data.target.names)
-    left = np.bincount(data.target.codes, data.weight > 0.0, count) > 0.0
-    return data.rows((data.weight > 0.0) | ~left[data.target.codes])
+    weighted = np.bincount(data.target.codes, data.weight > 0.0, count) > 0.0
+    return data.rows((data.weight > 0.0) | ~weighted[data.target.codes])
 
 
 def with_joints(data: Measurements, joints: tuple[str, ...]) -> Measurements:

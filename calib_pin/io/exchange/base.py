@@ -158,12 +158,12 @@ class Exported:
             square over the workspace [m].
         """
         far = []
-        for one in self.fitted:
-            q = joint_errors.configurations(one.chain)
-            corrected = Chain(self.robot, one.chain.base, one.chain.tip)
-            poses = corrected.poses(q) if read is None else read(one.chain, q)
-            found = poses @ one.tool.homogeneous
-            far.append((found - joint_errors.in_base(one, q))[:, :3, 3])
+        for fitted in self.fitted:
+            q = joint_errors.configurations(fitted.chain)
+            corrected = Chain(self.robot, fitted.chain.base, fitted.chain.tip)
+            poses = corrected.poses(q) if read is None else read(fitted.chain, q)
+            T = poses @ fitted.tool.homogeneous
+            far.append((T - joint_errors.in_base(fitted, q))[:, :3, 3])
         return float(np.sqrt(np.mean(np.sum(np.concatenate(far) ** 2, axis=1))))
 
     def joint_errors(
@@ -182,17 +182,17 @@ class Exported:
     @cached_property
     def parts(self) -> tuple[str, ...]:
         """The parts of the calibration that are not zero."""
-        found = dict[str, None]()
-        for one in self.fitted:
-            for screw, value in zip(one.error.screws, one.theta, strict=True):
+        parts = dict[str, None]()
+        for fitted in self.fitted:
+            for screw, value in zip(fitted.error.screws, fitted.theta, strict=True):
                 name, kind = screw.parameter.name, screw.parameter.name.split(".")[-2]
                 if screw.basis is None:
                     kind = OFFSETS if kind == "joint-offset" else GEOMETRY
                 if value and not screw.parameter.nuisance:
-                    found[GAINS if name.endswith(GAIN) else kind] = None
-            if one.error.learned is not None:
-                found["learned correction"] = None
-        return tuple(found)
+                    parts[GAINS if name.endswith(GAIN) else kind] = None
+            if fitted.error.learned is not None:
+                parts["learned correction"] = None
+        return tuple(parts)
 
 
 @dataclass(frozen=True)
@@ -242,26 +242,26 @@ class Format:
             InputError: If the template is no such file.
         """
         others = () if SEVERAL in self.holds else exported.names[1:]
-        one = replace(exported, name=exported.names[0]) if others else exported
+        single = replace(exported, name=exported.names[0]) if others else exported
         if OFFSETS in self.holds and PRISMATIC not in self.holds:
-            for k in np.flatnonzero(~one.chains.revolute)[:1]:
-                slides = f"'{one.chains.joints[k]}' slides"
-                raise one.error(f"{self.name} is for joints that turn, {slides}")
-        encoded = self.write(one, template)
+            for k in np.flatnonzero(~single.chains.revolute)[:1]:
+                slides = f"'{single.chains.joints[k]}' slides"
+                raise single.error(f"{self.name} is for joints that turn, {slides}")
+        encoded = self.write(single, template)
         remarks = [*encoded.remarks]
-        if one.result.verdict == "no-gain":
+        if single.result.verdict == "no-gain":
             remarks.append("without a gain this is of the nominal robot")
         elif {OFFSETS, GEOMETRY} & {*self.holds} == {OFFSETS}:
             remarks.append(f"{self.name} {ALREADY}")
         if OFFSETS in self.holds:
-            remarks += self._lacking(one, encoded.read)
+            remarks += self._lacking(single, encoded.read)
         if others:
-            said = f"'{one.name}', not {enumerated(others)} (--chain)"
-            remarks.append(f"{self.name} holds one chain: {said}")
+            text = f"'{single.name}', not {enumerated(others)} (--chain)"
+            remarks.append(f"{self.name} holds one chain: {text}")
         unasked = {*exported.result.model.measured_chains} - {*exported.names}
         if unasked and {GEOMETRY, SEVERAL} <= {*self.holds}:
-            said = f"with {enumerated(sorted(unasked))}, whatever --chain names"
-            remarks.append(f"{self.name} holds the whole robot, {said}")
+            text = f"with {enumerated(sorted(unasked))}, whatever --chain names"
+            remarks.append(f"{self.name} holds the whole robot, {text}")
         return replace(encoded, remarks=tuple(remarks))
 
     def _lacking(self, exported: Exported, read: Read | None) -> Iterator[str]:
@@ -273,32 +273,32 @@ class Format:
         """
         (unit, factor), distance = DISPLAY["m"], exported.distance(read)
         lacking = [p for p in exported.parts if p not in self.holds]
-        about = "it depends on what measurements state"
+        sentence = "it depends on what measurements state"
         if distance < ENOUGH:
             lacking = [p for p in lacking if p not in (GEOMETRY, OFFSETS, GAINS)]
         else:
             whole = exported.distance(Chain.poses)
-            about = (
+            sentence = (
                 f"{factor * distance:.3g} of {factor * whole:.3g} {unit} of what was "
                 "found are missing (tool point, rms over the workspace)"
             )
             if distance > USELESS * whole:
-                about += ": a robot that has this alone is hardly more accurate"
+                sentence += ": a robot that has this alone is hardly more accurate"
         if lacking:
-            about = f"{self.name} holds no {', '.join(lacking)}: {about}"
+            sentence = f"{self.name} holds no {', '.join(lacking)}: {sentence}"
         if lacking or distance >= ENOUGH:
-            yield about
+            yield sentence
         fitted = exported.fitted
         placed = [s.parameter for one in fitted for s in one.error.screws]
-        found = any(one.tool_carries_tip for one in fitted)
-        if found or any(p.nuisance and p.free for p in placed):
+        carries = any(one.tool_carries_tip for one in fitted)
+        if carries or any(p.nuisance and p.free for p in placed):
             yield f"{self.name} holds no base and tool frames: see 'tf'"
         mimics = exported.nominal.mimics.items()
         followers = [f"{n} is {m.factor:g} {m.leader} {m.offset:+g}" for n, m in mimics]
         reversed_ = [f"{joint} is reversed" for joint in exported.reverses]
-        for held, said in ((MIMIC, followers), (SIGNS, reversed_)):
-            if said and held not in self.holds:
-                yield f"{self.name} holds no {held}: {enumerated(said)}"
+        for part, sentences in ((MIMIC, followers), (SIGNS, reversed_)):
+            if sentences and part not in self.holds:
+                yield f"{self.name} holds no {part}: {enumerated(sentences)}"
 
 
 def require(

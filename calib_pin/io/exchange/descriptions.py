@@ -80,9 +80,9 @@ def places(
         about what is not known of them and of others.
     """
     result, met = exported.result, set[tuple[str, ...]]()
-    found, remarks, known = list[Place](), list[str](), True
+    frames, remarks, known = list[Place](), list[str](), True
     model = result.described
-    taken = set(model.chains.robot.links)
+    used = set(model.chains.robot.links)
     for term in model.terms.values():
         if exported.name not in (None, term.key.chain):
             continue
@@ -102,27 +102,27 @@ def places(
             if camera is not None:
                 name = term.frames.reference(camera)
                 names = (name, f"{name}_optical_frame")
-            child, unknown = _free_name(names, taken), result.unknown_of(*frame)
+            child, unknown = _free_name(names, used), result.unknown_of(*frame)
             where = f"of {link} -> {child}"
             if frame is tool and camera is None and unknown == TURNS:
-                said = "was not measured, only its position"
-                remarks.append(f"the orientation {where} {said}")
+                reason = "was not measured, only its position"
+                remarks.append(f"the orientation {where} {reason}")
             elif unknown:
                 remarks.append(f"{', '.join(unknown)} {where} unknown")
                 known = False
                 continue
-            found.append(Place(link, child, pose))
+            frames.append(Place(link, child, pose))
     if not known:
         remarks.append(REMEDY)
-    return found, tuple(remarks)
+    return frames, tuple(remarks)
 
 
-def _free_name(names: Sequence[str], taken: set[str]) -> str:
+def _free_name(names: Sequence[str], used: set[str]) -> str:
     """The first name that no frame has, or the last with a number; taken from now."""
     plain = [re.sub(r"[./]", "_", name) for name in names]
-    plain += [f"{plain[-1]}_{k}" for k in range(2, len(taken) + 3)]
-    name = next(name for name in plain if name not in taken)
-    taken.add(name)
+    plain += [f"{plain[-1]}_{k}" for k in range(2, len(used) + 3)]
+    name = next(name for name in plain if name not in used)
+    used.add(name)
     return name
 
 
@@ -146,15 +146,15 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
     pending = [(SubElement(root, "worldbody"), robot.root, None)]
     while pending:
         body, link, joint = pending.pop()
-        stated = inertia_of(document, links[link])
+        inertia = inertia_of(document, links[link])
         if joint is not None or link != WORLD:  # Which MuJoCo has already.
             body = SubElement(body, "body", name=link)
         if joint is not None and (moves := _put(exported, document, joint, body)):
             SubElement(body, "joint", moves)
-            without += [] if stated else [link]
-            stated = stated or LEAST
-        if stated and body.tag == "body":  # MuJoCo's world has no inertia.
-            SubElement(body, "inertial", stated)
+            without += [] if inertia else [link]
+            inertia = inertia or LEAST
+        if inertia and body.tag == "body":  # MuJoCo's world has no inertia.
+            SubElement(body, "inertial", inertia)
         below = (j for j in joints if urdf_tree.link_of(j, "parent") == link)
         pending += [(body, urdf_tree.link_of(j, "child"), j) for j in below]
     equality = SubElement(root, "equality") if robot.mimics else root
@@ -163,8 +163,8 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
         ends = {"joint1": name, "joint2": mimic.leader}
         SubElement(equality, "joint", ends, polycoef=numbers)
     indent(root)
-    told = f"the URDF states no mass of {', '.join(without)}: {MASS:g} kg is written"
-    return Encoded(tostring(root) + b"\n", (told,) if without else ())
+    remark = f"the URDF states no mass of {', '.join(without)}: {MASS:g} kg is written"
+    return Encoded(tostring(root) + b"\n", (remark,) if without else ())
 
 
 def _put(
@@ -218,7 +218,7 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
 
     document = _corrected(exported)
     changed = {} if exported.geometry is None else exported.geometry.urdf_corrections()
-    taken, renamed = set[str](), list[str]()
+    used, renamed = set[str](), list[str]()
     about = escape(exported.robot.name).replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',
@@ -228,15 +228,15 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     ]
     for name, joint in document.named("joint").items():
         if name in {*exported.chains.joints, *changed}:
-            own = re.sub(r"\W|^(?=\d)", "_", name)
-            while own in taken:
-                own += "_"
-            taken.add(own)
-            if own != name:
-                renamed.append(f"{own}_xyz, {own}_rpy are those of '{name}'")
+            stem = re.sub(r"\W|^(?=\d)", "_", name)
+            while stem in used:
+                stem += "_"
+            used.add(stem)
+            if stem != name:
+                renamed.append(f"{stem}_xyz, {stem}_rpy are those of '{name}'")
             numbers = origin_of(document.origin(joint))
             for key, three in (("xyz", numbers[:3]), ("rpy", numbers[3:])):
-                about = f'name={quoteattr(f"{own}_{key}")} value="{words(three)}"'
+                about = f'name={quoteattr(f"{stem}_{key}")} value="{words(three)}"'
                 lines.append(f"  <xacro:property {about}/>")
     data = "\n".join([*lines, "</robot>", ""]).encode()
     return Encoded(data, tuple(renamed))
@@ -251,8 +251,8 @@ def tf(exported: Exported, _: Path | None) -> Encoded:
     Raises:
         OptionError: If nothing is known of any.
     """
-    (found, remarks), documents, commands = places(exported), [], []
-    for place in found:
+    (frames, remarks), documents, commands = places(exported), [], []
+    for place in frames:
         numbers = place.numbers
         turn = {key[1:]: numbers[key] for key in QUATERNION}
         pose = {"translation": {k: numbers[k] for k in "xyz"}, "rotation": turn}
@@ -260,8 +260,8 @@ def tf(exported: Exported, _: Path | None) -> Encoded:
         documents.append(about | {"transform": pose})
         ends = {"frame-id": place.parent, "child-frame-id": place.child}
         options = {**{key: repr(number) for key, number in numbers.items()}, **ends}
-        stated = " ".join(f"--{key} {shlex.quote(o)}" for key, o in options.items())
-        commands.append(f"# ros2 run tf2_ros static_transform_publisher {stated}")
+        flags = " ".join(f"--{key} {shlex.quote(o)}" for key, o in options.items())
+        commands.append(f"# ros2 run tf2_ros static_transform_publisher {flags}")
     if not documents:
         raise exported.error("; ".join(remarks))
     text = yaml.safe_dump({"transforms": documents}, sort_keys=False)
@@ -278,11 +278,11 @@ def camera_info(exported: Exported, _: Path | None) -> Encoded:
     Raises:
         OptionError: If there is not one camera, or its intrinsics are not known.
     """
-    found = exported.result.described.cameras
-    if len(found) != 1:
-        told = ", ".join(found) or "none"
-        raise exported.error("one camera can be exported", told)
-    ((name, camera),) = found.items()
+    cameras = exported.result.described.cameras
+    if len(cameras) != 1:
+        names = ", ".join(cameras) or "none"
+        raise exported.error("one camera can be exported", names)
+    ((name, camera),) = cameras.items()
     if unknown := [p for p in exported.result.unknown if p.startswith(f"{name}.")]:
         raise exported.error(f"{enumerated(unknown)} unknown; {REMEDY}")
     if camera.size is None:

@@ -132,12 +132,12 @@ def _vendor(exported: Exported, template: Path | None, names: Sequence[str]) -> 
     chain, tree = exported.chain, read_tree(template)
     count, tip = len(chain.joints), _tip(chain)
     if len(names) != count:
-        said = f"has {count} joints, this format is for robots with {len(names)}"
-        raise exported.error(f"the chain {said} revolute ones")
-    own = [_origin(tree, name) for name in names]
-    root = _base(exported, own, template)
+        reason = f"has {count} joints, this format is for robots with {len(names)}"
+        raise exported.error(f"the chain {reason} revolute ones")
+    origins = [_origin(tree, name) for name in names]
+    root = _base(exported, origins, template)
     # The last frame is that of the flange.
-    near = [*accumulate([root, *own[:-1]], mul), tip][1:]
+    near = [*accumulate([root, *origins[:-1]], mul), tip][1:]
     frames = list(map(along, *zip(*axis_frames(chain), strict=True), near))
     for name, (before, frame) in zip(names, pairwise([root, *frames]), strict=True):
         numbers = zip(ORIGIN, origin_of(before.actInv(frame)), strict=True)
@@ -167,14 +167,14 @@ def _origin(tree: Tree, name: str) -> pin.SE3:
     raise tree.error(reason, (ROOT, name), allowed=allowed)
 
 
-def _base(exported: Exported, own: Sequence[pin.SE3], template: Path) -> pin.SE3:
+def _base(exported: Exported, origins: Sequence[pin.SE3], template: Path) -> pin.SE3:
     """The frame of the first origin in the base link, by the user's own file.
 
     Where the flange is in the last frame is not asked: they share the axis.
     """
     nominal, sizes = exported.nominal, []
     for root in BASES:
-        frames = [*accumulate([root, *own], mul)][1:]
+        frames = [*accumulate([root, *origins], mul)][1:]
         away = [
             (np.linalg.norm(f.actInv(point)[:2]), np.linalg.norm(f.rotation[:, 2] - z))
             for f, (point, z) in zip(frames, axis_frames(nominal), strict=True)

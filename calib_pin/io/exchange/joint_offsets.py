@@ -62,8 +62,8 @@ class Estimates(NamedTuple):
     def of(exported: Exported) -> Estimates:
         """Those of a calibration, be the offsets parameters or parts of a geometry."""
         result = exported.result
-        found = {of.column: of for of in joint_offsets(result)}
-        unknown = {name: of.status for name, of in found.items() if of.sigma is None}
+        offsets = {of.column: of for of in joint_offsets(result)}
+        unknown = {name: of.status for name, of in offsets.items() if of.sigma is None}
         columns = JointColumns.of(result.model.chains, result.model.setup.joints)
         drives = dict(zip(columns.joints, columns.names, strict=True))
         errors = [e for e in result.robot_errors if e.kind == OFFSET]
@@ -74,9 +74,9 @@ class Estimates(NamedTuple):
             for joint in error.of:
                 # A minus is that of a difference, if it is not that of a name.
                 column = drives.get(joint) or drives.get(joint.removeprefix("-"))
-                if column and column not in found:
+                if column and column not in offsets:
                     unknown[column] = "coupled" if several else error.status
-        return Estimates(found, unknown)
+        return Estimates(offsets, unknown)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -90,17 +90,17 @@ class Estimates(NamedTuple):
 def offsets_table(exported: Exported, _: Path | None) -> Encoded:
     """Offsets of the joints, to be typed into a controller."""
     model = exported.result.model
-    found = exported.joint_errors(model.setup.joints)
+    errors = exported.joint_errors(model.setup.joints)
     stepped = encoder_steps(model.setup, model.chains.joints)
-    about, rows, offsets = Estimates.of(exported), [], found.offsets.copy()
-    for k, column, joint in found.drives:
-        turns, estimate = found.columns.revolute[k], about.known.get(column)
+    estimates, rows, offsets = Estimates.of(exported), [], errors.offsets.copy()
+    for k, column, joint in errors.drives:
+        turns, estimate = errors.columns.revolute[k], estimates.known.get(column)
         si = "rad" if turns else "m"
         (unit, factor), offset = DISPLAY[si], float(offsets[k])
         shown, steps, sigma, exact = f"{factor * offset:+z.6f}", "", "", repr(offset)
         if turns and joint in stepped:
             steps = f"{offset * stepped[joint] / (2.0 * np.pi):+z.1f}"
-        status = about.unknown.get(column, "")
+        status = estimates.unknown.get(column, "")
         if status:  # A zero would pass for a result.
             shown, steps, exact, offsets[k] = "", "", "", 0.0
         elif estimate is not None and estimate.sigma is not None:
@@ -112,11 +112,11 @@ def offsets_table(exported: Exported, _: Path | None) -> Encoded:
         rows.append((joint, column, shown, sigma, unit, steps, status, exact, si, sign))
     table = dict(zip(HEADERS.split(), zip(*rows, strict=True), strict=True))
     beside = [part for part in exported.parts if part != base.OFFSETS]
-    remarks = [*about.doubts]
+    remarks = [*estimates.doubts]
     if beside:
         remarks.append(f"{CLOSEST}: {enumerated(beside)}")
     comments = [*USE, *exported.reverses.values(), *remarks]
-    read = replace(found, offsets=offsets).poses
+    read = replace(errors, offsets=offsets).poses
     return Encoded(encode_table(table, comments), (*remarks,), read)
 
 
@@ -151,9 +151,9 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
     """
     assert template is not None
     motors, steps = read_motors(template), dict[str, int]()
-    found = exported.joint_errors(exported.result.model.setup.joints)
-    offsets, seams = found.offsets.copy(), list[str]()
-    for k, column, joint in found.drives:
+    errors = exported.joint_errors(exported.result.model.setup.joints)
+    offsets, seams = errors.offsets.copy(), list[str]()
+    for k, column, joint in errors.drives:
         names = (joint, column, joint.removesuffix("_joint"))
         name = next((name for name in names if name in motors), "")
         allowed = f"one of {', '.join(motors)}, mapped by 'joints' in the setup"
@@ -163,7 +163,7 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
         offsets[k] = steps[name] * 2.0 * np.pi / STEPS
         i = exported.chains.joints.index(joint)
         travel = exported.chains.upper[i] - exported.chains.lower[i]
-        degrees = np.degrees(travel) / abs(found.columns.factors[i, k])
+        degrees = np.degrees(travel) / abs(errors.columns.factors[i, k])
         range_ = motors[name]["range_max"] - motors[name]["range_min"]
         # Nearer to a whole turn than to the travel of the joint.
         if name != FULL_TURN and range_ * 720.0 / STEPS > 360.0 + degrees:
@@ -173,7 +173,7 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
             )
     _move(motors, steps, template)
     moved = ", ".join(f"{name} {-count:+d}" for name, count in steps.items())
-    rounded = np.degrees(np.abs(offsets - found.offsets).max(initial=0.0))
+    rounded = np.degrees(np.abs(offsets - errors.offsets).max(initial=0.0))
     remarks = (
         f"homing offsets changed by motor steps: {moved}",
         FEETECH,
@@ -183,7 +183,7 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
         *Estimates.of(exported).doubts,
     )
     data = json.dumps(motors, indent=4).encode() + b"\n"
-    return Encoded(data, remarks, replace(found, offsets=offsets).poses)
+    return Encoded(data, remarks, replace(errors, offsets=offsets).poses)
 
 
 def _move(
@@ -197,12 +197,12 @@ def _move(
     """
     ids, between = dict[object, str](), f"range_min below range_max, from 0 to {STEPS}"
     for name, motor in motors.items():
-        (homing, low, high), own = (motor[key] for key in KEYS), motor.get("id")
+        (homing, low, high), motor_id = (motor[key] for key in KEYS), motor.get("id")
         reason = f"the encoder of '{name}' has no such range"
         base.require(0 <= low < high <= STEPS, reason, template, [low, high], between)
-        other = name if own is None else ids.setdefault(own, name)
+        other = name if motor_id is None else ids.setdefault(motor_id, name)
         reason = f"motors '{other}' and '{name}' have one id"
-        base.require(other == name, reason, template, own, "one for each")
+        base.require(other == name, reason, template, motor_id, "one for each")
         moved = steps.get(name, 0)
         homing, less = homing - moved, abs(moved) if high - low < STEPS else 0
         reason = f"the homing offset of '{name}' has no room for {moved} steps; home "
@@ -210,9 +210,9 @@ def _move(
         allowed = f"{-FARTHEST} to {FARTHEST}"
         base.require(abs(homing) <= FARTHEST, reason, template, homing, allowed)
         motor |= zip(KEYS, (homing, low + less, high - less), strict=True)
-        left = high - low - 2 * less
+        remaining = high - low - 2 * less
         reason = f"{moved} steps leave no range of '{name}'"
-        base.require(left > 0, reason, template, left, "more than 0 steps")
+        base.require(remaining > 0, reason, template, remaining, "more than 0 steps")
 
 
 PLUGIN = "transmission_interface/SimpleTransmission"
@@ -236,9 +236,9 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
         InputError: If that is no XML, is of another robot, or has a transmission of
             another kind.
     """
-    found = exported.joint_errors({}, gains=True)
-    both = zip(found.gains.tolist(), found.offsets.tolist(), strict=True)
-    errors = dict(zip(found.columns.joints, both, strict=True))
+    fit = exported.joint_errors({}, gains=True)
+    both = zip(fit.gains.tolist(), fit.offsets.tolist(), strict=True)
+    errors = dict(zip(fit.columns.joints, both, strict=True))
     source, about = tostring(Element("robot", name=exported.nominal.robot.name)), None
     if template is not None:
         source, about = read_bytes(template, TEXT), str(template)
@@ -268,7 +268,7 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
     remarks = [*Estimates.of(exported).doubts]
     if outside:
         remarks.append(f"{OUTSIDE} {enumerated(outside)}")
-    return Encoded(head + tostring(root, "utf-8") + b"\n", (*remarks,), found.poses)
+    return Encoded(head + tostring(root, "utf-8") + b"\n", (*remarks,), fit.poses)
 
 
 def _correct(
@@ -284,17 +284,17 @@ def _correct(
             numbers is none, is stated twice, or is spelled otherwise.
     """
     owner = f"transmission '{element.get('name', '')}'"
-    for stated in [e for e in element if e.tag in ("plugin", "type")]:
-        kind, reason = (stated.text or "").strip(), f"{owner} is of another kind"
+    for child in [e for e in element if e.tag in ("plugin", "type")]:
+        kind, reason = (child.text or "").strip(), f"{owner} is of another kind"
         simple = kind.rpartition("/")[2] == PLUGIN.rpartition("/")[2]
-        document.require(simple, stated, reason, value=kind, allowed=PLUGIN)
-        element.remove(stated)
+        document.require(simple, child, reason, value=kind, allowed=PLUGIN)
+        element.remove(child)
     inner, actuators = ([*element.iter(tag)] for tag in ("joint", "actuator"))
     names = [part.get("name", "") for part in (*inner, *actuators)]
-    one = len(inner) == len(actuators) == 1 and names[0] in errors
+    single = len(inner) == len(actuators) == 1 and names[0] in errors
     reason = f"{owner} is not that of one joint with one actuator"
     value = ", ".join(names)
-    document.require(one, element, reason, value=value, allowed=PLUGIN)
+    document.require(single, element, reason, value=value, allowed=PLUGIN)
     before = dict[str, float]()
     for parent in element:
         for part in [p for p in parent if isinstance(p.tag, str)]:  # No comments.

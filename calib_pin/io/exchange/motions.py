@@ -34,14 +34,14 @@ def speed_limits(chain: Chain, part: float) -> Floats:
     """
     model, drives = chain.robot.model, JointColumns.of(chain)
     index = [model.idx_vs[model.getJointId(joint)] for joint in drives.joints]
-    stated = model.velocityLimit[index]
-    pairs = zip(drives.joints, stated, strict=True)
+    limits = model.velocityLimit[index]
+    pairs = zip(drives.joints, limits, strict=True)
     without = [joint for joint, limit in pairs if not 0.0 < limit < FASTEST]
     if without:
         reason = f"the URDF states no speed of {', '.join(without)}, which is needed"
         allowed = '<limit velocity="..."/>'
         raise OptionError(reason, file=chain.robot.file, allowed=allowed)
-    return np.asarray(np.abs(drives.factors) @ (part * stated))
+    return np.asarray(np.abs(drives.factors) @ (part * limits))
 
 
 def moving_times(q: Floats, limits: Floats) -> Floats:
@@ -105,8 +105,8 @@ def urscript(
         n for n, turns in zip(columns.names, columns.revolute, strict=True) if not turns
     ]
     if sliding or len(columns.names) != 6:
-        found = f"'{sliding[0]}' slides" if sliding else f"{len(columns.names)} joints"
-        raise OptionError("URScript is for six revolute joints", value=found)
+        value = f"'{sliding[0]}' slides" if sliding else f"{len(columns.names)} joints"
+        raise OptionError("URScript is for six revolute joints", value=value)
     v = float(speed_limits(chain, part).min())
     lines = [f"# {line}" for line in comments] + ["def commands():"]
     for k, row in enumerate(columns.values(q)):

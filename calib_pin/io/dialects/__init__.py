@@ -49,15 +49,15 @@ def heading(lines: Lines) -> Heading | None:
     Args:
         lines: The first lines that are not blank, with their numbers.
     """
-    ways = (kind().heading(lines) for kind in DIALECTS.values() if lines)
-    return next(filter(None, ways), None)
+    headings = (kind().heading(lines) for kind in DIALECTS.values() if lines)
+    return next(filter(None, headings), None)
 
 
 def reading(columns: Mapping[str, Column], file: Path) -> Reading | None:
     """The columns of a file in its dialects, one after the other; None if in none."""
     remarks = list[str]()
     for kind in DIALECTS.values():
-        if found := kind().read(columns, file):
-            columns = found.columns
-            remarks.append(found.remark)
+        if layout := kind().read(columns, file):
+            columns = layout.columns
+            remarks.append(layout.remark)
     return Reading(columns, "; ".join(remarks)) if remarks else None

@@ -101,18 +101,18 @@ class Dialect:
 
     def converted(self, columns: Columns) -> dict[str, Column]:
         """The columns as ours."""
-        taken = dict[str, tuple[str, str | None]]()
+        sources = dict[str, tuple[str, str | None]]()
         for pattern, ours, unit in self.ours:
-            for found in filter(None, (re.fullmatch(pattern, n) for n in columns)):
+            for match in filter(None, (re.fullmatch(pattern, n) for n in columns)):
                 # A joint of the same name in a second topic keeps theirs.
-                taken.setdefault(found.expand(ours), (found[0], unit))
-        names = {theirs: (ours, unit) for ours, (theirs, unit) in taken.items()}
+                sources.setdefault(match.expand(ours), (match[0], unit))
+        names = {theirs: (ours, unit) for ours, (theirs, unit) in sources.items()}
         return {
             name: named(column, name, unit, self.lost)
             for theirs, column in columns.items()
             for name, unit in [names.get(theirs, (theirs, None))]
             if theirs in names
-            or not (name in taken or re.fullmatch(self.other, theirs))
+            or not (name in sources or re.fullmatch(self.other, theirs))
         }
 
 
@@ -178,9 +178,9 @@ def oriented(numbers: Floats, read: Callable[[Floats], Floats]) -> dict[str, Col
         read: The quaternions that they mean, (M, k) -> (M, 4).
     """
     seen = np.flatnonzero(np.isfinite(numbers).all(axis=1))
-    found = np.full((len(numbers), 4), np.nan)
-    found[seen] = read(numbers[seen])
-    return {name: computed(name, found[:, k]) for k, name in enumerate(QUATERNION)}
+    quaternions = np.full((len(numbers), 4), np.nan)
+    quaternions[seen] = read(numbers[seen])
+    return {n: computed(n, c) for n, c in zip(QUATERNION, quaternions.T, strict=True)}
 
 
 def side_by_side(
@@ -197,20 +197,20 @@ def side_by_side(
         the object; and the row of the file of each row.
     """
     count, objects = len(columns[0].numbers), heading.objects or [""] * len(columns)
-    found = dict[str, dict[str, Column]]()
-    for column, name, of in zip(columns, heading.names, objects, strict=True):
+    tables = dict[str, dict[str, Column]]()
+    for column, name, owner in zip(columns, heading.names, objects, strict=True):
         if name or not heading.remark:
-            found.setdefault(of, {})[column.theirs] = column
-    result = found.pop("", {})
-    if not found:
+            tables.setdefault(owner, {})[column.theirs] = column
+    result = tables.pop("", {})
+    if not tables:
         return result, np.arange(count)
-    rows = np.repeat(np.arange(count), len(found))
+    rows = np.repeat(np.arange(count), len(tables))
     result = {name: column.rows(rows) for name, column in result.items()}
-    first, *others = found.values()
+    first, *others = tables.values()
     for name in (name for name in first if all(name in other for other in others)):
-        numbers = np.column_stack([own[name].numbers for own in found.values()]).ravel()
-        result[name] = computed(name, numbers, first[name].unit)
-    codes = np.tile(np.arange(len(found)), count)
+        numbers = [table[name].numbers for table in tables.values()]
+        result[name] = computed(name, np.ravel(numbers, "F"), first[name].unit)
+    codes = np.tile(np.arange(len(tables)), count)
     nothing = np.full(len(rows), np.nan)
-    result[heading.kind] = Column(heading.kind, None, nothing, (*found,), codes)
+    result[heading.kind] = Column(heading.kind, None, nothing, (*tables,), codes)
     return result, rows

@@ -20,11 +20,11 @@ class Joined(Dialect):
 
     def read(self, columns: Columns, file: Path) -> Reading | None:
         """The columns of a file as ours; None for a file of another layout."""
-        found = HEAD.match(read_bytes(file, first=99) if file.is_file() else b"")
+        head = HEAD.match(read_bytes(file, first=99) if file.is_file() else b"")
         rows = len(next(iter(columns.values())).numbers)
-        if not found or not int(found[1]) == rows < int(found[2]):
+        if not head or not int(head[1]) == rows < int(head[2]):
             return None
-        count, ours = int(found[2]) / rows, dict(columns)
+        count, ours = int(head[2]) / rows, dict(columns)
         for name in (name for name in ours if name.startswith("sigma_")):
             ours[name] = replace(ours[name], numbers=ours[name].numbers / count**0.5)
         return Reading(ours, f"means of {count:.3g} readings, with the sigma of one")

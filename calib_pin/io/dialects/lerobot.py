@@ -83,8 +83,8 @@ def read_motors(template: Path) -> dict[str, dict[str, Any]]:
         motors = json.loads(read_bytes(template, TEXT))
         steps = [motor[key] for motor in motors.values() for key in KEYS]
     if {*map(type, steps)} != {int}:
-        told = f"each motor has {', '.join(KEYS)} in whole steps"
-        raise InputError(f"is no calibration file of LeRobot: {told}", file=template)
+        reason = f"each motor has {', '.join(KEYS)} in whole steps"
+        raise InputError(f"is no calibration file of LeRobot: {reason}", file=template)
     return motors
 
 
@@ -94,7 +94,7 @@ def _ranges(file: Path, joints: Collection[str]) -> tuple[str, dict[str, float]]
     Raises:
         InputError: If there are several.
     """
-    found = {}
+    ranges = {}
     for path in sorted(file.parent.glob("*.json")):
         with suppress(InputError, KeyError):
             motors, half = read_motors(path), dict[str, float]()
@@ -102,8 +102,8 @@ def _ranges(file: Path, joints: Collection[str]) -> tuple[str, dict[str, float]]
                 steps = motors[name]["range_max"] - motors[name]["range_min"]
                 sign = -1.0 if motors[name].get("drive_mode") else 1.0
                 half[name] = sign * steps * 1.8 / STEPS
-            found[path.name] = half
-    if len(found) > 1:
-        reason = f"there are several calibration files beside it: {', '.join(found)}"
+            ranges[path.name] = half
+    if len(ranges) > 1:
+        reason = f"there are several calibration files beside it: {', '.join(ranges)}"
         raise InputError(reason, file=file)
-    return next(iter(found.items()), None)
+    return next(iter(ranges.items()), None)

@@ -35,29 +35,27 @@ class Matrices(base.Dialect):
 
     def read(self, columns: base.Columns, file: Path) -> base.Reading | None:
         """The columns with a position and a quaternion in the place of each matrix."""
-        found = dict[str, tuple[dict[tuple[int, int], str], Floats]]()
+        matrices = dict[str, tuple[dict[tuple[int, int], str], Floats]]()
         for name, elements in _elements(columns):
-            if name not in found and (R := _rotations(columns, elements)) is not None:
-                found[name] = elements, R
-        if not found:
+            if (R := _rotations(columns, elements)) is not None:
+                matrices.setdefault(name, (elements, R))
+        if not matrices:
             return None
-        taken, read = set[str](), dict[str, Column]()
-        for name, (elements, R) in found.items():
-            stem = f"{name}_" if len(found) > 1 else ""
+        used, read = set[str](), dict[str, Column]()
+        for name, (elements, R) in matrices.items():
+            stem = f"{name}_" if len(matrices) > 1 else ""
             ends = range(first := min(elements)[0], first + 3)
-            own = base.oriented(R, _quaternions)
-            read |= {
-                stem + axis: replace(c, header=stem + axis) for axis, c in own.items()
-            }
-            taken |= {elements[i, j] for i in ends for j in ends}
+            for axis, column in base.oriented(R, _quaternions).items():
+                read[stem + axis] = replace(column, header=stem + axis)
+            used |= {elements[i, j] for i in ends for j in ends}
             for axis, i in zip("xyz", ends, strict=True):
                 if (
                     moved := elements.get((i, first + 3))
                 ) and stem + axis not in columns:
                     read[stem + axis] = base.named(columns[moved], stem + axis)
-                    taken.add(moved)
-        rest = {name: column for name, column in columns.items() if name not in taken}
-        names = enumerated(name or "r" for name in found)
+                    used.add(moved)
+        rest = {name: column for name, column in columns.items() if name not in used}
+        names = enumerated(name or "r" for name in matrices)
         return base.Reading(rest | read, f"matrices {names}")
 
 
@@ -83,14 +81,14 @@ def _elements(
     columns: base.Columns,
 ) -> Iterator[tuple[str, dict[tuple[int, int], str]]]:
     """Columns that may be a matrix, by row and column: by name, or by order."""
-    found = defaultdict[str, dict[tuple[int, int], str]](dict)
+    matrices = defaultdict[str, dict[tuple[int, int], str]](dict)
     ordered = defaultdict[str, list[str]](list)
     for name in columns:
         if match := ELEMENT.fullmatch(name):
-            found[match[1]][int(match[2]), int(match[3])] = name
+            matrices[match[1]][int(match[2]), int(match[3])] = name
         if match := PLACE.fullmatch(name):
             ordered[match[1]].append(name)
-    yield from found.items()
+    yield from matrices.items()
     for stem, names in ordered.items():
         if len(names) == 9:
             yield stem, {(k // 3, k % 3): name for k, name in enumerate(names)}

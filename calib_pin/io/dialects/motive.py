@@ -54,8 +54,8 @@ class Motive(base.Dialect):
             names.append(place.format(axis.lower()) * read)
         remark = f"an export of OptiTrack Motive (lengths in {unit or 'no unit'})"
         last, ours = lines[at][0], "target" if kind.endswith("Marker") else "tool"
-        own = partial(_converted, order)
-        return base.Heading(mark, names, last, remark, objects, ours, own)
+        convert = partial(_converted, order)
+        return base.Heading(mark, names, last, remark, objects, ours, convert)
 
 
 def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:

@@ -33,14 +33,14 @@ class Ndi(Dialect):
         if not (lines := starting(lines, "Tools")):
             return None
         (cells, *_), mark = cut(lines[:1])
-        tools, there, names = [""], set[str](), list[str]()
+        tools, port_names, names = [""], set[str](), list[str]()
         for cell in cells:
             name = split_header(cell)[0]
             if port := cell.startswith("Port"):
-                there = {name}
-            known = not there or name in there or "Markers" in there
+                port_names = {name}
+            known = not port_names or name in port_names or "Markers" in port_names
             names.append("" if known else cell.replace("[sec]", "[s]"))
             tools.append(cell if port else tools[-1])
-            there.add(name)
-        own = names, lines[0][0], self.remark, tools[1:], "tool", self.converted
-        return Heading(mark, *own) if any(tools) else None
+            port_names.add(name)
+        arguments = names, lines[0][0], self.remark, tools[1:], "tool", self.converted
+        return Heading(mark, *arguments) if any(tools) else None

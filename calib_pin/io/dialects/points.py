@@ -43,9 +43,9 @@ class Points(base.Dialect):
             fits = all(_is_point(row, lead, width) for row in rows)
             if not (fits and any(map(FRACTION.fullmatch, chain(*rows)))):
                 continue
-            comments = " ".join(line for _, line in lines if line.startswith("//"))
-            found = (u for u, way in UNITS.items() if re.search(way, comments, re.I))
-            unit = next(found, "")
+            text = " ".join(line for _, line in lines if line.startswith("//"))
+            units = (u for u, word in UNITS.items() if re.search(word, text, re.I))
+            unit = next(units, "")
             axes = [base.header(axis, unit) for axis in "xyz"]
             names = [*NAMES[-lead:], *axes, *[""] * (width - lead - 3)]
             remark = f"points with their names ({unit or 'no unit is stated'})"

@@ -173,12 +173,12 @@ def board_of(word: str) -> BoardSetup:
     """
     if (match := WORD.fullmatch(word)) is None:
         raise OptionError("--board is no board", value=word, allowed=FORM)
-    stated: dict[str, Any] = {k: text for k, text in match.groupdict().items() if text}
-    if size := stated.pop("size", ""):
-        stated["marker" if stated.get("type") == "charuco" else "gap"] = size
-    stated["legacy"] = "legacy" in stated
+    parts: dict[str, Any] = {k: text for k, text in match.groupdict().items() if text}
+    if size := parts.pop("size", ""):
+        parts["marker" if parts.get("type") == "charuco" else "gap"] = size
+    parts["legacy"] = "legacy" in parts
     try:
-        board: BoardSetup = taken("--board", stated, BoardSetup)
+        board: BoardSetup = taken("--board", parts, BoardSetup)
     except OptionError as error:
         raise OptionError(error.reason, value=word, allowed=error.allowed) from None
     return board
@@ -267,12 +267,12 @@ class Detector:
         """The board in an image; without names where it is not there."""
         levels, cv2 = image.astype(float), self._cv2
         search = self._grid if self.board.type in GRIDS else self._tags
-        found = search(image, levels)
-        if not found.names or self.board.type == "circles":
-            return found
-        half, rough = self._half(found), found.pixels
+        detection = search(image, levels)
+        if not detection.names or self.board.type == "circles":
+            return detection
+        half, rough = self._half(detection), detection.pixels
         if self.board.type in TAGS:
-            met = [found.tags[int(name[:-2])] for name in found.names[::4]]
+            met = [detection.tags[int(name[:-2])] for name in detection.names[::4]]
             fine, sigma = (np.concatenate(part) for part in zip(*met, strict=True))
         else:
             start = np.array(rough[:, None], np.float32, order="C")
@@ -285,8 +285,8 @@ class Detector:
         edge = np.array(image.shape[::-1]) - 1.0 - half
         kept = np.hypot(*(fine - rough).T) < half
         kept &= ((fine >= half) & (fine <= edge)).all(axis=1)
-        names = tuple(np.array(found.names)[kept].tolist())
-        return replace(found, names=names, pixels=fine[kept], sigma=sigma[kept])
+        names = tuple(np.array(detection.names)[kept].tolist())
+        return replace(detection, names=names, pixels=fine[kept], sigma=sigma[kept])
 
     def drawn(self, pixels: int) -> Gray:
         """A board to print, so many pixels to a square.
@@ -309,12 +309,12 @@ class Detector:
     def _tags(self, image: Gray, levels: Floats) -> Found:
         charuco, cells = self.board.type == "charuco", self._cells
         *inner, around, ids = self._search(image)[: 4 if charuco else 2]
-        every = np.ravel([] if ids is None else ids).tolist()
+        all_ids = np.ravel([] if ids is None else ids).tolist()
         # A tag that is there twice tells nothing.
         rough = {
             k: np.asarray(four, float).reshape(4, 2)
-            for k, four in zip(every, around or (), strict=True)
-            if every.count(k) == 1
+            for k, four in zip(all_ids, around or (), strict=True)
+            if all_ids.count(k) == 1
         }
         tags = {k: corners.marker_corners(levels, c, cells) for k, c in rough.items()}
         if charuco:
@@ -322,9 +322,9 @@ class Detector:
             names = [str(k) for k in np.ravel([] if inner[1] is None else inner[1])]
             pixels = inner[0] if names else ()
         else:
-            own = [k for k in rough if k in tags_of(self.board)]
-            names = [f"{k}/{n}" for k in own for n in range(4)]
-            pixels = [rough[k] for k in own]
+            numbers = [k for k in rough if k in tags_of(self.board)]
+            names = [f"{k}/{n}" for k in numbers for n in range(4)]
+            pixels = [rough[k] for k in numbers]
         return Found(tuple(names), np.array(pixels, float).reshape(-1, 2), tags=tags)
 
     def _grid(self, image: Gray, levels: Floats) -> Found:
@@ -354,10 +354,10 @@ class Detector:
         names, sigma = map(str, range(len(pixels))), np.full_like(pixels, OFF_CENTER)
         return Found(tuple(names), pixels, sigma, sure=sure)
 
-    def _half(self, found: Found) -> int:
+    def _half(self, detection: Found) -> int:
         """Half width of the window of a corner, in which there is no other edge."""
-        sites = np.array([self.points[name][:2] for name in found.names])
-        both = sites, found.pixels
+        sites = np.array([self.points[name][:2] for name in detection.names])
+        both = sites, detection.pixels
         apart, seen = (np.linalg.norm(at[:, None] - at, axis=2) for at in both)
         near = (apart > 0.0) & (apart < 1.5 * self.board.square)
         scale = float((seen[near] / apart[near]).min()) if near.any() else 0.0
@@ -414,7 +414,7 @@ def find_board(
     Raises:
         InputError: If one cannot be read, or is of another size.
     """
-    found, sizes = list[Found](), list[tuple[int, int]]()
+    detections, sizes = list[Found](), list[tuple[int, int]]()
     for k, path in enumerate(paths):
         image = read_image(path)
         sizes.append((image.shape[1], image.shape[0]))
@@ -422,10 +422,10 @@ def find_board(
             reason = f"is not of the size of {paths[0]}: one camera has one"
             value, allowed = ("{} x {}".format(*sizes[i]) for i in (k, 0))
             raise InputError(reason, file=path, value=value, allowed=allowed)
-        found.append(detector.find(image))
+        detections.append(detector.find(image))
         if tell is not None:
             tell((k + 1) / len(paths))
-    return sizes[0], found
+    return sizes[0], detections
 
 
 # --- whether images show the board as it is stated ----------------------------------
@@ -447,19 +447,19 @@ def require_stated(
     Raises:
         InputError: If they show another, or none.
     """
-    told = agrees(board, images)
-    if told is not False and any(one.names for one in images):
-        return told is True
-    some = [read_image(path) for path in paths[:: len(paths) // SAMPLE + 1]]
+    agreement = agrees(board, images)
+    if agreement is not False and any(one.names for one in images):
+        return agreement is True
+    sample = [read_image(path) for path in paths[:: len(paths) // SAMPLE + 1]]
     grid = board.type in GRIDS
-    others = _near(board, some) if grid else [restated(board, images)]
+    others = _near(board, sample) if grid else [restated(board, images)]
     for other in filter(None, others):
         with suppress(OptionError):  # The dictionary may have fewer tags.
-            found = [Detector(other).find(image) for image in some]
-            if agrees(other, found) and any(one.names for one in found):
+            detections = [Detector(other).find(image) for image in sample]
+            if agrees(other, detections) and any(one.names for one in detections):
                 reason = f"the images do not show {word_of(board)}"
                 raise InputError(f"{reason}; this fits: --board {word_of(other)}")
-    mirrored = np.ascontiguousarray(some[0][:, ::-1])
+    mirrored = np.ascontiguousarray(sample[0][:, ::-1])
     if not grid and len(Detector(board).find(mirrored).names) >= CORNERS:
         reason = (
             "the images are mirrored, as of a selfie: switch that off in the camera"
@@ -468,7 +468,7 @@ def require_stated(
     raise InputError(
         f"no image shows the board as stated ({board.type}, {board.columns} x "
         f"{board.rows}); are its type, numbers and dictionary right?"
-        f"{_markers(board, some[:MARKED])}"
+        f"{_markers(board, sample[:MARKED])}"
     )
 
 
@@ -497,16 +497,16 @@ def _near(board: BoardSetup, images: Sequence[Gray]) -> list[BoardSetup]:
 
 def _markers(board: BoardSetup, images: Sequence[Gray]) -> str:
     """The markers of one dictionary, that with most of them, in images."""
-    most, said = 0, ""
+    most, text = 0, ""
     for name in DICTIONARIES:
         known = dictionary_of(replace(board, dictionary=name))
         search = vision().aruco.ArucoDetector(known).detectMarkers
-        met = [found for image in images if (found := search(image)[1]) is not None]
-        ids = {int(k) for found in met for k in found.ravel()}
+        met = [numbers for image in images if (numbers := search(image)[1]) is not None]
+        ids = {int(k) for numbers in met for k in numbers.ravel()}
         if len(ids) > most:
             most = len(ids)
-            said = f"; seen: {most} markers of {name}, {min(ids)} to {max(ids)}"
-    return said
+            text = f"; seen: {most} markers of {name}, {min(ids)} to {max(ids)}"
+    return text
 
 
 def tags_of(board: BoardSetup) -> range:
@@ -543,25 +543,25 @@ def drawn_board(board: BoardSetup) -> Any:
     return drawn
 
 
-def restated(board: BoardSetup, found: Sequence[Found]) -> BoardSetup | None:
+def restated(board: BoardSetup, detections: Sequence[Found]) -> BoardSetup | None:
     """The board with tags that images show.
 
     Nothing here needs a camera: tags of an image lie as a plane is seen.
 
     Args:
         board: The board as it was stated.
-        found: What was found in the images.
+        detections: What was found in the images.
 
     Returns:
         The stated board, if nothing speaks against it; None where no two of its tags,
         nor its only one, are seen.
     """
-    tags = ({k: four for k, (four, _) in one.tags.items()} for one in found)
+    tags = ({k: four for k, (four, _) in one.tags.items()} for one in detections)
     images = sorted(tags, key=len)[-SAMPLE:]
     seen = sorted(set().union(*images))
-    if len(own := tags_of(board)) == 1:
-        if own[0] in seen or len(seen) != 1:
-            return board if own[0] in seen else None
+    if len(numbers := tags_of(board)) == 1:
+        if numbers[0] in seen or len(seen) != 1:
+            return board if numbers[0] in seen else None
         return replace(board, first=seen[0])
     (right, of_board), most = _hits(board, images), RIGHT * sum(map(len, images))
     if len(seen) > 1 and right < most:
@@ -594,11 +594,11 @@ def _flat(board: BoardSetup, images: Sequence[Tags]) -> Iterator[tuple[Floats, F
     places = np.array(drawn.getObjPoints())[..., :2] / _pitch(board)
     sites = dict(zip(drawn.getIds().ravel().tolist(), places, strict=True))
     for tags in images:
-        own = [k for k in tags if k in sites]
-        if len(own) > 1:
-            stated, seen = (np.array([of[k] for k in own]) for of in (sites, tags))
-            H, _ = cv2.findHomography(seen.reshape(-1, 2), stated.reshape(-1, 2))
-            yield stated, cv2.perspectiveTransform(seen, H)
+        numbers = [k for k in tags if k in sites]
+        if len(numbers) > 1:
+            nominal, seen = (np.array([of[k] for k in numbers]) for of in (sites, tags))
+            H, _ = cv2.findHomography(seen.reshape(-1, 2), nominal.reshape(-1, 2))
+            yield nominal, cv2.perspectiveTransform(seen, H)
 
 
 def _pitch(board: BoardSetup) -> float:
@@ -608,25 +608,25 @@ def _pitch(board: BoardSetup) -> float:
 
 def _hits(board: BoardSetup, images: Sequence[Tags]) -> tuple[int, int]:
     """Number of tags that lie where a board has them, and of all that it has."""
-    apart = [(seen - stated).mean(axis=1) for stated, seen in _flat(board, images)]
+    apart = [(seen - nominal).mean(axis=1) for nominal, seen in _flat(board, images)]
     far = np.abs(np.concatenate([np.empty((0, 2)), *apart])).max(axis=1)
     return int(np.sum(far < PLACE)), len(far)
 
 
 def _with_edge(board: BoardSetup, images: Sequence[Tags]) -> BoardSetup | None:
     """The board with the size of markers, or gap, that images show; None for none."""
-    found, pitch = list[float](), _pitch(board)
+    estimates, pitch = list[float](), _pitch(board)
     for both in _flat(board, images):
-        (stated, at), (sizes, seen) = map(_sizes, both)
+        (nominal, at), (sizes, seen) = map(_sizes, both)
         # The scale of a lens is that of neighbors.
         i, j = np.nonzero((at > 0.0) & (at < BESIDE))
-        found += (np.sqrt(sizes[i] * sizes[j]) * at[i, j] / seen[i, j]).tolist()
-    if not found:
+        estimates += (np.sqrt(sizes[i] * sizes[j]) * at[i, j] / seen[i, j]).tolist()
+    if not estimates:
         return None
     edges = [np.linalg.norm(t[0] - t[1]) for tags in images for t in tags.values()]
     blurred = SHIFT / np.median(edges) if np.median(edges) < FINE else 0.0
-    edge = float(np.median(found))
-    if abs(edge - stated[0]) <= PRINT[0] / pitch + PRINT[1] + blurred:
+    edge = float(np.median(estimates))
+    if abs(edge - nominal[0]) <= PRINT[0] / pitch + PRINT[1] + blurred:
         return board
     charuco = board.type == "charuco"
     exact = board.square * (edge if charuco else 1.0 / edge - 1.0)
@@ -678,10 +678,10 @@ def start_camera(
     center = ((size[0] - 1) / 2.0, (size[1] - 1) / 2.0)
     focal = (ASSUMED * largest, ASSUMED * largest)
     assumed = CameraSetup(mount, focal, center, size=size, estimate=True)
-    usable = {n: found for n, found in images.items() if len(found.names) >= CORNERS}
-    names = [found.names for found in usable.values()]
-    sites = [np.array([board.points[n] for n in own], np.float32) for own in names]
-    pixels = [found.pixels.astype(np.float32) for found in usable.values()]
+    usable = {n: image for n, image in images.items() if len(image.names) >= CORNERS}
+    lists = [image.names for image in usable.values()]
+    sites = [np.array([board.points[n] for n in names], np.float32) for names in lists]
+    pixels = [image.pixels.astype(np.float32) for image in usable.values()]
     # The sixth power of the radius is left to the calibration.
     K, flags = np.diag([*focal, 1.0]), cv2.CALIB_FIX_K3
     K[:2, 2] = center

@@ -44,13 +44,13 @@ def camera_of(path: Path, estimate: bool) -> dict[str, Any]:
     # OpenCV writes a directive that is not YAML, and tags.
     data = read_bytes(path, LARGEST)
     plain = re.sub(rb"^%YAML.*|^---.*|^\.\.\..*", b"", data, flags=re.MULTILINE)
-    found = parse_tree(re.sub(rb"!![\w-]+", b"", plain), str(path)).data
-    found = found if isinstance(found, Mapping) else {}
-    K, lens, *size = (_numbers(found.get(key)) for key in KEYS)
-    if len(K) != 9 or "distortion_coefficients" not in found:
+    document = parse_tree(re.sub(rb"!![\w-]+", b"", plain), str(path)).data
+    document = document if isinstance(document, Mapping) else {}
+    K, lens, *size = (_numbers(document.get(key)) for key in KEYS)
+    if len(K) != 9 or "distortion_coefficients" not in document:
         reason = "is no camera_info of ROS, and no FileStorage of OpenCV as YAML"
         raise InputError(reason, file=path, allowed=", ".join(KEYS[:2]))
-    model, lens = str(found.get("distortion_model", "")), np.trim_zeros(lens, "b")
+    model, lens = str(document.get("distortion_model", "")), np.trim_zeros(lens, "b")
     if len(lens) and (len(lens) > MOST or model not in BROWN):
         if not estimate:
             reason = f"the lens '{model or len(lens)}' is none of Brown and Conrady"
@@ -62,8 +62,8 @@ def camera_of(path: Path, estimate: bool) -> dict[str, Any]:
         "center": K[[2, 5]].tolist(),
         "distortion": np.pad(lens, (0, MOST - len(lens))).tolist(),
     }
-    stated = np.concatenate(size).tolist()
-    return {**camera, "size": stated} if len(stated) == 2 else camera
+    numbers = np.concatenate(size).tolist()
+    return {**camera, "size": numbers} if len(numbers) == 2 else camera
 
 
 def _numbers(value: Any) -> NDArray[np.float64]:

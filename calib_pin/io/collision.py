@@ -82,20 +82,20 @@ def load_collisions(
     robot, model, geometry = chains.robot, chains.robot.model, pin.GeometryModel()
     document = parse_document(robot.source, robot.file)
     apart = _adjacent(document) if srdf is None else _disabled(srdf, robot)
-    own = [*_of_links(document, robot, package_dirs)]
-    if not own:
+    robot_solids = [*_of_links(document, robot, package_dirs)]
+    if not robot_solids:
         tell("the robot has no collision geometry: no collisions are checked")
         return None
-    every = [*own, *_of_obstacles(chains, obstacles, file)]
-    for number, name, place, solid in every:
+    solids = [*robot_solids, *_of_obstacles(chains, obstacles, file)]
+    for number, name, place, solid in solids:
         frame = model.frames[number]
         about = name, frame.parentJoint, number, frame.placement * place, solid
         geometry.addGeometryObject(pin.GeometryObject(*about))
-    links = [model.frames[number].name for number, *_ in every]
-    for first, second in combinations(range(len(every)), 2):
+    links = [model.frames[number].name for number, *_ in solids]
+    for i, j in combinations(range(len(solids)), 2):
         # Obstacles, and of the robot only links that may not touch.
-        if second >= len(own) or frozenset((links[first], links[second])) not in apart:
-            geometry.addCollisionPair(pin.CollisionPair(first, second))
+        if j >= len(robot_solids) or frozenset((links[i], links[j])) not in apart:
+            geometry.addCollisionPair(pin.CollisionPair(i, j))
     collisions = Collisions(chains, geometry, clearance)
     if not collisions.pairs:
         tell("no two solids that may not touch move against each other")
@@ -123,7 +123,7 @@ def _as_built(
 
     def often() -> list[tuple[str, str]]:
         touching = {pair: contacts[:, k].any(axis=1) for pair, k in places.items()}
-        return [pair for pair, found in touching.items() if found.mean() >= BY_DESIGN]
+        return [pair for pair, touch in touching.items() if touch.mean() >= BY_DESIGN]
 
     # What touches by design does so without any clearance, however large it is.
     close = often()
@@ -134,11 +134,11 @@ def _as_built(
     left_out = touching if guess else []
     near = [pair for pair in close if pair not in touching]
     clearances[[k for pair in near for k in places[pair]]] = 0.0
-    for found, words in ((left_out, TOUCH), (near, NEAR)):
-        if found:
-            named = "; ".join(f"{first} and {second}" for first, second in found[:3])
-            count = counted(len(found), "pair")
-            tell(f"links that {words}: {count} ({named}{'; ...' * (len(found) > 3)})")
+    for pairs, words in ((left_out, TOUCH), (near, NEAR)):
+        if pairs:
+            named = "; ".join(f"{first} and {second}" for first, second in pairs[:3])
+            count = counted(len(pairs), "pair")
+            tell(f"links that {words}: {count} ({named}{'; ...' * (len(pairs) > 3)})")
     order = np.argsort(-contacts.mean(axis=0), kind="stable")
     kept = (k for k in order if collisions.pairs[k] not in left_out)
     return collisions.only(kept, clearances)
@@ -207,10 +207,10 @@ def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
         raise InputError(reason, file=srdf, value=name, allowed=robot.name)
 
     def pairs(tag: str) -> set[frozenset[str]]:
-        found = root.findall(tag)
-        return {frozenset((e.get("link1", ""), e.get("link2", ""))) for e in found}
+        elements = root.findall(tag)
+        return {frozenset((e.get("link1", ""), e.get("link2", ""))) for e in elements}
 
     # MoveIt 2 can also disable all pairs of a link, and enable some of them again.
     alone = (e.get("link", "") for e in root.findall("disable_default_collisions"))
-    every = {frozenset((link, other)) for link in alone for other in robot.links}
-    return pairs("disable_collisions") | every - pairs("enable_collisions")
+    default = {frozenset((link, other)) for link in alone for other in robot.links}
+    return pairs("disable_collisions") | default - pairs("enable_collisions")

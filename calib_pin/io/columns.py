@@ -192,9 +192,9 @@ class Column:
         lost: NDArray[np.bool_] = self.numbers == self.sentinel
         if not self.words:
             return lost | np.isnan(self.numbers)
-        said = [bool(MISSING.fullmatch(word.strip())) for word in self.words]
+        blank = [bool(MISSING.fullmatch(word.strip())) for word in self.words]
         # The last entry is that of the code -1.
-        lost |= np.array([*said, False])[self.codes]
+        lost |= np.array([*blank, False])[self.codes]
         return lost | (np.isnan(self.numbers) & (self.codes < 0))
 
     def fault(self, row: int) -> str:
@@ -226,8 +226,8 @@ class Column:
     @property
     def numeric(self) -> bool:
         """Whether it is one of numbers: most of its cells that are not missing."""
-        found = np.count_nonzero(np.isfinite(self.numbers))
-        return bool(2 * found > len(self.numbers) - np.count_nonzero(self.missing()))
+        count = np.count_nonzero(np.isfinite(self.numbers))
+        return bool(2 * count > len(self.numbers) - np.count_nonzero(self.missing()))
 
 
 ELSEWHERE = "; 'calib-pin init' finds columns with other names"
@@ -266,7 +266,7 @@ def split_header(cell: str) -> tuple[str, str | None]:
     text = cell.strip()
     name, mark, unit = text.removesuffix("]").rpartition("[")
     # A number in brackets counts the elements of a list.
-    stated = mark and text.endswith("]") and "]" not in unit and not unit.isdecimal()
-    if not stated:
+    has_unit = mark and text.endswith("]") and "]" not in unit and not unit.isdecimal()
+    if not has_unit:
         return text, None
     return name.rstrip(), unit_called(unit) or unit.strip() or None

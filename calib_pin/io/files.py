@@ -63,7 +63,7 @@ def write_files(
         homes.setdefault(home, {})[name or path.name] = data
     with ExitStack() as stack:
         enter = stack.enter_context
-        staged = {home: enter(_staged(home, own, force)) for home, own in homes.items()}
+        staged = {home: enter(_staged(home, homes[home], force)) for home in homes}
         yield
         for home, new in staged.items():
             with _writing(home), settled(home):
@@ -183,10 +183,10 @@ def _staged(home: Path, contents: Mapping[str, bytes], force: bool) -> Iterator[
                     above.mkdir()
                     stack.callback(_discard, above)
         with _writing(home / next(iter(contents), "")), locked(home):
-            for left in home.glob(f"{STAGED}*"):
-                with locked(left, wait=False) as dead:
+            for leftover in home.glob(f"{STAGED}*"):
+                with locked(leftover, wait=False) as dead:
                     if dead:
-                        shutil.rmtree(left, ignore_errors=True)
+                        shutil.rmtree(leftover, ignore_errors=True)
             staged = home / f"{STAGED}{uuid4().hex}"
             for _ in range(2):  # A signal may come in the midst of the first.
                 stack.callback(shutil.rmtree, staged, ignore_errors=True)

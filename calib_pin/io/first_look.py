@@ -134,7 +134,7 @@ Choose = Callable[[str, Sequence[str], str], str]
 """The choice of a user: of a question, the choices, and the option that says it."""
 
 Try = Callable[["Look"], "Look"]
-"""A reading with the errors that it leaves, see `looked`."""
+"""A reading with the errors that it leaves, see `with_errors`."""
 
 
 @dataclass(frozen=True)
@@ -214,72 +214,73 @@ def first_look(
     """
     table = read_table(files[0]).whole(robot.model.names)
     columns = headers.with_turns(headers.foreign(table.columns))
-    look_at = partial(looked, robot=robot, files=files, apart=apart)
-    looks, found = list[Look](), None
+    look_at = partial(with_errors, robot=robot, files=files, apart=apart)
+    looks, reading = list[Look](), None
     for joints in _joints(robot, _with_camera(setup, columns), columns, choose):
-        ways = [way for own in joints for way in readings(own, robot, columns)]
-        stated = [way for way in ways if way.setup.reading == setup.reading]
-        inverted = [way for way in ways if way.setup.reading != setup.reading]
-        tries = [*map(look_at, stated)]
+        likely = [k for look in joints for k in readings(look, robot, columns)]
+        upright = [look for look in likely if look.setup.reading == setup.reading]
+        inverted = [look for look in likely if look.setup.reading != setup.reading]
+        tries = [*map(look_at, upright)]
         if inverted and not best(tries).fits:
             tries += map(look_at, inverted)
         tries = _in_conventions(tries, look_at)
         better = best(tries)
         # Joints are exchanged where that fits, not where nothing does.
-        if found is None or better.fits or better.share < found.share == inf:
-            looks, found = tries, better
-        if found.fits:
+        if reading is None or better.fits or better.share < reading.share == inf:
+            looks, reading = tries, better
+        if reading.fits:
             break
-    assert found is not None
-    question, models = "of which kind is the distance", _answers("model", looks, found)
-    if found.setup.model in TOUCHES:
+    assert reading is not None
+    question = "of which kind is the distance"
+    models = _answers("model", looks, reading)
+    if reading.setup.model in TOUCHES:
         question = "did the tool rest in sockets or touch planes or spheres"
         if not headers.measured(columns).keys() & measured_columns.optional():
             question = f"no measured values are found: {question}"
-        models = [] if found.share < AT_REST or setup.model else [*TOUCHES]
+        models = [] if reading.share < AT_REST or setup.model else [*TOUCHES]
     # What cannot be read as any distance is not asked about.
-    asked = TOUCHES if found.fault is not None else (*TOUCHES, *DISTANCES)
+    asked = TOUCHES if reading.fault is not None else (*TOUCHES, *DISTANCES)
     if len(models) > 1 and models[0] in asked:
         setup = replace(setup, model=choose(question, models, "--model"))
         return first_look(robot, files, setup, choose, apart)
-    if found.fault is not None:
-        raise found.fault
-    looks = [look for look in looks if look.setup.model == found.setup.model]
-    looks = [look for look in looks if look.position not in found.computed]
-    same = [look for look in looks if look.joints is found.joints]
-    next_share = min((k.share for k in same if k.units != found.units), default=inf)
-    if CLEAR * next_share <= found.share < inf:
-        plain = [k for k in same if not k.units and CLEAR * k.share <= found.share]
-        if found.fits or not plain:
+    if reading.fault is not None:
+        raise reading.fault
+    looks = [look for look in looks if look.setup.model == reading.setup.model]
+    looks = [look for look in looks if look.position not in reading.computed]
+    same = [look for look in looks if look.joints is reading.joints]
+    next_share = min((k.share for k in same if k.units != reading.units), default=inf)
+    if CLEAR * next_share <= reading.share < inf:
+        plain = [k for k in same if not k.units and CLEAR * k.share <= reading.share]
+        if reading.fits or not plain:
             reason = "the robot fits about as well with other units; state them in the "
             raise InputError(f"{reason}header, such as 'x [mm]', or in 'columns'")
         # It is something else that does not fit, and plain headers are in m and rad.
-        found = plain[0]
-    ends = _answers("tip", looks, found)
-    if len(ends) > 1 and found.share < inf:
+        reading = plain[0]
+    ends = _answers("tip", looks, reading)
+    if len(ends) > 1 and reading.share < inf:
         tip = choose("which link was measured", ends, "--tip")
-        found = best([look for look in looks if look.setup.tip == tip])
-    hints = *_separated(found, columns), *_names_that_fit(found, columns, look_at)
-    found = replace(found, remarks=[*found.remarks, *hints])
-    if found.hand_set:
+        reading = best([look for look in looks if look.setup.tip == tip])
+    hints = *_thousands(reading, columns), *_names_that_fit(reading, columns, look_at)
+    reading = replace(reading, remarks=[*reading.remarks, *hints])
+    if reading.hand_set:
         prior = {"*.joint-offset.q": round(HAND_SET, 3)}
-        setup = replace(found.setup, parameters=("joint-offset",), prior=prior)
-        return replace(found, setup=setup)
-    return found
+        setup = replace(reading.setup, parameters=("joint-offset",), prior=prior)
+        return replace(reading, setup=setup)
+    return reading
 
 
-def _taken(look: Look) -> set[str]:
+def _used_names(look: Look) -> set[str]:
     """Names of columns that a reading takes, or that have a meaning in every file."""
-    stated = {split_header(text)[0] for text in look.setup.columns.values()}
-    joints = {one.name for one in look.joints.values()}
-    return stated | joints | measured_columns.reserved()
+    columns = {split_header(text)[0] for text in look.setup.columns.values()}
+    joints = {foreign.name for foreign in look.joints.values()}
+    return columns | joints | measured_columns.reserved()
 
 
-def _separated(look: Look, columns: Sequence[Foreign]) -> Iterator[str]:
+def _thousands(look: Look, columns: Sequence[Foreign]) -> Iterator[str]:
     """Errors of whole numbers with a mark between their thousands, as they are read."""
-    taken = _taken(look)
-    for one in (k for k in columns if k.name in taken and k.numeric):
-        size = abs(one.numbers)
+    used = _used_names(look)
+    for column in (k for k in columns if k.name in used and k.numeric):
+        size = abs(column.numbers)
         whole = size % 1.0 == 0.0
         parts, small = size[~whole], size[whole]
         if not len(parts) or len(small) < FEW * len(size) or size.max() >= 1e3:
@@ -288,33 +289,34 @@ def _separated(look: Look, columns: Sequence[Foreign]) -> Iterator[str]:
         thousands = (parts >= 1.0) & (parts.round(3) == parts)
         long = parts.round(2) != parts
         if thousands.all() and long.mean() > 0.5 and small.max(initial=0.0) >= 100.0:
-            first = float(one.numbers[np.argmin(whole)])
-            told = f"'{one.name}' has whole numbers and {first:.3f} among them: if it "
-            yield f"{told}is {1e3 * first:.0f}, write no mark between thousands"
+            first = float(column.numbers[np.argmin(whole)])
+            text = f"'{column.name}' has whole numbers and {first:.3f} among them: "
+            yield f"{text}if it is {1e3 * first:.0f}, write no mark between thousands"
 
 
 def _names_that_fit(
     look: Look, columns: Sequence[Foreign], look_at: Try
 ) -> Iterator[str]:
     """Columns of a few names that nobody reads, and what these may tell apart."""
-    setup, taken = look.setup, _taken(look)
+    setup, used = look.setup, _used_names(look)
     free = [key for key in APART if key not in setup.columns]
-    for one in (k for k in columns if k.name not in taken and not k.column.numeric):
-        count = len(one.column.texts().distinct)
-        if not 1 < count <= len(one.column.numbers) / headers.SHARED:
+    for foreign in (k for k in columns if k.name not in used and not k.column.numeric):
+        count = len(foreign.column.texts().distinct)
+        if not 1 < count <= len(foreign.column.numbers) / headers.SHARED:
             continue
-        left = dict[str, float]()
+        errors = dict[str, float]()
         for key in free:
-            named = replace(setup, columns={**setup.columns, key: one.column.header})
-            left[key] = _fitted(look_at(replace(look, setup=named)))
-        now, least = _fitted(look), min(left.values(), default=inf)
-        told = f"'{one.name}' has {count} names that repeat: "
+            named = {**setup.columns, key: foreign.column.header}
+            trial = replace(look, setup=replace(setup, columns=named))
+            errors[key] = _fitted(look_at(trial))
+        now, least = _fitted(look), min(errors.values(), default=inf)
+        text = f"'{foreign.name}' has {count} names that repeat: "
         if least < CLEAR * now < inf:
-            close = [key for key in free if CLEAR * left[key] <= least]
-            told += f"named {' or '.join(close)} in 'columns' it leaves "
-            yield f"{told}{100.0 * least / now:.2g} % of the errors of a fit"
+            close = [key for key in free if CLEAR * errors[key] <= least]
+            text += f"named {' or '.join(close)} in 'columns' it leaves "
+            yield f"{text}{100.0 * least / now:.2g} % of the errors of a fit"
         elif not look.fits:
-            yield f"{told}does it tell {', '.join(free)} apart? name it in 'columns'"
+            yield f"{text}does it tell {', '.join(free)} apart? name it in 'columns'"
 
 
 def _fitted(look: Look) -> float:
@@ -329,10 +331,10 @@ def _fitted(look: Look) -> float:
     return fit.rms if fit.redundant else inf
 
 
-def _answers(key: str, looks: Sequence[Look], found: Look) -> list[str]:
+def _answers(key: str, looks: Sequence[Look], reading: Look) -> list[str]:
     """Values of a key in the setups of readings that fit about as well as the best."""
-    close = [look for look in looks if CLEAR * look.share <= found.share]
-    return [*dict.fromkeys(getattr(k.setup, key) or "" for k in [found, *close])]
+    close = [look for look in looks if CLEAR * look.share <= reading.share]
+    return [*dict.fromkeys(getattr(k.setup, key) or "" for k in [reading, *close])]
 
 
 def _with_camera(setup: Setup, columns: Sequence[Foreign]) -> Setup:
@@ -341,16 +343,16 @@ def _with_camera(setup: Setup, columns: Sequence[Foreign]) -> Setup:
     Raises:
         OptionError: If nothing says which board it saw.
     """
-    found = headers.measured(columns)
+    choices = headers.measured(columns)
     # Of u, v and w others write the orientation.
-    pixels = {"u", "v"} <= found.keys() and all(one.words != "w" for one in columns)
+    pixels = {"u", "v"} <= choices.keys() and all(one.words != "w" for one in columns)
     if not pixels or setup.model not in (None, "camera"):
         return setup
     if setup.board is None:
         reason = "state the board that the camera saw (--board, or --setup of detect)"
         raise OptionError(reason, allowed="charuco:7x5:0.03:0.022, lengths in m")
     # The image is larger than where corners were seen, by how much nobody knows.
-    width, height = (100.0 * -(-found[axis][0].largest // 100.0) for axis in "uv")
+    width, height = (100.0 * -(-choices[axis][0].largest // 100.0) for axis in "uv")
     center = ((width - 1.0) / 2.0, (height - 1.0) / 2.0)
     camera = CameraSetup("hand", (width, width), center, estimate=True)
     return replace(setup, model="camera", camera=setup.camera or camera)
@@ -366,11 +368,11 @@ def _joints(
             columns for some of its joints.
         RobotError: If no chain can be used.
     """
-    every = [name for name in robot.model.names if name != "universe"]
-    by_name = headers.joints_by_name(columns, every)
+    joint_names = [name for name in robot.model.names if name != "universe"]
+    by_name = headers.joints_by_name(columns, joint_names)
     named = headers.measured(columns).get("chain")
     if named is None or (setup.tip is not None and "=" not in setup.tip):
-        found = _of_one_chain(robot, setup, columns, by_name)
+        looks = _of_one_chain(robot, setup, columns, by_name)
     else:
         tips = dict(word.partition("=")[::2] for word in (setup.tip or "").split(","))
         names = named[0].column.texts().map(str.strip).distinct
@@ -382,33 +384,33 @@ def _joints(
             tip = tips.get(name) or choose(asked, links or robot.links, option)
             chains[name] = ChainSetup(tip=tip)
         setup = replace(setup, tip=None, chains=chains)
-        found = [Look(setup, by_name)] if by_name else []
-    if not found:
+        looks = [Look(setup, by_name)] if by_name else []
+    if not looks:
         reason = "joint positions are needed (the controller's pose hides the branch), "
         reason += "and no columns are found for them; state 'columns' in a setup file"
         numbered = [one for one in columns if headers.NUMBERED.match(one.words)]
         if texts := [one for one in numbered if not one.column.numeric]:
             cell = texts[0].column.text(0)
             reason += f"; '{texts[0].name}' has no numbers, but '{cell}'"
-        raise InputError(f"{reason} (joints: {enumerated(every)})")
-    yield found
+        raise InputError(f"{reason} (joints: {enumerated(joint_names)})")
+    yield looks
     # Joints at the end of a chain that stand still may be in units of their own, such
     # as a gripper in percent.
-    for own in (own for own in found if own.tips):
-        moving = {joint for joint, one in own.joints.items() if one.moves}
+    for look in (look for look in looks if look.tips):
+        moving = {joint for joint, one in look.joints.items() if one.moves}
         for chain, links in chains_of(robot, setup.base).items():
-            if moving <= {*chain} < own.joints.keys():
-                few = {joint: own.joints[joint] for joint in chain}
-                yield [replace(own, joints=few, tips=links)]
+            if moving <= {*chain} < look.joints.keys():
+                few = {joint: look.joints[joint] for joint in chain}
+                yield [replace(look, joints=few, tips=links)]
     # Columns without names may be those of other joints: ROS writes by the alphabet.
-    for own in (own for own in found if own.order):
-        known, order = [*own.joints], "other than on the robot"
+    for look in (look for look in looks if look.order):
+        known, order = [*look.joints], "other than on the robot"
         others = [sorted(known)]
         for a, b in combinations(known, 2):
             others.append([{a: b, b: a}.get(name, name) for name in known])
         for other in others:
-            joints = zip(other, own.joints.values(), strict=True)
-            yield [replace(own, joints=dict(joints), order=order)]
+            joints = zip(other, look.joints.values(), strict=True)
+            yield [replace(look, joints=dict(joints), order=order)]
 
 
 def _parts(link: str) -> list[str]:
@@ -449,16 +451,16 @@ def chains_of(
         ranks = (k for k, part in enumerate(USUAL) if part in _parts(link))
         return next(ranks, len(USUAL)), link not in robot.leaves
 
-    found = dict[tuple[str, ...], list[str]]()
+    chains = dict[tuple[str, ...], list[str]]()
     for link in robot.links if tip is None else ():
         with suppress(CalibPinError):
             drives = drives_of(Chain(robot, base, link))
-            found.setdefault(tuple(drives), []).append(link)
-    found.pop((), None)
-    if not found:  # Of which the robot says why.
+            chains.setdefault(tuple(drives), []).append(link)
+    chains.pop((), None)
+    if not chains:  # Of which the robot says why.
         tip = tip or min(robot.leaves, key=order)
-        found[tuple(drives_of(Chain(robot, base, tip)))] = [tip]
-    return {joints: sorted(links, key=order) for joints, links in found.items()}
+        chains[tuple(drives_of(Chain(robot, base, tip)))] = [tip]
+    return {joints: sorted(links, key=order) for joints, links in chains.items()}
 
 
 def _of_one_chain(
@@ -473,46 +475,46 @@ def _of_one_chain(
         named: Those that are called like joints of the robot, by joint.
     """
     chains = chains_of(robot, setup.base, setup.tip)
-    whole = [one for one in chains if named.keys() >= {*one}]
-    fullest = max(chains, key=lambda one: (len({*one} & named.keys()), -len(one)))
+    whole = [chain for chain in chains if named.keys() >= {*chain}]
+    fullest = max(chains, key=lambda chain: (len({*chain} & named.keys()), -len(chain)))
     missing = [joint for joint in fullest if joint not in named]
     most = max(map(len, whole), default=0)
     if len(fullest) - len(missing) >= max(most + 1, FEWEST):
         end = chains[fullest][0]
-        told = f"no column for {', '.join(missing)} of the chain to '{end}'"
-        taken = {one.name for one in named.values()} | measured_columns.reserved()
-        free = {one.name for one in columns} - taken
+        reason = f"no column for {', '.join(missing)} of the chain to '{end}'"
+        used = {column.name for column in named.values()} | measured_columns.reserved()
+        free = {column.name for column in columns} - used
         hints = filter(None, (closest(joint, free) for joint in missing))
         hint = next(hints, advice(Chain(robot, setup.base, end), missing))
-        raise InputError(told + hint)
+        raise InputError(reason + hint)
     if whole:
         # A file may hold those that follow, too.
         follow = {j: mimic.leader for j, mimic in robot.mimics.items()}
         return [
-            Look(setup, {j: named[j] for j in named if follow.get(j, j) in one}, tips)
-            for one, tips in chains.items()
-            if one in whole and not any({*one} < {*other} for other in whole)
+            Look(setup, {j: named[j] for j in named if follow.get(j, j) in chain}, tips)
+            for chain, tips in chains.items()
+            if chain in whole and not any({*chain} < {*other} for other in whole)
         ]
     meant = [k for choices in headers.measured(columns).values() for k in choices]
-    found, ordered = [], [k for k in columns if k.numeric and k not in meant]
+    looks, ordered = [], [k for k in columns if k.numeric and k not in meant]
     for family in [*headers.families(columns), ordered]:
         # Columns behind those of the longest chain are those of external axes.
-        most = max((len(one) for one in chains if len(one) <= len(family)), default=0)
+        most = max((n for n in map(len, chains) if n <= len(family)), default=0)
         if family is ordered and len(family) != most:
             break
-        for one in (one for one in chains if len(one) == most >= FEWEST):
-            own = dict(zip(one, family, strict=False))
-            kinds = {j: ANGLE if turns(robot.model, j) else LENGTH for j in own}
-            if all(k.unit is None or k.unit in kinds[j].units for j, k in own.items()):
-                found.append(Look(setup, own, chains[one], "as on the robot"))
-    return found
+        for chain in (chain for chain in chains if len(chain) == most >= FEWEST):
+            joints = dict(zip(chain, family, strict=False))
+            kinds = {j: ANGLE if turns(robot.model, j) else LENGTH for j in joints}
+            if all(not k.unit or k.unit in kinds[j].units for j, k in joints.items()):
+                looks.append(Look(setup, joints, chains[chain], "as on the robot"))
+    return looks
 
 
-def readings(own: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[Look]:
+def readings(look: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[Look]:
     """Readings of a file that its names and numbers allow, likeliest first."""
-    joints, setup = own.joints, own.setup
+    joints, setup = look.joints, look.setup
     headers.require_units(joints.values())
-    setup = replace(setup, tip=setup.tip or next(iter(own.tips), None))
+    setup = replace(setup, tip=setup.tip or next(iter(look.tips), None))
     used = {one.name for one in joints.values()}
     rest = [one for one in columns if one.name not in used]
     asked = measured_columns.asked_models(setup.model)
@@ -539,24 +541,24 @@ def readings(own: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[Lo
             models = [None if {*spatial} - {*POSITION} else "position"]
         elif setup.model is None:
             models = DISTANCES if "distance" in names else TOUCHES[:1]
-        way = {**names, **spatial}
+        by_name = {**names, **spatial}
         # The scatter of numbers is in their unit.
-        sigmas = {f"sigma_{ours}" for ours, one in way.items() if one.unit is None}
-        way |= {k.name: k for k in rest if k.name in sigmas and k.unit is None}
-        for units, model in product(_units(robot, joints, way), models):
-            told = {
+        sigmas = {f"sigma_{ours}" for ours, one in by_name.items() if one.unit is None}
+        by_name |= {k.name: k for k in rest if k.name in sigmas and k.unit is None}
+        for units, model in product(_units(robot, joints, by_name), models):
+            theirs = {
                 ours: text
-                for ours, one in {**joints, **way}.items()
+                for ours, one in {**joints, **by_name}.items()
                 for text in [one.stated(units.get(ours, one.unit))]
                 if one.name != ours or text not in (ours, one.column.header)
             }
             position = spatial["x"].name if spatial else ""
-            stated = replace(start, model=model, columns=told)
-            yield replace(own, setup=stated, units=units, position=position)
+            candidate = replace(start, model=model, columns=theirs)
+            yield replace(look, setup=candidate, units=units, position=position)
 
 
 def _units(
-    robot: Robot, joints: Mapping[str, Foreign], way: Mapping[str, Foreign]
+    robot: Robot, joints: Mapping[str, Foreign], by_name: Mapping[str, Foreign]
 ) -> list[dict[str, str]]:
     """Units of columns that state none, where they may be in others than rad and m."""
     free = {joint: one for joint, one in joints.items() if one.unit is None}
@@ -567,18 +569,18 @@ def _units(
     far = {j: "deg" for j, one in turning.items() if one.moves and one.largest > TURNED}
     slides = dict.fromkeys(free.keys() - turning.keys(), "mm")
     kinds = {f"{p}{n}": k for n, k in measured().items() for p in ("", "sigma_")}
-    plain = [n for n, one in way.items() if one.unit is None and n in kinds]
-    angles = {name: way[name] for name in plain if kinds[name].si == ANGLE.si}
+    plain = [n for n, one in by_name.items() if one.unit is None and n in kinds]
+    angles = {name: by_name[name] for name in plain if kinds[name].si == ANGLE.si}
     lengths = [name for name in plain if kinds[name].si == LENGTH.si]
     degrees = any(one.largest > TURNED for one in angles.values())
     oriented = dict.fromkeys(angles if degrees else (), "deg")
     turned = [every] if steps else [every, far] if far else [far, every]
     metric = [oriented, oriented | dict.fromkeys(lengths, "mm")]
-    found = [{**a, **b, **c} for a, b, c in product(turned, [{}, slides], metric)]
-    return [one for k, one in enumerate(found) if one not in found[:k]]
+    options = [{**a, **b, **c} for a, b, c in product(turned, [{}, slides], metric)]
+    return [one for k, one in enumerate(options) if one not in options[:k]]
 
 
-def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look:
+def with_errors(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look:
     """A reading with the errors that it leaves the nominal robot."""
     setup, remarks = look.setup, list[str]()
     try:
@@ -615,12 +617,12 @@ def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look
             if others[1] < FITS:
                 errors, share = others
                 first = rows.source(int(np.argmax(far)))
-                said = f"{np.count_nonzero(far)} of {len(rows)} measurements"
-                remarks.append(f"far off all others: {said}, the first is {first}")
+                text = f"{np.count_nonzero(far)} of {len(rows)} measurements"
+                remarks.append(f"far off all others: {text}, the first is {first}")
     except CalibPinError as error:
         return replace(look, fault=error, data=None)
-    found = replace(look, chains=chains, data=data, errors=errors, share=share)
-    return replace(found, exact=exact, remarks=remarks)
+    look = replace(look, chains=chains, data=data, errors=errors, share=share)
+    return replace(look, exact=exact, remarks=remarks)
 
 
 def _in_conventions(looks: Sequence[Look], look_at: Try) -> list[Look]:
@@ -649,8 +651,8 @@ def _in_convention(look: Look, look_at: Try) -> Look:
         return look
     setup, tries = look.setup, [look]
     case = Case.of_none(look.chains, look.data, setup)
-    for one in orientations(case, 1.0 / CLEAR):
-        if (held := one.reading.orientation) is not None:
+    for candidate in orientations(case, 1.0 / CLEAR):
+        if (held := candidate.reading.orientation) is not None:
             reading = replace(setup.reading, orientation=held)
             tries.append(look_at(replace(look, setup=replace(setup, reading=reading))))
     off = [k.errors.get("orientation", inf) for k in tries]
@@ -662,14 +664,14 @@ def _in_convention(look: Look, look_at: Try) -> Look:
     called = all(n in text.lower() for n, text in zip(STATED[way], theirs, strict=True))
     if called and len(close) == 1 and close[0] is look:
         return look
-    told = list[str]()
+    texts = list[str]()
     for k in close:
         held = k.setup.reading.orientation or OrientationSetup()
         text = written({"columns": way, **lines_of(held)})
-        told.append(f"'{text}' ({shown(k.errors['orientation'], 'rad')})")
-    remark = f"the orientation in {', '.join(theirs)} is taken for {told[0]}"
-    if told[1:]:
-        remark += f"; others fit about as well: {enumerated(told[1:])}; if it is "
+        texts.append(f"'{text}' ({shown(k.errors['orientation'], 'rad')})")
+    remark = f"the orientation in {', '.join(theirs)} is taken for {texts[0]}"
+    if texts[1:]:
+        remark += f"; others fit about as well: {enumerated(texts[1:])}; if it is "
         remark += "written so, correct 'reading'"
     return replace(close[0], remarks=[*close[0].remarks, remark])
 
@@ -730,8 +732,8 @@ def best(looks: Sequence[Look]) -> Look:
     if close:
         other = min(close, key=lambda look: look.share)
         size = shown(next(iter(other.errors.values())), "m")
-        taken = f"the position is that of '{chosen.position}', and "
-        remarks.append(f"{taken}'{other.position}' fits to {size}: correct 'columns'?")
+        text = f"the position is that of '{chosen.position}', and "
+        remarks.append(f"{text}'{other.position}' fits to {size}: correct 'columns'?")
     if off and chosen.fits and "orientation" not in chosen.errors:
         size = shown(min(off), "rad")
         remarks.append(f"the orientation is not used: it fits the robot to {size} only")
@@ -777,9 +779,9 @@ def _head(robot: Robot, look: Look, command: str) -> Iterator[str]:
     """Comments on the whole, and on how well the nominal robot fits."""
     yield f"Setup file of calib-pin, drafted by: {command}"
     units = {"orientation": "rad", "pixel": "px"}
-    told = (f"{shown(k, units.get(n, 'm'), 3)} ({n})" for n, k in look.errors.items())
+    fits = (f"{shown(k, units.get(n, 'm'), 3)} ({n})" for n, k in look.errors.items())
     text = f"{len(look.data or ())} measurements of {robot.name}. The nominal robot "
-    text += f"fits to {', '.join(told)} rms with this setup"
+    text += f"fits to {', '.join(fits)} rms with this setup"
     text += f": {100 * look.share:.2g} % of its motion" * (look.share < inf)
     no_fit = ". That is NO fit: a column has another meaning, or these are not "
     no_fit += "measurements of this robot. Correct what is wrong below."
@@ -796,8 +798,8 @@ def _lines(key: str, value: Any, look: Look) -> str:
     order = f"# Joints are known by the order alone, {look.order}.\n" * bool(look.order)
     lines = [f"{order}columns:"]
     for ours, theirs in value.items():
-        told = "  # (unit by its numbers)" * (ours in look.units)
-        lines.append(f"  {_lines(ours, theirs, look)}{told}")
+        comment = "  # (unit by its numbers)" * (ours in look.units)
+        lines.append(f"  {_lines(ours, theirs, look)}{comment}")
     return "\n".join(lines)
 
 

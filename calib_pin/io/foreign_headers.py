@@ -189,12 +189,12 @@ def foreign(columns: Mapping[str, Column]) -> tuple[Foreign, ...]:
     Raises:
         InputError: If a column that means something has a unit that is none of ours.
     """
-    found = [_split(name, column) for name, column in columns.items()]
-    if "x" not in (known := measured(found)):
-        found = _with_axes(found)
-        known = measured(found)
+    result = [_split(name, column) for name, column in columns.items()]
+    if "x" not in (known := measured(result)):
+        result = _with_axes(result)
+        known = measured(result)
     require_units(one for ours in measured_kinds() for one in known.get(ours, ()))
-    return tuple(found)
+    return tuple(result)
 
 
 def require_units(columns: Iterable[Foreign]) -> None:
@@ -216,21 +216,21 @@ def _with_axes(columns: Sequence[Foreign]) -> list[Foreign]:
     named = dict[str, str]()
     for three in threes:
         for axis, one in zip("xyz", three, strict=True):
-            if found := ELEMENT.fullmatch(one.words):
-                named[one.name] = f"{found[1]} {axis}"
+            if match := ELEMENT.fullmatch(one.words):
+                named[one.name] = f"{match[1]} {axis}"
     return [replace(one, words=named.get(one.name, one.words)) for one in columns]
 
 
 def _split(name: str, column: Column) -> Foreign:
     """A column, with the unit in any brackets or at the end of its name."""
-    words, stated = split_header(column.header)[0], _unit(column.unit or "")
+    words, unit = split_header(column.header)[0], _unit(column.unit or "")
     endings = (r"\(([^()]*)\)$", r"[ _/](?:in )?([^\W\d_]+|°)$")
-    for ending in endings if stated is None else ():
-        found = re.search(ending, words)
-        if found and (stated := _unit(found[1])) is not None:
-            words = words[: found.start()]
+    for ending in endings if unit is None else ():
+        match = re.search(ending, words)
+        if match and (unit := _unit(match[1])) is not None:
+            words = words[: match.start()]
             break
-    return Foreign(name, _spaced(words).strip(" _-/"), stated, column)
+    return Foreign(name, _spaced(words).strip(" _-/"), unit, column)
 
 
 def _spaced(text: str) -> str:
@@ -245,29 +245,29 @@ def _unit(text: str) -> str | None:
 
 def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:
     """The columns that may be each of ours, the likeliest first."""
-    return {ours: [*choices.values()] for ours, choices in _meant(columns).items()}
+    return {ours: [*choices.values()] for ours, choices in _choices(columns).items()}
 
 
-def _meant(columns: Sequence[Foreign]) -> dict[str, dict[str, Foreign]]:
+def _choices(columns: Sequence[Foreign]) -> dict[str, dict[str, Foreign]]:
     """The columns that may be each of ours, the likeliest first, by the words beside.
 
     Vectors are whole, and their columns are alike but for the word of the axis: those
     of the same words are of one vector.
     """
-    found, kinds = defaultdict[str, dict[str, Foreign]](dict), measured_kinds()
+    options, kinds = defaultdict[str, dict[str, Foreign]](dict), measured_kinds()
     likely = sorted(columns, key=_likelihood)
     for ours in MEANINGS:
         for one in sorted(likely, key=lambda one: one.name != ours):
             fits = ours not in kinds or one.unit in (None, *kinds[ours].units)
             stem = _stem(one, ours) if fits else None
             if stem is not None and (ours not in NAMES or _names(one, ours)):
-                found[ours].setdefault(stem, one)
+                options[ours].setdefault(stem, one)
     for vector in VECTORS:
         # Points of a sheet have no z.
-        needed = [v for v in vector if v != "z" or found[v]]
-        whole = [s for s in found[vector[0]] if all(s in found[v] for v in needed)]
-        found |= {v: {stem: found[v][stem] for stem in whole} for v in needed}
-    return {ours: choices for ours, choices in found.items() if choices}
+        needed = [v for v in vector if v != "z" or options[v]]
+        whole = [s for s in options[vector[0]] if all(s in options[v] for v in needed)]
+        options |= {v: {stem: options[v][stem] for stem in whole} for v in needed}
+    return {ours: choices for ours, choices in options.items() if choices}
 
 
 def with_turns(columns: Sequence[Foreign]) -> tuple[Foreign, ...]:
@@ -278,9 +278,9 @@ def with_turns(columns: Sequence[Foreign]) -> tuple[Foreign, ...]:
     named = dict[str, str]()
     for k, z in enumerate(columns):
         words, beside = _parts(z.words), columns[k + 1 : k + 5]
-        own = [re.findall(r"[^\W_]+", one.words) for one in beside]
-        own = [[part for part in parts if part not in words] for parts in own]
-        names = [" ".join(parts) for parts in own]
+        rest = [re.findall(r"[^\W_]+", one.words) for one in beside]
+        rest = [[part for part in parts if part not in words] for parts in rest]
+        names = [" ".join(parts) for parts in rest]
         ours = ANGLES.get(" ".join(names[:3]), ())
         if len(beside) == 4 and all(map(NUMBERED.match, names)):
             norms = np.linalg.norm([one.column.numbers for one in beside], axis=0)
@@ -300,14 +300,14 @@ def vectors(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:
     The orientation is that of the same words; of another position's words it is not.
     One that never moves, while others do, is none. Behind each is the position alone.
     """
-    found, result = _meant(columns), list[dict[str, Foreign]]()
-    for stem in (stems := found.get("x", {})):
-        position = {axis: found[axis][stem] for axis in POSITION if axis in found}
+    options, result = _choices(columns), list[dict[str, Foreign]]()
+    for stem in (stems := options.get("x", {})):
+        position = {axis: options[axis][stem] for axis in POSITION if axis in options}
         beside = PLACES.sub("", stem).strip()
-        for names in (names for names in STATED.values() if names[0] in found):
-            ways = {TURNS.sub("", stem).strip(): stem for stem in found[names[0]]}
-            own = [beside] if beside in ways else [*ways][: len(stems) == 1]
-            turned = {name: found[name][ways[own[0]]] for name in names if own}
+        for names in (names for names in STATED.values() if names[0] in options):
+            ways = {TURNS.sub("", stem).strip(): stem for stem in options[names[0]]}
+            likely = [beside] if beside in ways else [*ways][: len(stems) == 1]
+            turned = {name: options[name][ways[likely[0]]] for name in names if likely}
             if any(one.moves for one in turned.values()):
                 result.append(position | turned)
                 break
@@ -322,11 +322,11 @@ def understood(table: Table) -> Table:
     """
     columns = foreign(table.columns)
     units = {one.name: one.unit or one.column.unit for one in columns}
-    stated = {n: replace(c, unit=units[n]) for n, c in table.columns.items()}
+    with_units = {n: replace(c, unit=units[n]) for n, c in table.columns.items()}
     names = {ours: one.name for ours, (one, *_) in measured(columns).items()}
     known = reserved()
     free = {o: n for o, n in names.items() if o not in table and n not in known}
-    return replace(table, columns=stated).renamed(free)
+    return replace(table, columns=with_units).renamed(free)
 
 
 def check_gauges(table: Table, names: Iterable[str]) -> None:
@@ -339,8 +339,8 @@ def check_gauges(table: Table, names: Iterable[str]) -> None:
     Raises:
         InputError: If there is one; says how to name it.
     """
-    found = measured(foreign({name: table.columns[name] for name in names}))
-    for ours, (one, *_) in found.items():
+    choices = measured(foreign({name: table.columns[name] for name in names}))
+    for ours, (one, *_) in choices.items():
         # Whole numbers without a unit count readings.
         if ours in optional() and (one.unit or (one.numbers % 1.0 != 0.0).any()):
             way = f"columns: {{{ours}: '{one.stated(one.unit)}'}}"
@@ -398,16 +398,16 @@ def joints_by_name(
     is a measured one.
     """
     words = {joint: _parts(_spaced(joint)) for joint in joints}
-    found = dict[str, Foreign]()
+    matches = dict[str, Foreign]()
     # Of several the likeliest, with the fewest other words.
     for one in sorted(columns, key=lambda k: (_likelihood(k), len(_parts(k.words)))):
-        own = _parts(one.words)
-        named = [j for j, parts in words.items() if one.numeric and _holds(own, parts)]
+        header = _parts(one.words)
+        named = [j for j, name in words.items() if one.numeric and _holds(header, name)]
         # The longest: the elbow of the left arm is no other elbow.
         for joint in sorted(named, key=lambda joint: len(words[joint]))[-1:]:
-            found.setdefault(joint, one)
-    found |= {one.name: one for one in columns if one.name in words}
-    return {joint: found[joint] for joint in joints if joint in found}
+            matches.setdefault(joint, one)
+    matches |= {one.name: one for one in columns if one.name in words}
+    return {joint: matches[joint] for joint in joints if joint in matches}
 
 
 def _parts(text: str) -> list[str]:
@@ -427,15 +427,15 @@ def families(columns: Sequence[Foreign]) -> list[list[Foreign]]:
 
     Those whose name is that of joints come first, then measured before commanded ones.
     """
-    found = defaultdict[tuple[str, str], dict[int, Foreign]](dict)
+    groups = defaultdict[tuple[str, str], dict[int, Foreign]](dict)
     for one in columns:
         if one.numeric and (match := NUMBERED.match(one.words)):
             key = match[1].strip(" _-."), match[3].strip(" _-.")
-            found[key][int(match[2])] = one
+            groups[key][int(match[2])] = one
     whole = [
         (re.split(r"[ _.\-]", stem)[-1], [family[k] for k in sorted(family)])
-        for (stem, _), family in found.items()
+        for (stem, _), family in groups.items()
         if len(family) > 1 and max(family) - min(family) == len(family) - 1
     ]
-    whole.sort(key=lambda own: (not JOINTED.fullmatch(own[0]), _likelihood(own[1][0])))
+    whole.sort(key=lambda f: (not JOINTED.fullmatch(f[0]), _likelihood(f[1][0])))
     return [family for _, family in whole]

@@ -41,7 +41,7 @@ NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
 def encode(document: object) -> bytes:
     """The JSON text of a document; lists of numbers stand on one line each."""
     text = json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
-    text = NUMBERS.sub(lambda found: f"[{' '.join(found[0][1:-1].split())}]", text)
+    text = NUMBERS.sub(lambda match: f"[{' '.join(match[0][1:-1].split())}]", text)
     # Lone surrogates, of file names that are not UTF-8, become JSON's own escapes.
     return text.encode("utf-8", "backslashreplace") + b"\n"
 
@@ -74,10 +74,10 @@ def decoded(
         raise InputError(reason, file=file, line=line) from error
     if not isinstance(document, dict) or document.get("format") != name:
         raise InputError(f"not a {what} of calib-pin", file=file)
-    found = document.get("version")
-    if (type(found), found) != (int, version):
+    number = document.get("version")
+    if (type(number), number) != (int, version):
         reason = f"a {what} of another version: update calib-pin, or calibrate again"
-        raise InputError(reason, file=file, value=found, allowed=str(version))
+        raise InputError(reason, file=file, value=number, allowed=str(version))
     return document
 
 
@@ -136,7 +136,7 @@ def plain(value: Any, *, brief: bool = False) -> Any:
 def _written(key: Key, value: Any) -> Json:
     """A field as the document that holds nothing else."""
     if key.by:
-        value = {one.pop(key.by): one for one in value}
+        value = {item.pop(key.by): item for item in value}
     for step in (step for step in reversed(key.path) if step != REST):
         value = {step: value}
     return cast(Json, value)

@@ -93,8 +93,8 @@ def join_logs(
     with stated_in(f"{ours.file}, {theirs.file}"):
         if POSE in ours:
             both = ours.labels(POSE), theirs.labels(POSE)
-            found = joining.join_by_name(q, values, *both)
-            _require_points(theirs, measured, values.values, found)
+            joined = joining.join_by_name(q, values, *both)
+            _require_points(theirs, measured, values.values, joined)
         else:
             stamps = ours.columns["time"], theirs.columns["time"]
             # Nothing says in which unit the times are.
@@ -104,23 +104,23 @@ def join_logs(
                     read = f"{'joints' if steps > 0 else 'readings'} are read as "
                     read += [*measured_columns.TIME.units][abs(steps)]
                     notice(f"the times of the {read}: so both last as long")
-            found = joining.join(q, values, settle, tolerance)
-        if not found.standstills:
+            joined = joining.join(q, values, settle, tolerance)
+        if not joined.standstills:
             raise InputError("no reading falls into a standstill of the joints")
-    if alone := enumerated(found.alone):
+    if alone := enumerated(joined.alone):
         notice(f"in one of both files only, and left out: {alone}")
     if IMAGE in theirs:
         images = theirs.labels(IMAGE)
-        used = {images[k] for one in found.standstills for k in one.readings}
+        used = {images[k] for one in joined.standstills for k in one.readings}
         if lost := enumerated(name for name in images.distinct if name not in used):
             notice(f"the joints do not stand at the time of {lost}: left out")
     units = {name: ours.columns[name].unit or "" for name in joints}
-    data = _encoded(found, units, theirs, measured, values, keep or IMAGE in theirs)
-    return found, data
+    data = _encoded(joined, units, theirs, measured, values, keep or IMAGE in theirs)
+    return joined, data
 
 
 def _encoded(
-    found: joining.Joined,
+    joined: joining.Joined,
     joints: Mapping[str, str],
     table: Table,
     measured: Sequence[str],
@@ -130,14 +130,14 @@ def _encoded(
     """The measurement file of two logs.
 
     Args:
-        found: The standstills and their readings.
+        joined: The standstills and their readings.
         joints: The joints, and the units in which they are written.
         table: The log of the readings.
         measured: The measured columns.
         values: Their values.
         keep: Whether every reading is a row.
     """
-    rows, oriented = [*found.standstills], "qx" in measured
+    rows, oriented = [*joined.standstills], "qx" in measured
     if keep:
         rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
         rows.sort(key=lambda one: int(one.readings[0]))
@@ -160,12 +160,12 @@ def _encoded(
         if not (averaged and name.startswith("sigma")):
             column = table.columns[name]
             cells[header(name, column.unit)] = column.texts().map(str.strip)
-    if found.clock:
+    if joined.clock:
         time = np.array([values.time[one.readings].mean() for one in rows])
-        cells["time"] = time - found.clock.ahead
-    way = "time" if found.clock else "name"
-    comment = f"joined by {way}: {counted(found.stands, 'standstill')}, "
-    comment += counted(found.used, "reading")
+        cells["time"] = time - joined.clock.ahead
+    way = "time" if joined.clock else "name"
+    comment = f"joined by {way}: {counted(joined.stands, 'standstill')}, "
+    comment += counted(joined.used, "reading")
     comment += ", each sigma that of a mean" * averaged
     return encode_table(cells, [comment])
 
@@ -184,9 +184,9 @@ def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
         ours = ours.renamed({"time": times[0], spare: POSE})
         return ours, theirs.renamed({"time": times[1], spare: POSE})
     ends = _name_columns(ours), _name_columns(theirs)
-    for own, other in product(*ends):
-        if _names(ours, own) & _names(theirs, other):
-            ours, theirs = ours.renamed({POSE: own}), theirs.renamed({POSE: other})
+    for name, other in product(*ends):
+        if _names(ours, name) & _names(theirs, other):
+            ours, theirs = ours.renamed({POSE: name}), theirs.renamed({POSE: other})
             return _named_once(ours), theirs
     reason = "there is no column 'time', and none of names, 'pose', in both logs"
     allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
@@ -201,16 +201,16 @@ def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
 
 def _time_column(table: Table) -> str:
     """The likeliest column of times; empty where there is none."""
-    found = headers.measured(headers.foreign(table.columns)).get("time", ())
-    names = (one.name for one in found)
+    choices = headers.measured(headers.foreign(table.columns)).get("time", ())
+    names = (one.name for one in choices)
     return next(names, next((n for n in table.columns if n.lower() == "t"), ""))
 
 
 def _name_columns(table: Table) -> list[str]:
     """Columns that may have the names of poses, or of the points measured there."""
-    found = headers.measured(headers.foreign(table.columns)).get("target", ())
+    choices = headers.measured(headers.foreign(table.columns)).get("target", ())
     text = (n for n, column in table.columns.items() if np.isnan(column.numbers).all())
-    likely = [POSE] * (POSE in table) + [one.name for one in found if not one.unit]
+    likely = [POSE] * (POSE in table) + [one.name for one in choices if not one.unit]
     return list(dict.fromkeys([*likely, *text]))
 
 
@@ -233,7 +233,7 @@ def _named_once(table: Table) -> Table:
 
 
 def _require_points(
-    table: Table, measured: Sequence[str], values: Floats, found: joining.Joined
+    table: Table, measured: Sequence[str], values: Floats, joined: joining.Joined
 ) -> None:
     """Refuse readings of one name that lie apart: nobody has measured their mean.
 
@@ -241,13 +241,13 @@ def _require_points(
         table: The readings.
         measured: Names of their values.
         values: These, shape (N, k) [SI units].
-        found: Which of them have one name.
+        joined: Which of them have one name.
 
     Raises:
         InputError: If those of a name do.
     """
     lengths = [k for k, n in enumerate(measured) if n in ("x", "y", "z", "distance")]
-    for rows in (one.readings for one in found.standstills):
+    for rows in (one.readings for one in joined.standstills):
         apart = float(np.ptp(values[rows][:, lengths], axis=0).max(initial=0.0))
         if apart > APART:
             reason = f"readings of one name are {1e3 * apart:.0f} mm apart"
@@ -257,13 +257,13 @@ def _require_points(
 
 def _joints(table: Table, columns: Collection[str]) -> list[str]:
     """Columns of joints: those that are named, or those of positions."""
-    found = headers.foreign(table.columns)
+    fields = headers.foreign(table.columns)
     # The pose that a controller computes, or an instrument's in the same log.
-    points = (one.name for way in headers.vectors(found) for one in way.values())
-    others = {POSE, "time", *NAMES, *points}
+    points = (one.name for way in headers.vectors(fields) for one in way.values())
+    known = {POSE, "time", *NAMES, *points}
     reserved = {POSE, "time", *measured_columns.reserved()}
     names = [name for name in columns if name in table and name not in reserved]
-    names = names or [k.name for k in found if k.name not in others and _is_position(k)]
+    names = names or [k.name for k in fields if k.name not in known and _is_position(k)]
     if not names:
         raise table.error("there are no columns of joints beside the time")
     return names
@@ -282,16 +282,16 @@ def _readings(table: Table, notice: Notice) -> tuple[Table, list[str], str]:
     table = with_images(headers.understood(table))
     turned = oriented & table.columns.keys()
     way = measured_columns.orientation_columns(table) if turned else ""
-    own = [name for name in table.columns if name in measured.keys() - oriented]
+    names = [name for name in table.columns if name in measured.keys() - oriented]
     # Beside other values a deviation is one from some nominal value.
-    own = [n for n in own if n not in measured_columns.optional()] or own
-    if not (own or way or IMAGE in table):
+    names = [n for n in names if n not in measured_columns.optional()] or names
+    if not (names or way or IMAGE in table):
         allowed = "x, y, z, distance, u, v, an orientation, or a column 'image'"
         raise table.error("there are no measured columns", allowed=allowed)
-    used = {"time", *own, *oriented, *_kept(table), "temperature"}
+    used = {"time", *names, *oriented, *_kept(table), "temperature"}
     if ignored := table.ignored([name for name in table.columns if name not in used]):
         notice(ignored)
-    return table, own, way
+    return table, names, way
 
 
 def _kept(table: Table) -> list[str]:
@@ -330,8 +330,8 @@ def _read(
     rows = np.vstack([np.empty((0, len(time))), *values]).T
     log, back = joining.Log(time, rows, kind), np.zeros(len(time), bool)
     # Images may stand in any order.
-    for own in log.kinds if IMAGE not in table else ():
-        back[own[1:]] = np.diff(time[own]) <= 0.0
+    for group in log.kinds if IMAGE not in table else ():
+        back[group[1:]] = np.diff(time[group]) <= 0.0
     table.refuse(back, "the time does not go on here", stamp)
     order = np.argsort(time, kind="stable")
     log = joining.Log(time[order], rows[order], kind[order])

@@ -92,11 +92,11 @@ def optional(*models: str) -> dict[str, Kind]:
 
 def measured(*models: str) -> dict[str, Kind]:
     """All columns that hold what a model measures; default what any model does."""
-    found = dict[str, Kind]()
+    kinds = dict[str, Kind]()
     for model in models or MEASUREMENT_MODELS:
-        found |= needed(model) | optional(model)
-        found |= ORIENTATION if declared(model).oriented else {}
-    return found
+        kinds |= needed(model) | optional(model)
+        kinds |= ORIENTATION if declared(model).oriented else {}
+    return kinds
 
 
 def sigmas(model: str) -> dict[str, tuple[str, ...]]:
@@ -111,8 +111,8 @@ def sigmas(model: str) -> dict[str, tuple[str, ...]]:
 
 def read_by(model: str) -> frozenset[str]:
     """Columns that a model reads where there are any, beside those that all do."""
-    stated = {name for names in sigmas(model).values() for name in names}
-    return frozenset({*measured(model)} | stated - {"sigma"})
+    deviations = {name for names in sigmas(model).values() for name in names}
+    return frozenset({*measured(model)} | deviations - {"sigma"})
 
 
 def reserved() -> frozenset[str]:
@@ -125,8 +125,8 @@ def orientation_columns(table: Table) -> str:
     """The one way in which a file states orientations, one of `STATED`."""
     first = {w: name for w, names in STATED.items() for name in names if name in table}
     if len(first) != 1:
-        found = " and ".join(first.values()) or "none"
-        reason = f"model 'pose' needs one orientation, the file has {found}"
+        text = " and ".join(first.values()) or "none"
+        reason = f"model 'pose' needs one orientation, the file has {text}"
         ways = " or ".join(",".join(names) for names in STATED.values())
         raise table.error(reason, [None, *first.values()][-1], ways)
     (way,) = first
@@ -184,16 +184,16 @@ def read_values(
     about, kinds = declared(model), needed(model)
     unknown = {*spare} - reserved()
     table.require(kinds, f"model '{model}' needs the missing", unknown)
-    there = {*optional()} & table.columns.keys() if about.contact else set()
-    if there:
-        found = [name for names in about.readings for name in names if name in there]
-        once = all(len({*names} & there) == 1 for names in about.readings)
-        if {*found} != there or not once:
+    given = {*optional()} & table.columns.keys() if about.contact else set()
+    if given:
+        gauges = [name for names in about.readings for name in names if name in given]
+        once = all(len({*names} & given) == 1 for names in about.readings)
+        if {*gauges} != given or not once:
             reason = f"of a gauge '{model}' needs every column once, and no other"
             needs = ", ".join(map(" or ".join, about.readings))
-            raise table.error(reason, max(there), needs)
-        values = table.values((name, STROKE) for name in found)
-        return tuple(found), values * [-1.0 if DIAL in n else 1.0 for n in found]
+            raise table.error(reason, max(given), needs)
+        values = table.values((name, STROKE) for name in gauges)
+        return tuple(gauges), values * [-1.0 if DIAL in n else 1.0 for n in gauges]
     values = table.values(kinds.items())
     if not about.oriented:
         return tuple(kinds), values
@@ -217,21 +217,21 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
         InputError: If only some components have one, its meaning would have to be
             guessed, or a value cannot be.
     """
-    stated, ways = declared(model), sigmas(model)
+    declaration, ways = declared(model), sigmas(model)
     # Beside its own column that of a contact is of something that is not read either.
-    odd = {n for n in measured() if n not in table} if stated.contact else set()
+    odd = {n for n in measured() if n not in table} if declaration.contact else set()
     odd = {f"sigma_{name}" for name in odd | {*measured(model)}} - read_by(model)
-    odd |= {"sigma"} if len({*stated.units.values()}) > 1 else set()
+    odd |= {"sigma"} if len({*declaration.units.values()}) > 1 else set()
     for name in (name for name in table.columns if name in odd):
         reason = f"model '{model}' has no component of this standard deviation"
         raise table.error(reason, name, ", ".join(f"sigma_{of}" for of in ways))
-    found = {of: name for of, names in ways.items() for name in names if name in table}
-    if not found:
+    columns = {of: n for of, names in ways.items() for n in names if n in table}
+    if not columns:
         return {}, None
     reason = "a sigma is needed for every component or for none; missing:"
-    table.require([f"sigma_{name}" for name in ways if name not in found], reason)
-    kinds = map(SIGMAS.__getitem__, stated.units.values())
-    return found, table.values(zip(found.values(), kinds, strict=True))
+    table.require([f"sigma_{name}" for name in ways if name not in columns], reason)
+    kinds = map(SIGMAS.__getitem__, declaration.units.values())
+    return columns, table.values(zip(columns.values(), kinds, strict=True))
 
 
 def place_of(target: str) -> str:
@@ -311,8 +311,8 @@ def read_conditions(
     Raises:
         InputError: If a direction of approach is none of -1, 0 and 1, or blank.
     """
-    found = ((name, table.found(name, kind)) for name, kind in CONDITIONS.items())
-    stated: dict[str, Any] = {name: own for name, own in found if own is not None}
+    pairs = ((n, table.numbers_if_any(n, kind)) for n, kind in CONDITIONS.items())
+    conditions: dict[str, Any] = {n: c for n, c in pairs if c is not None}
     directions = np.zeros((len(table.lines), len(joints)), np.int8)
     ends = {joint + DIRECTION: k for k, joint in enumerate(joints)}
     used = [name for name in ends if name in table]
@@ -323,9 +323,9 @@ def read_conditions(
         allowed = "1, -1, or 0 where it is not known"
         table.refuse(wrong, "not the sign of a joint's last motion", name, allowed)
         directions[:, ends[name]] = signs
-    read = frozenset({*used, *stated})
-    stated |= {"direction": directions, "source": "columns"} if used else {}
-    return Conditions(**stated), read
+    read = frozenset({*used, *conditions})
+    conditions |= {"direction": directions, "source": "columns"} if used else {}
+    return Conditions(**conditions), read
 
 
 def asked_models(model: str | None) -> tuple[str, ...]:
@@ -362,15 +362,15 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     # No instrument repeats all of its digits.
     numbers = [table.columns[name].numbers for name in ORIENTED & table.columns.keys()]
     turned = any(len(n) < FEW or bool(np.ptp(n) != 0.0) for n in numbers)
-    there = {*table.columns, *["orientation"] * turned}
+    present = {*table.columns, *["orientation"] * turned}
     about = {name: declared(name) for name in names}
     columns = {n: [*needed(n), *["orientation"] * about[n].oriented] for n in names}
-    needs = {name: {*own} for name, own in columns.items()}
-    partly = [name for name in names if needs[name] & there]
+    needs = {name: {*columns[name]} for name in names}
+    partly = [name for name in names if needs[name] & present]
     named = {n for n in names if about[n].naming.required == "every"}
-    lacking = set() if "target" in there else named
+    lacking = set() if "target" in present else named
     idle = {n for n in names if about[n].contact and (partly or n in lacking)}
-    fitting = {n for n in names if needs[n] <= there} - idle
+    fitting = {n for n in names if needs[n] <= present} - idle
     # What is there in part is told as missing; `u` alone may mean something else.
     for name in () if asked else partly:
         way = about[name].inference
@@ -385,8 +385,8 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
         raise table.error(f"the columns allow {ways}; say --model, or a column 'model'")
     for name in named:
         columns[name].append("target")
-    told = [f"{n} ({', '.join(own) or 'nothing'})" for n, own in columns.items()]
-    reason = f"no measured columns for {', '.join(told)}; contacts need --model"
+    models = [f"{n} ({', '.join(columns[n]) or 'nothing'})" for n in names]
+    reason = f"no measured columns for {', '.join(models)}; contacts need --model"
     raise table.error(reason + ELSEWHERE)
 
 
@@ -448,34 +448,34 @@ def read_positions(
         InputError: If a column is missing, its values cannot be in their unit, or a
             joint is not where the one that it mimics takes it.
     """
-    chains, there = Chains.of(chain), table.columns.keys()
+    chains, present = Chains.of(chain), table.columns.keys()
     drives = zip(columns.joints, columns.names, strict=True)
-    lacking = [joint for joint, name in drives if joint and name not in there]
+    lacking = [joint for joint, name in drives if joint and name not in present]
     hint = advice(chains[chains.names[0]], lacking) if lacking else ""
     known = {*columns.names, *reserved(), *chains.robot.model.names}
-    table.require(columns.names, "no joint column", there - known, hint or ELSEWHERE)
-    q, stated = np.zeros((len(table.lines), len(chains.joints))), {}
+    table.require(columns.names, "no joint column", present - known, hint or ELSEWHERE)
+    q, masks = np.zeros((len(table.lines), len(chains.joints))), {}
     for i, joint in enumerate(chains.joints):
         names = kinds_of(columns, joint).keys()
-        if not names <= there:
+        if not names <= present:
             continue
         rows = np.ones(len(q), bool)
         if chain_of is not None:
             needs = [joint in drives_of(chains[name]) for name in chain_of.names]
             blank = [table.columns[name].missing() for name in names]
             rows = np.array(needs)[chain_of.codes] | ~np.any(blank, axis=0)
-        stated[joint] = rows
+        masks[joint] = rows
         if rows.any():
             part = table if rows.all() else table.rows(np.flatnonzero(rows))
             q[rows, i] = _positions(part, chains, columns, i)
     followed = chains.follow(q)
-    for joint in chains.mimics.keys() & stated.keys():
+    for joint in chains.mimics.keys() & masks.keys():
         i, leader = chains.joints.index(joint), chains.mimics[joint].leader
         apart, unit = abs(followed - q)[:, i], "rad" if chains.revolute[i] else "m"
         if chains.revolute[i]:  # A controller may report it within one turn.
             apart = abs(apart - 2.0 * np.pi * np.round(apart / (2.0 * np.pi)))
         # One that leads nothing may lack.
-        far = stated[joint] & stated.get(leader, True) & (apart > MIMICRY)
+        far = masks[joint] & masks.get(leader, True) & (apart > MIMICRY)
         place = f"{followed[np.argmax(far), i]:.6g} {unit}"
         reason = f"joint '{joint}' mimics '{leader}', which puts it at {place}"
         allowed = f"less than {MIMICRY:g} {unit} away; the column may be left out"
@@ -572,10 +572,10 @@ def spare_columns(
     A recording of all joints is the usual case, so a joint outside the chain is not
     worth a remark. The own name of a joint that is mapped from another column is.
     """
-    taken = {*joints, *(c for given in joints.values() for c in given.coupled)}
+    sources = {*joints, *(c for given in joints.values() for c in given.coupled)}
     mapped = {given.joint for given in joints.values()}
-    own = set(chain.robot.model.names) - mapped - reserved()
-    return [name for name in table.columns if name not in taken | own]
+    robot_joints = set(chain.robot.model.names) - mapped - reserved()
+    return [name for name in table.columns if name not in sources | robot_joints]
 
 
 def spare_positions(
@@ -596,24 +596,25 @@ def spare_positions(
     Returns:
         Positions, each of shape (N,) [rad, m].
     """
-    model, found = chains.robot.model, dict[tuple[str, str], Floats]()
+    model, positions = chains.robot.model, dict[tuple[str, str], Floats]()
     known = reserved()
     for joint in [*model.names][1:]:
         if joint not in chains.joints:
-            own = table.found(joint, ANGLE if turns(model, joint) else LENGTH)
-            found |= {} if own is None else {(joint, joint): own}
+            kind = ANGLE if turns(model, joint) else LENGTH
+            if (values := table.numbers_if_any(joint, kind)) is not None:
+                positions[joint, joint] = values
     for name in (name for name in spare if name not in known):
         near, nearest = NEAR, dict[tuple[str, str], Floats]()
         for i, joint in enumerate(chains.joints):
             column, given = columns.maps[joint]
             kind = kind_of(columns, column)
-            own, other = table.found(column, kind), table.found(name, kind)
-            if own is None or other is None:
+            values, other = (table.numbers_if_any(n, kind) for n in (column, name))
+            if values is None or other is None:
                 continue
             with np.errstate(over="ignore"):  # What means something else.
-                rms = float(np.sqrt(np.mean((other - own) ** 2)))
-            if 0.0 < rms < near * own.std():
-                near, moved = rms / own.std(), given.sign * given.gear * (other - own)
+                rms = float(np.sqrt(np.mean((away := other - values) ** 2)))
+            if 0.0 < rms < near * values.std():
+                near, moved = rms / values.std(), given.sign * given.gear * away
                 nearest = {(joint, name): q[:, i] + moved}
-        found |= nearest
-    return found
+        positions |= nearest
+    return positions

@@ -73,22 +73,20 @@ def decode_errors(
         ValueError: If there is no measurement, or a cell is no number.
         InputError: If it is no CSV file.
     """
-    cells = {
-        of.header: of for of in read_cells(data, MEASUREMENTS, names=WORDS).columns()
-    }
+    cells = {c.header: c for c in read_cells(data, MEASUREMENTS, names=WORDS).columns()}
     words = {name: cells[name].texts() for name in WORDS}
     unknown, joints = MeasurementErrors.unknown(model, 0), model.chains.joints
     _, first = columns_of(model)
 
     def numbers(form: str, names: Sequence[object], rows: Sequence[int]) -> Floats:
         """Cells of columns that are called by a form."""
-        found = [cells[form.format(name)].numbers[rows] for name in names]
-        return np.column_stack([np.zeros((len(rows), 0)), *found])
+        columns = [cells[form.format(name)].numbers[rows] for name in names]
+        return np.column_stack([np.zeros((len(rows), 0)), *columns])
 
     def block(key: BlockKey, rows: Sequence[int]) -> Measurements:
         about, start, index = declared(key.model), first[key.model], np.array(rows)
-        own = unknown.components[start : start + len(about.components)]
-        given = own if f"{own[0]}.stated" in cells else ()
+        components = unknown.components[start : start + len(about.components)]
+        given = components if f"{components[0]}.stated" in cells else ()
         sigma = numbers("{}.stated", given, rows)
         held: Any = {n: cells[n].numbers[rows] for n in STATED if n in cells}
         if f"direction.{joints[0]}" in cells:
@@ -115,11 +113,11 @@ def decode_errors(
     if not sets[SETS[0]]:
         raise ValueError("there are no measurements")
     parts, stages = list[MeasurementErrors](), ("before", "after", "sigma")
-    for blocks in (own for own in sets.values() if own):
+    for blocks in filter(None, sets.values()):
         rows = [row for chosen in blocks.values() for row in chosen]
         part: Any = {n: numbers(f"{{}}.{n}", unknown.components, rows) for n in stages}
         part |= {
-            "rows": Observations(tuple(block(*found) for found in blocks.items())),
+            "rows": Observations(tuple(block(*item) for item in blocks.items())),
             "points": numbers("tool.{}", AXES, rows),
             "leverage": cells["leverage"].numbers[rows],
         }

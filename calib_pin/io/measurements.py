@@ -119,15 +119,15 @@ def read_measurements(
     asked, chains = measured_columns.asked_models(model), Chains.of(chain)
     if unnamed is None:
         unnamed = chains.names[0] if len(chains.names) == 1 else ""
-    told = notice or (lambda remark: None)
+    notice = notice or (lambda remark: None)
     orientation = None if reading is None else reading.orientation
-    reader = _Reader(chains, asked, joints, orientation, unnamed, told)
+    reader = _Reader(chains, asked, joints, orientation, unnamed, notice)
     parts, tables, stations = list[Measurements](), list[Table](), [""]
     for k, file in enumerate(files):
         tell = portion(progress, k / len(files), 1.0 / len(files))
         table = read_table(file, tell, columns=columns)
         for remark in table.remarks:
-            told(f"{file}: {remark}")
+            notice(f"{file}: {remark}")
         if reading is not None:
             table, reading = _without(table, reading, alone=len(files) == 1)
         tables.append(table.rows(slice(0)))
@@ -167,17 +167,17 @@ def _without(
     Returns:
         The rows that remain, and what remains to be done.
     """
-    own = {}
+    lines = {}
     late = reading.shift or reading.reversed or reading.lag
     for place in () if late else reading.without:
         file, _, line = place.rpartition(":")
         mine = f"/{table.file}".endswith(f"/{file}") if file else alone
         if mine and int(line) in table.lines:
-            own[place] = int(line)
-    kept = np.flatnonzero(~np.isin(table.lines, [*own.values()]))
+            lines[place] = int(line)
+    kept = np.flatnonzero(~np.isin(table.lines, [*lines.values()]))
     if not len(kept):
         raise InputError("'reading' leaves out all measurements", file=table.file)
-    others = tuple(place for place in reading.without if place not in own)
+    others = tuple(place for place in reading.without if place not in lines)
     return table.rows(kept), replace(reading, without=others)
 
 
@@ -237,9 +237,9 @@ class _Reader:
         table = self._of_sheet(table)
         keys = self._keys(table, chain_of, station)
         missing = _missing(table, chains, columns, keys)
-        some = with_readings(table, missing, "measurements", self.notice)
-        if some is not table:
-            return self.blocks(some, station)
+        complete = with_readings(table, missing, "measurements", self.notice)
+        if complete is not table:
+            return self.blocks(complete, station)
         q = measured_columns.read_positions(table, chains, columns, chain_of)
         spare = measured_columns.spare_columns(table, chains, self.joints)
         further = measured_columns.spare_positions(table, chains, columns, q, spare)
@@ -255,14 +255,16 @@ class _Reader:
         read = {key: measured_columns.read_by(key.model) for key in keys}
         anybody = frozenset[str]().union(*read.values())
         for key, rows in keys.items():
-            some = table.rows(rows)
-            for name in (n for n in some.columns if n in anybody - read[key]):
-                filled = ~some.columns[name].missing()
+            block = table.rows(rows)
+            for name in (n for n in block.columns if n in anybody - read[key]):
+                filled = ~block.columns[name].missing()
                 reason = f"the row measures '{key.model}', which has no {name}"
-                some.refuse(filled, reason, name, "a blank cell")
-            part, own = self._block(some, chains, key, q[rows], held.rows(rows), spare)
+                block.refuse(filled, reason, name, "a blank cell")
+            part, names = self._block(
+                block, chains, key, q[rows], held.rows(rows), spare
+            )
             parts.append(part)
-            unread -= own
+            unread -= names
         ignored = [name for name in table.columns if name in unread]
         if any(declared(part.model).contact for part in parts):
             check_gauges(table, ignored)
@@ -312,8 +314,8 @@ class _Reader:
     ) -> tuple[Measurements, set[str]]:
         """Measurements of one block, and the columns that hold them."""
         needed = {*NAMES, *measured_columns.needed(key.model)}
-        own = table.columns.items()
-        columns = {n: c for n, c in own if n in needed or not c.missing().all()}
+        items = table.columns.items()
+        columns = {n: c for n, c in items if n in needed or not c.missing().all()}
         table = replace(table, columns=columns)
         about = key.model, spare, self.orientation
         read, values = measured_columns.read_values(table, *about)
@@ -380,15 +382,15 @@ def _without_target(table: Table, drives: Collection[str]) -> Booleans:
     configurations, and a quaternion of zeros.
     """
     x, y, z = (table.columns[axis].numbers for axis in POSITION)
-    found: Booleans = (x == y) & (y == z) & (table.columns["z"].theirs != "")
-    for number in np.unique(x[found]):
-        rows = np.flatnonzero(found & (x == number))
+    lost: Booleans = (x == y) & (y == z) & (table.columns["z"].theirs != "")
+    for number in np.unique(x[lost]):
+        rows = np.flatnonzero(lost & (x == number))
         still = all(np.ptp(table.columns[name].numbers[rows]) == 0.0 for name in drives)
-        found[rows] = not still
+        lost[rows] = not still
     if {*QUATERNION} <= table.columns.keys():
         quaternion = [table.columns[name].numbers for name in QUATERNION]
-        found |= ~np.any(quaternion, axis=0)
-    return found
+        lost |= ~np.any(quaternion, axis=0)
+    return lost
 
 
 def _check_names(data: Observations, sockets: Collection[str]) -> None:
@@ -407,8 +409,8 @@ def _check_names(data: Observations, sockets: Collection[str]) -> None:
             reason = f"the row names no {noun} in a column 'target'"
             _refuse_targets(block, block.target.map(place_of).where(""), reason)
     for model, station in dict.fromkeys((key.model, key.station) for key in data.keys):
-        own = [b for b in data.blocks if (b.model, b.station) == (model, station)]
-        rows, naming = Observations(tuple(own)), declared(model).naming
+        blocks = [b for b in data.blocks if (b.model, b.station) == (model, station)]
+        rows, naming = Observations(tuple(blocks)), declared(model).naming
         places, noun = rows.target.map(place_of), naming.noun
         nameless = places.where("")
         if naming.required == "all or none" and not nameless.all():
@@ -474,8 +476,8 @@ def read_configurations(
         [[0.0, 0.0, 0.0, 0.5, 0.0, 0.0]]
     """
     table = read_table(path, columns=columns)
-    table, own = measured_columns.own_columns(table, chain, joints)
-    return measured_columns.read_positions(table, chain, own)
+    table, joint_columns = measured_columns.own_columns(table, chain, joints)
+    return measured_columns.read_positions(table, chain, joint_columns)
 
 
 def encode_configurations(
@@ -515,8 +517,8 @@ def encode_configurations(
         Traceback (most recent call last):
         calib_pin.errors.OutputError: target 'wall\n' would not read back
     """
-    own = JointColumns.of(chain, joints)
-    columns = dict[str, Any](measured_columns.shown_columns(q, own, degrees))
+    joint_columns = JointColumns.of(chain, joints)
+    columns = dict[str, Any](measured_columns.shown_columns(q, joint_columns, degrees))
     columns |= {joint + DIRECTION: column for joint, column in sides.items()}
     named = {**places, "target": target}
     columns |= {k: _writable(k, column) for k, column in named.items() if any(column)}
@@ -564,13 +566,13 @@ def write_measurements(
 
 
 def measurement_columns(
-    measurements: Measurements | Observations, own: JointColumns | None = None
+    measurements: Measurements | Observations, joint_columns: JointColumns | None = None
 ) -> dict[str, Labels | NDArray[Any]]:
     """Cells of the columns that hold measurements, by name.
 
     Args:
         measurements: The measurements.
-        own: Columns of the joints; default one of its name for each.
+        joint_columns: Columns of the joints; default one of its name for each.
 
     Raises:
         InputError: If the couplings of the joint map cannot be undone.
@@ -580,8 +582,8 @@ def measurement_columns(
     data = _with_starts(Observations.of(measurements))
     names, held = map(measured_columns.column_name, data.joints), data.conditions
     columns = dict[str, Any](zip(names, data.q.T, strict=True))
-    if own is not None:
-        columns = dict(measured_columns.shown_columns(data.q, own))
+    if joint_columns is not None:
+        columns = dict(measured_columns.shown_columns(data.q, joint_columns))
     for field in BlockKey._fields:
         of_block = Labels.of([getattr(block, field) for block in data.blocks])
         if len(of_block.distinct) > 1 or (field != "model" and any(of_block)):
@@ -594,8 +596,8 @@ def measurement_columns(
     if held.source == "columns":
         ends = (joint + DIRECTION for joint in data.joints)
         columns |= zip(ends, held.direction.T, strict=True)
-    stated = {name: getattr(held, name) for name in ("temperature", "time")}
-    columns |= {name: column for name, column in stated.items() if len(column)}
+    values = {name: getattr(held, name) for name in ("temperature", "time")}
+    columns |= {name: column for name, column in values.items() if len(column)}
     if data.validate.any():
         columns["set"] = Labels(("train", "validate"), data.validate.astype(int))
     return {name: column[data.in_order] for name, column in columns.items()}
@@ -603,20 +605,20 @@ def measurement_columns(
 
 def _measured(data: Observations) -> dict[str, Floats]:
     """The columns of all blocks, NaN where a block has no such column."""
-    found: dict[str, Floats] = {}
+    result: dict[str, Floats] = {}
     # All values stand before all standard deviations.
     for sigmas in (False, True):
         for block, rows in zip(data.blocks, data.slices, strict=True):
-            stated = declared(block.model)
-            names = stated.values or tuple(name for name, _ in stated.readings)
+            model = declared(block.model)
+            names = model.values or tuple(name for name, _ in model.readings)
             if sigmas:
-                names = tuple(f"sigma_{name}" for name in stated.components)
+                names = tuple(f"sigma_{name}" for name in model.components)
             table = block.sigma if sigmas else block.values
             columns = () if table is None else table.T
             for name, column in zip(names, columns, strict=False):
-                cells = found.setdefault(name, np.full(len(data), np.nan))
+                cells = result.setdefault(name, np.full(len(data), np.nan))
                 cells[rows] = column
-    return found
+    return result
 
 
 def _with_starts(data: Observations) -> Observations:
@@ -647,8 +649,8 @@ def _started(data: Measurements) -> Measurements:
         (another, "has another start than its target"),
     ):
         if wrong.any():
-            told = f"the relative distance {reason} and would not read back"
-            raise OutputError(f"{data.source(int(np.argmax(wrong)))}: {told}")
+            text = f"the relative distance {reason} and would not read back"
+            raise OutputError(f"{data.source(int(np.argmax(wrong)))}: {text}")
     index = np.sort(np.append(np.arange(len(data)), firsts))
     begin = np.append(np.diff(index) == 0, False)
     rows = data.rows(index)

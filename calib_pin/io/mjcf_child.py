@@ -42,11 +42,11 @@ class Writer:
         """Give names to what has none; nothing is written yet."""
         self.model, self.free, self.lines = model, list[str](), list[str]()
         self.bodies = [model.body(b).name or f"body{b}" for b in range(model.nbody)]
-        stated = [model.joint(j).name for j in range(model.njnt)]
-        self.taken = {*self.bodies, *stated}
+        names = [model.joint(j).name for j in range(model.njnt)]
+        self.used = {*self.bodies, *names}
         owners = [self.bodies[b] for b in model.jnt_bodyid]
         usual = [f"{owner}_joint{j}" for j, owner in enumerate(owners)]
-        pairs = zip(stated, usual, strict=True)
+        pairs = zip(names, usual, strict=True)
         self.joints = [name or self._unused(other) for name, other in pairs]
 
     def write(self) -> str:
@@ -81,9 +81,9 @@ class Writer:
 
     def _unused(self, name: str) -> str:
         """A name that nothing else has."""
-        while name in self.taken:
+        while name in self.used:
             name += "_"
-        self.taken.add(name)
+        self.used.add(name)
         return name
 
     def _fixed(self, parent: str, child: str, place: pin.SE3) -> None:
@@ -123,7 +123,7 @@ class Writer:
 
     def _mimics(self) -> dict[int, str]:
         """Elements of joints that follow others, as far as a URDF can hold them."""
-        model, found = self.model, dict[int, str]()
+        model, elements = self.model, dict[int, str]()
         couplings = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 == 1)
         for k in np.flatnonzero(couplings):
             one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
@@ -134,8 +134,8 @@ class Writer:
             # Coupled are the distances from the reference positions.
             zero, leader = (model.qpos0[model.jnt_qposadr[j]] for j in (one, other))
             about = {"multiplier": factor, "offset": zero + offset - factor * leader}
-            found[one] = _tag("mimic", joint=self.joints[other], **about)
-        return found
+            elements[one] = _tag("mimic", joint=self.joints[other], **about)
+        return elements
 
 
 def _tag(tag: str, **about: Any) -> str:
@@ -178,6 +178,6 @@ def read(file: str) -> tuple[str, str]:
         raise RobotError(f"this MJCF cannot be used: {words_of(failure)}") from None
     remark = REMARK
     if writer.free:
-        told = f"{', '.join(writer.free)} moves freely"
-        remark += f"; a URDF holds couplings by one factor only: {told}"
+        text = f"{', '.join(writer.free)} moves freely"
+        remark += f"; a URDF holds couplings by one factor only: {text}"
     return urdf, remark

@@ -50,14 +50,14 @@ def first_statistic(
     or the like, and none stands above.
     """
     begin = max(1, len(lines) - TAIL)
-    found = dict[int, re.Match[str]]()
+    statistics = dict[int, re.Match[str]]()
     for column in (column for column in columns.values() if column.words):
         above = {*column.codes[:begin].tolist()}
         for row in range(begin, len(lines)):
             name = SUMMARY.fullmatch(column.text(row).strip(" :"))
             if name and int(column.codes[row]) not in above:
-                found[row] = name
-    return min(found) if any(name[1] for name in found.values()) else None
+                statistics[row] = name
+    return min(statistics) if any(name[1] for name in statistics.values()) else None
 
 
 def out_of_sight(name: str, column: Column) -> Booleans | None:

@@ -64,6 +64,6 @@ def packages(name: str, folders: Iterable[Path]) -> Iterator[Path]:
         if (folder / name).is_dir():
             yield folder / name
         with suppress(OSError):
-            found = _NAME.search((folder / "package.xml").read_bytes())
-            if found and found[1].decode() == name:
+            match = _NAME.search((folder / "package.xml").read_bytes())
+            if match and match[1].decode() == name:
                 yield folder

@@ -241,10 +241,10 @@ def calibration_document(
         chi2_interval=chi2_interval(dof) if dof > 0 else (),
         setup_file=Source.of(setup) if setup else None,
     )
-    own = plain(replace(result, provenance=made))
-    for errors in own["errors"].values():
+    fields = plain(replace(result, provenance=made))
+    for errors in fields["errors"].values():
         errors["validation"]["method"] = result.validation.method
-    document = merged(plain(record), own)
+    document = merged(plain(record), fields)
     first = ("format", "version", "verdict", "findings", "robot")
     return {key: document[key] for key in first} | document
 
@@ -352,8 +352,7 @@ def _chains(record: Document, robot: Robot) -> Chains:
     ends = about.chains or {"": about.ends}
     built = {name: Chain(robot, e.base, e.tip) for name, e in ends.items()}
     default = built.get("", setup)
-    stated = default.base, default.tip, setup.chains
-    return Chains(robot, *stated, tuple(built), built)
+    return Chains(robot, default.base, default.tip, setup.chains, tuple(built), built)
 
 
 def read_document(path: str | Path) -> tuple[Json, Document]:
@@ -402,8 +401,8 @@ def places_of(model: CalibratedModel) -> Json:
     """Where the frames of all stations and tools are, each once, and all references."""
     sections: dict[str, Json] = {key: {} for key in SECTIONS}
     for (section, name), reference in model.references.items():
-        own = sections[section if section in SECTIONS else "cameras"]
-        own[name] = reference.stated()
+        entries = sections[section if section in SECTIONS else "cameras"]
+        entries[name] = reference.stated()
     frames = {name.removesuffix(".frame"): at for name, at in model.frames().items()}
     return {"frames": frames, **sections}
 
@@ -428,19 +427,19 @@ def model_of(
     # A model that looks at nothing with a name has no targets.
     blocks = {block.key: list(block.targets) or [""] for block in record.blocks}
     terms, given = make_terms(chains, blocks, setup)
-    values = {one.name: one.value for one in record.parameters}
+    values = dict(record.parameters)
     theta = np.array([*values.values()])
     if tuple(values) != given.names or not np.all(np.abs(theta) < LARGEST):
         raise ValueError("the parameters are not those of this chain, in their order")
     theta = theta if reference is None else np.zeros(len(given))
     for key, term in terms.items():
-        own: dict[str, Json] = {}
+        objects: dict[str, Json] = {}
         for one in term.measurement.references:
             section, name = term.frames.place(one)
-            found = places[section if section in SECTIONS else "cameras"][name]
-            own.setdefault(section, {})[one.name] = found
-        stated = {**record.setup, "camera": None, **own, **own.get("camera", {})}
-        measurement = measurement_model(key.model, setup_of(stated), blocks[key])
+            place = places[section if section in SECTIONS else "cameras"][name]
+            objects.setdefault(section, {})[one.name] = place
+        data = {**record.setup, "camera": None, **objects, **objects.get("camera", {})}
+        measurement = measurement_model(key.model, setup_of(data), blocks[key])
         names = term.frames.station, term.frames.tool
         ends = [frames[name.removesuffix(".frame")] for name in names]
         base, tool = map(frame_pose, ends)
@@ -464,8 +463,8 @@ def learned_record(model: CalibratedModel) -> LearnedRecord | None:
     """The learned correction of a robot; None where nothing was learned."""
     learned, shift = None, np.zeros(len(model.given))
     for term in model.terms.values():
-        if isinstance(own := term.error.learned, LearnedCorrection):
-            learned, shift[term.of_error] = own, own.shift
+        if isinstance(correction := term.error.learned, LearnedCorrection):
+            learned, shift[term.of_error] = correction, correction.shift
     if learned is None:
         return None
     content = tuple(shift.tolist()), learned.model.document()
@@ -541,10 +540,10 @@ def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
         raise OutputError(f"the corrected URDF does not read back: {error}") from error
     q = chains.random_configurations(20, np.random.default_rng(0))
     for name in model.measured_chains:
-        own, chain = q[:, chains.columns(name)], chains[name]
-        fitted, there = model.of(name), Chain(robot, chain.base, chain.tip)
-        written = fitted.error.base.homogeneous @ there.poses(own)
-        expected = fitted.poses(own) @ fitted.tool.inverse().homogeneous
+        positions, chain = q[:, chains.columns(name)], chains[name]
+        fitted, corrected = model.of(name), Chain(robot, chain.base, chain.tip)
+        written = fitted.error.base.homogeneous @ corrected.poses(positions)
+        expected = fitted.poses(positions) @ fitted.tool.inverse().homogeneous
         difference = float(np.abs(written - expected).max())
         if not difference < AGREEMENT:
             reason = f"the written robot differs from the model by {difference:.2g}"
@@ -565,8 +564,8 @@ def urdf_name(robot: str) -> str:
     # The name comes from the file: it must not lead out of the folder.
     name = re.sub(r"[^\w.-]", "_", robot).lstrip(".") or "robot"
     # Some file systems do not tell capitals apart.
-    taken = f"{name}.urdf".casefold() == NOMINAL
-    return f"{name}-corrected.urdf" if taken else f"{name}.urdf"
+    clash = f"{name}.urdf".casefold() == NOMINAL
+    return f"{name}-corrected.urdf" if clash else f"{name}.urdf"
 
 
 def require_one_run(record: Document, robot: bytes, path: Path) -> None:
@@ -611,19 +610,19 @@ def find_robot(source: Source, path: Path) -> Robot:
     # A xacro file was expanded, and what came of it is in the copy.
     expanded, beside = is_xacro(given), [path.parent / given, path.parent / given.name]
     places = [copy] if expanded else [given, *beside, copy]
-    found = [place for place in places if place.is_file()]
-    for place in found:
+    files = [place for place in places if place.is_file()]
+    for place in files:
         data = read_bytes(place)
         if sha256(data) != source.sha256:
             with suppress(RobotError):
                 data = straightened(parse_robot(data, "")).source
         if sha256(data) == source.sha256:
-            there = place == given or (expanded and given.is_file())
-            return parse_robot(data, source.file if there else str(place))
-    if not found:
+            original = place == given or (expanded and given.is_file())
+            return parse_robot(data, source.file if original else str(place))
+    if not files:
         reason = f"the robot '{source.file}' that was calibrated is neither there nor"
         raise RobotError(f"{reason} beside the calibration", file=path)
-    reason = f"'{found[0]}' is not the robot that was calibrated"
+    reason = f"'{files[0]}' is not the robot that was calibrated"
     raise InputError(f"{reason}; {TOGETHER}", file=path)
 
 

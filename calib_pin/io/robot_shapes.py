@@ -210,7 +210,7 @@ def robot_shapes(robot: Robot, package_dirs: Sequence[str | Path] = ()) -> Shape
     materials = document.named("material")
     parts, missing = list[Shape](), dict[str, None]()
     for name, link in document.named("link").items():
-        found, lost = list[Shape](), dict[str, None]()
+        visuals, lost = list[Shape](), dict[str, None]()
         for element in link.findall("visual") or link.findall("collision"):
             try:
                 shape = shape_of(document, element, robot, package_dirs)
@@ -221,17 +221,17 @@ def robot_shapes(robot: Robot, package_dirs: Sequence[str | Path] = ()) -> Shape
                 kind, values = shape
                 surface = SIMPLE[kind](*values) if kind in SIMPLE else values[0]
                 place = document.origin(element).homogeneous
-                found.append(Shape(name, place, surface, _color(element, materials)))
+                visuals.append(Shape(name, place, surface, _color(element, materials)))
         missing |= lost
-        parts += stand_ins(robot, name) if lost else found
+        parts += stand_ins(robot, name) if lost else visuals
     return Shapes(tuple(parts or stand_ins(robot)), tuple(missing))
 
 
 def _color(element: Element, materials: Mapping[str, Element]) -> Color | None:
     """The color of a visual element, of its own or by the name of a material."""
-    for stated in element.findall("material")[:1]:
-        named = materials.get(stated.get("name", ""), stated)
-        for color in (*stated.findall("color"), *named.findall("color")):
+    for material in element.findall("material")[:1]:
+        named = materials.get(material.get("name", ""), material)
+        for color in (*material.findall("color"), *named.findall("color")):
             with suppress(ValueError):
                 red, green, blue, _ = map(float, color.get("rgba", "").split())
                 return red, green, blue

@@ -113,8 +113,8 @@ def read_calibration_data(
     if not rows:
         raise InputError("its calibration data hold no features", file=path)
     if known:
-        said = "features that never move are known points of the tool"
-        notice(f"{path}: {said}: {', '.join(known)}")
+        reason = "features that never move are known points of the tool"
+        notice(f"{path}: {reason}: {', '.join(known)}")
     return _table(path, samples), _table(path, rows)
 
 
@@ -134,27 +134,27 @@ def _messages(
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in TYPES.items():
         store.register(get_types_from_msg(text, name))
-    found = defaultdict[str, list[tuple[float, Any]]](list)
+    topics = defaultdict[str, list[tuple[float, Any]]](list)
     try:
         with AnyReader([Path(path)], default_typestore=store) as reader:
             chosen = [c for c in reader.connections if c.msgtype in kinds]
             for connection, recorded, raw in reader.messages(chosen) if chosen else ():
                 message = reader.deserialize(raw, connection.msgtype)
-                for one in getattr(message, "transforms", [message]):
-                    name = connection.topic if one is message else one.child_frame_id
-                    stamp = getattr(one, "joint_states", one).header.stamp
+                for item in getattr(message, "transforms", [message]):
+                    name = connection.topic if item is message else item.child_frame_id
+                    stamp = getattr(item, "joint_states", item).header.stamp
                     made = stamp.sec + 1e-9 * stamp.nanosec
                     # Where it does not say when it was made, when it was recorded.
-                    found[name].append((made or 1e-9 * recorded, one))
+                    topics[name].append((made or 1e-9 * recorded, item))
     except Exception as error:  # Of the library, sqlite, lz4, struct, and what not.
         line = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"cannot be read as a bag: {line}", file=path) from error
-    if topic in found or (topic is None and len(found) == 1):
-        return found[topic or next(iter(found))]
-    if not found and kinds == [DATA]:
+    if topic in topics or (topic is None and len(topics) == 1):
+        return topics[topic or next(iter(topics))]
+    if not topics and kinds == [DATA]:
         return []
     words = " or ".join(sorted({kind.split("/")[-1] for kind in kinds}))
-    reason = f"has {len(found)} topics of {words}: {enumerated(found) or 'none'}"
+    reason = f"has {len(topics)} topics of {words}: {enumerated(topics) or 'none'}"
     allowed = "one, named by --topic or --joint-topic"
     raise InputError(reason, file=path, value=topic, allowed=allowed)
 
@@ -173,9 +173,9 @@ def _table(path: str | Path, rows: Sequence[Mapping[str, object]]) -> Table:
     columns = dict[str, Column]()
     for name in dict.fromkeys(name for row in rows for name in row):
         cells = np.array([row.get(name, np.nan) for row in rows])
-        own = Growing(named=(texts := cells.dtype.kind == "U"))
-        own.add(cells.tolist() if texts else cells.astype(float))
+        growing = Growing(named=(texts := cells.dtype.kind == "U"))
+        growing.add(cells.tolist() if texts else cells.astype(float))
         # A name that all rows have says nothing.
-        if len((column := own.column(name)).words) != 1:
+        if len((column := growing.column(name)).words) != 1:
             columns[column.theirs] = column
     return Table(str(path), None, columns, np.arange(1, len(rows) + 1))

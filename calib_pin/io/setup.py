@@ -92,11 +92,11 @@ def read_true_errors(
     from calib_pin.io.yaml_tree import read_tree
 
     tree = read_tree(path)
-    found: dict[str, float] = _taken(tree, tree.data, TrueErrors)
-    for name in found:
+    errors: dict[str, float] = _typed(tree, tree.data, TrueErrors)
+    for name in errors:
         if known is not None and name not in known:
             raise tree.error(f"no parameter '{name}'{nearest(name, known)}", (name,))
-    return found
+    return errors
 
 
 def read_setup(path: str | Path | Mapping[str, object]) -> Setup:
@@ -134,17 +134,17 @@ def read_setup(path: str | Path | Mapping[str, object]) -> Setup:
         file = folder / prior
         document = decoded(read_bytes(file), "fleet's prior", FLEET, file)
         with reading(file, "prior"):
-            found = replace(_prior_of(document), file=str(file))
-        data = {**data, "prior": found}
+            joint_prior = replace(_prior_of(document), file=str(file))
+        data = {**data, "prior": joint_prior}
     camera = data.get("camera") if isinstance(data, Mapping) else None
     if isinstance(camera, Mapping) and isinstance(camera.get("file"), str):
-        own = {key: value for key, value in camera.items() if key != "file"}
-        there = camera_of(folder / camera["file"], own.get("estimate") is True)
-        data = {**data, "camera": {**there, **own}}
-    setup: Setup = _taken(tree, data, Setup)
+        given = {key: value for key, value in camera.items() if key != "file"}
+        intrinsics = camera_of(folder / camera["file"], given.get("estimate") is True)
+        data = {**data, "camera": {**intrinsics, **given}}
+    setup: Setup = _typed(tree, data, Setup)
     obstacles = tuple(
-        replace(one, mesh=one.mesh and str(folder / one.mesh))
-        for one in setup.obstacles
+        replace(obstacle, mesh=obstacle.mesh and str(folder / obstacle.mesh))
+        for obstacle in setup.obstacles
     )
     return replace(setup, obstacles=obstacles, file=tree.file)
 
@@ -156,12 +156,12 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         >>> setup_document(Setup(tip="tool0", fixed=("*.placement.z",)))
         {'tip': 'tool0', 'fixed': ['*.placement.z'], 'parameters': ['placement']}
     """
-    found: dict[str, Any] = plain(setup, brief=True)
+    document: dict[str, Any] = plain(setup, brief=True)
     for key in ("parameters", *required_keys(setup.parameters)):
-        found.setdefault(key, plain(getattr(setup, key), brief=True))
+        document.setdefault(key, plain(getattr(setup, key), brief=True))
     if isinstance(setup.prior, JointPrior):
-        found["prior"] = prior_document(setup.prior)
-    return found
+        document["prior"] = prior_document(setup.prior)
+    return document
 
 
 def setup_of(document: Mapping[str, Any]) -> Setup:
@@ -232,16 +232,16 @@ def yaml_text(lines: Mapping[str, Any]) -> str:
     return str(text).rstrip("\n")
 
 
-def _taken(tree: Tree, data: object, hint: Any) -> Any:
+def _typed(tree: Tree, data: object, hint: Any) -> Any:
     """Data as a type has them; refusals have their line."""
     try:
-        found = Taker(FAMILIES).taken(data, hint)
-        if isinstance(found, Setup):
-            _check(found)
+        result = Taker(FAMILIES).taken(data, hint)
+        if isinstance(result, Setup):
+            _check(result)
     except Refused as error:
         value = tree.written(error.path) if error.shown else None
         raise tree.error(error.reason, error.path, value, error.allowed) from None
-    return found
+    return result
 
 
 NAMES: Mapping[str, str] = {

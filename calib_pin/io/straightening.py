@@ -63,8 +63,8 @@ def straightened(robot: Robot) -> Robot:
     remark = f"offsets of up to {far:.3g} m along axes cancel: joints {moved} "
     remark += "are moved along them, in the corrected URDF as well"
     source = urdf_tree.move_origins(document, _moved(document, slides))
-    found = urdf_tree.parse_robot(source, robot.file)
-    return replace(found, remarks=(*robot.remarks, remark))
+    straight = urdf_tree.parse_robot(source, robot.file)
+    return replace(straight, remarks=(*robot.remarks, remark))
 
 
 def _slides(document: Document) -> dict[str, Floats]:

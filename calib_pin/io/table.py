@@ -145,12 +145,12 @@ class Table:
         row: int | None = None,
     ) -> InputError:
         """An error about the header, or about a cell of a row."""
-        own = self.columns.get(column or "")
-        if own and own.theirs not in ("", column):
+        source = self.columns.get(column or "")
+        if source and source.theirs not in ("", column):
             # The setup says which column of the file means ours.
-            column = f"{own.theirs} ({column})"
+            column = f"{source.theirs} ({column})"
         line = self.header_line if row is None else int(self.lines[row])
-        value = own.text(row) if own and row is not None else None
+        value = source.text(row) if source and row is not None else None
         about: dict[str, Any] = {"line": line, "column": column, "value": value}
         return InputError(reason, file=self.file, allowed=allowed, **about)
 
@@ -224,26 +224,26 @@ class Table:
         Raises:
             InputError: If two are one column, or units contradict.
         """
-        taken, missing = dict[str, str](), dict[str, str]()
-        stated = dict(self.columns)
+        meanings, missing = dict[str, str](), dict[str, str]()
+        by_name = dict(self.columns)
         for ours, theirs in columns.items():
             name, unit = split_header(theirs)
             if name not in self:
                 missing |= {} if ours in self else {ours: theirs}
                 continue
-            if name in taken:
-                both = f"'{taken[name]}' and '{ours}'"
+            if name in meanings:
+                both = f"'{meanings[name]}' and '{ours}'"
                 raise self.error(f"'columns' in the setup takes {both} from it", name)
-            own = self.columns[name].unit
+            native = self.columns[name].unit
             # A unit that the file writes in its own way may be stated in ours.
-            if kind_of_unit(own) is not PURE and unit not in (None, own):
-                reason = f"the header says [{own}], 'columns' in the setup [{unit}]"
+            if kind_of_unit(native) is not PURE and unit not in (None, native):
+                reason = f"the header says [{native}], 'columns' in the setup [{unit}]"
                 raise self.error(reason, name)
-            taken[name] = ours
-            stated[name] = replace(self.columns[name], unit=unit or own)
+            meanings[name] = ours
+            by_name[name] = replace(self.columns[name], unit=unit or native)
         # A column that has the name of another's meaning keeps its place without it.
-        names = {ours: f"{ours} (of the file)" for ours in taken.values()} | taken
-        read = {names.get(name, name): column for name, column in stated.items()}
+        names = {ours: f"{ours} (of the file)" for ours in meanings.values()} | meanings
+        read = {names.get(name, name): column for name, column in by_name.items()}
         return replace(self, columns=read, missing=missing)
 
     def ignored(self, names: Collection[str]) -> str:
@@ -316,8 +316,8 @@ class Table:
             # All joints of a robot are counted by servos of one kind.
             plain = [c.numbers for c in self.columns.values() if counted(c.numbers)]
             meant = counted(np.concatenate([[], *plain])) or meant
-        theirs, stated = column.theirs or name, split_header(column.header)[1]
-        if meant and theirs != name and stated is None:
+        theirs, header_unit = column.theirs or name, split_header(column.header)[1]
+        if meant and theirs != name and header_unit is None:
             both = f"{{{name}: {theirs} [{meant}]}}"
             reason += f"; state in the setup 'columns: {both}'"
         elif meant:
@@ -332,7 +332,7 @@ class Table:
         columns = [self.check(n, self.numbers(n, kind), kind) for n, kind in kinds]
         return np.column_stack([np.zeros((len(self.lines), 0)), *columns])
 
-    def found(self, name: str, kind: Kind) -> Floats | None:
+    def numbers_if_any(self, name: str, kind: Kind) -> Floats | None:
         """As `numbers`; None where there is no such column, or one of other cells."""
         with suppress(InputError):
             return self.numbers(name, kind) if name in self else None
@@ -367,19 +367,19 @@ def read_table(
         theirs = (columns[name] for name in names if name in columns)
         names = {*names, *(split_header(header)[0] for header in theirs)}
     cells = read_cells(path, "", progress, names=names)
-    found, lines = cells.heading, np.frombuffer(cells.lines, np.int64)
+    heading, lines = cells.heading, np.frombuffer(cells.lines, np.int64)
     if not len(lines):
         raise InputError("the file has a header but no rows", file=cells.file)
-    given, layout = cells.columns(), found.remark
-    ours, row = side_by_side(found, given)
-    table = Table(cells.file, found.line or None, {}, lines[row])
+    given, layout = cells.columns(), heading.remark
+    ours, row = side_by_side(heading, given)
+    table = Table(cells.file, heading.line or None, {}, lines[row])
     for column in given if not layout else ():
         other = ours[column.theirs]  # The last one of this name.
         same = column is other or column.texts() == other.texts()
         if not same or column.header != other.header:
             both = f"two columns are '{other.theirs}': '{column.header}'"
             raise table.error(f"{both}, '{other.header}'", other.theirs)
-    table = replace(table, columns=found.read(ours)).called(columns)
+    table = replace(table, columns=heading.read(ours)).called(columns)
     if not layout and (read := reading(table.columns, Path(cells.file))):
         # The setup names columns as the file does, or as they are called then.
         table = replace(table, columns=read.columns).called(table.missing)
@@ -528,7 +528,7 @@ class Cells:
     def columns(self) -> list[Column]:
         """The columns, whose names are those of the file."""
         headers = (h or f"column {k}" for k, h in enumerate(self.heading.names, 1))
-        return [own.column(h) for own, h in zip(self.grown, headers, strict=True)]
+        return [column.column(h) for column, h in zip(self.grown, headers, strict=True)]
 
     def extend(self, lines: Sequence[str], first: int) -> None:
         """Add the rows among some lines.
@@ -555,19 +555,19 @@ class Cells:
         later, comma = bool(self.lines), self.heading.separator == ","
         self.lines.extend(numbers)
         # The texts of numbers are for messages and names, and so for small files.
-        fast = later and comma and all(own.most == TEXTS for own in self.grown)
+        fast = later and comma and all(column.most == TEXTS for column in self.grown)
         read = read_lines(lines, len(self.grown)) if fast else None
         if read is not None:
-            for own, values in zip(self.grown, read, strict=True):
-                own.add(values)
+            for column, values in zip(self.grown, read, strict=True):
+                column.add(values)
             return
         rows = self._rows(numbers, lines)
         if not self.comma and (not comma or any('"' in line for line in lines)):
             self.comma = self._first_comma(numbers, rows)
-        for name, own, cells in zip(
+        for name, column, cells in zip(
             self.heading.names, self.grown, zip(*rows, strict=True), strict=False
         ):
-            own.add(self._with_points(name, cells) if self.comma else cells)
+            column.add(self._with_points(name, cells) if self.comma else cells)
 
     def _first_comma(self, numbers: Sequence[int], rows: Sequence[list[str]]) -> int:
         """The first line with a decimal comma; 0 for none.
@@ -576,17 +576,17 @@ class Cells:
         """
         marked = [[c for c in row if "," in c and COMMA.fullmatch(c)] for row in rows]
         if self.heading.separator == ",":
-            every, found = {*chain(*rows)}, {*chain(*marked)}
-            points = any("." in c and as_number(c.strip()) is not None for c in every)
-            if points or all(THOUSANDS.fullmatch(c.strip()) for c in found):
+            cells, commas = {*chain(*rows)}, {*chain(*marked)}
+            points = any("." in c and as_number(c.strip()) is not None for c in cells)
+            if points or all(THOUSANDS.fullmatch(c.strip()) for c in commas):
                 return 0
         return next(compress(numbers, marked), 0)
 
     def _with_points(self, name: str, written: Sequence[str]) -> list[str]:
         """The last cells of a column with decimal points in the place of commas."""
-        every = {*written}
-        commas = {cell for cell in every if COMMA.fullmatch(cell)}
-        points = {c for c in every if "." in c and as_number(c.strip()) is not None}
+        cells = {*written}
+        commas = {cell for cell in cells if COMMA.fullmatch(cell)}
+        points = {c for c in cells if "." in c and as_number(c.strip()) is not None}
         thousands = all(THOUSANDS.fullmatch(cell.strip()) for cell in points)
         # Beside decimal commas, in this column or others, these are no fractions.
         if points and (commas or thousands):
@@ -667,15 +667,15 @@ def read_cells(
             io.TextIOWrapper(raw, encoding) as stream,
         ):
             head = _heading([*islice(stream, HEAD)], file)
-            found = Cells(file, head, names, remarks)
+            cells = Cells(file, head, names, remarks)
             size, first = raw.seek(0, io.SEEK_END), 1
             stream.seek(0)
             while lines := stream.readlines(LINES):
-                found.extend(lines, first)
+                cells.extend(lines, first)
                 first += len(lines)
                 if progress is not None:
                     progress(raw.tell() / size)
-            return found
+            return cells
     raise InputError("not UTF-16 text, as its byte order mark says", file=file)
 
 
@@ -699,18 +699,18 @@ def _read_parquet(file: str) -> Cells:
             names = opened.schema_arrow.names
             lines = array("q", range(1, opened.metadata.num_rows + 1))
             heading = Heading(",", [name.strip() for name in names], 0, "")
-            found = Cells(file, heading, None, lines=lines)
+            result = Cells(file, heading, None, lines=lines)
             # One after the other, for memory.
-            for name, own in zip(names, found.grown, strict=True):
+            for name, column in zip(names, result.grown, strict=True):
                 cells = opened.read([name], use_threads=False).column(0)
                 if pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type):
-                    own.add(cells.cast(pa.float64(), safe=False).to_numpy())
+                    column.add(cells.cast(pa.float64(), safe=False).to_numpy())
                 else:
-                    own.add(["" if c is None else str(c) for c in cells.to_pylist()])
+                    column.add(["" if c is None else str(c) for c in cells.to_pylist()])
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         what = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"cannot be read as Parquet: {what}", file=file) from None
-    return found
+    return result
 
 
 def _heading(first: Sequence[str], file: str) -> Heading:
@@ -723,8 +723,8 @@ def _heading(first: Sequence[str], file: str) -> Heading:
         # Excel writes the separator in a line of its own, and blank lines as others.
         if line.strip(" ,;\t\r\n") and not re.fullmatch(r'"?sep=."?', line.strip())
     ]
-    if found := heading(lines):
-        return found
+    if foreign := heading(lines):
+        return foreign
     plain = [one for one in lines if not _is_comment(one[1])]
     if not plain:
         raise InputError("the file is empty, it needs a header and rows", file=file)
@@ -740,7 +740,7 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     # Sheets fill up the lines of a title with blank cells.
     top = next((n for n, cells in whole if 2 * cells.count("") < width), whole[0][0])
     lead = [(0, [""] * width), *(one for one in cut if len(one[1]) == width)]
-    own = (
+    candidates = (
         (number, names)
         for (_, groups), (number, cells) in pairwise(lead)
         if number < top and not (_is_row(cells, mark) or _units(cells))
@@ -748,7 +748,7 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     )
     above = [one for one in cut[: len(plain)] if one[0] < top]
     longest = max(above, key=lambda one: len(one[1]), default=(0, []))
-    number, names = next(own, longest)
+    number, names = next(candidates, longest)
     if 2 * len(names) >= width:
         below = next((one for one in above if one[0] > number), (number, []))
         if units := _units(below[1]):
@@ -799,8 +799,8 @@ def _units(cells: Sequence[str]) -> list[str]:
 
 
 def _with_unit(name: str, unit: str) -> str:
-    stated = not unit or split_header(name)[1]
-    return name if stated else f"{name} [{unit_called(unit) or unit}]"
+    complete = not unit or split_header(name)[1]
+    return name if complete else f"{name} [{unit_called(unit) or unit}]"
 
 
 def _is_comment(line: str) -> bool:
@@ -809,15 +809,15 @@ def _is_comment(line: str) -> bool:
 
 def _separator(lines: Sequence[str]) -> str:
     """The separator that cuts the most lines, and half of them, into as many cells."""
-    found = {",": 0}
+    scores = {",": 0}
     for mark in SEPARATORS:
         counts = Counter(len(cells_of(line, mark)) for line in lines)
         ((width, often),) = counts.most_common(1)
         # A single column may have a space in its name, but not in its numbers.
         rows = mark != " " or len(cells_of(lines[-1], mark)) == width
         if width > 1 and 2 * often >= len(lines) and rows:
-            found[mark] = often
-    return max(SEPARATORS, key=lambda mark: found.get(mark, -1))
+            scores[mark] = often
+    return max(SEPARATORS, key=lambda mark: scores.get(mark, -1))
 
 
 def _is_row(cells: Sequence[str], separator: str) -> bool:

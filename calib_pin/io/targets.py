@@ -87,21 +87,21 @@ def read_target_file(
         ([0.9, 0.0, 0.25], False)
     """
     table = read_table(path, columns=columns)
-    table, own = measured_columns.own_columns(table, chain, joints)
+    table, joint_columns = measured_columns.own_columns(table, chain, joints)
     oriented = bool(measured_columns.ORIENTED & table.columns.keys())
     has_targets = oriented or bool({*measured_columns.POSITION} & table.columns.keys())
-    has_joints = bool({*own.names} & table.columns.keys())
+    has_joints = bool({*joint_columns.names} & table.columns.keys())
     if not has_targets and not has_joints:
-        needs = f"x, y, z of targets, or the joints {', '.join(own.names)}"
+        needs = f"x, y, z of targets, or the joints {', '.join(joint_columns.names)}"
         raise table.error("neither targets nor joint positions", allowed=needs)
     q = None
     if has_joints:
-        q = measured_columns.read_positions(table, chain, own)
+        q = measured_columns.read_positions(table, chain, joint_columns)
         q = Joints.of(chain).continued(q)
     if not has_targets:
-        return Targets(table, own, q, None, False)
+        return Targets(table, joint_columns, q, None, False)
     spare = measured_columns.spare_columns(table, chain, joints)
-    spare = [name for name in spare if name not in own.names]
+    spare = [name for name in spare if name not in joint_columns.names]
     model = (Pose if oriented else Position).declaration.name
     used, values = measured_columns.read_values(table, model, spare)
     center = np.zeros(3) if base is None else base
@@ -114,7 +114,7 @@ def read_target_file(
     T[:, :3, 3] = values[:, :3]
     if oriented:
         T[:, :3, :3] = from_quaternion(values[:, 3:])
-    return Targets(table, own, q, T, oriented)
+    return Targets(table, joint_columns, q, T, oriented)
 
 
 def read_times(targets: Targets) -> Floats | None:
@@ -186,22 +186,22 @@ def _command_columns(
     The change is added to the value in the file, so that a column coupled with a joint
     outside the chain (an external axis) keeps the contribution of that joint.
     """
-    own, columns = targets.columns, targets.table.columns
+    ours, columns = targets.columns, targets.table.columns
     if targets.q is None:
-        shown = measured_columns.shown_columns(q, own, degrees)
+        shown = measured_columns.shown_columns(q, ours, degrees)
         return {header: column.tolist() for header, column in shown.items()}
     before = targets.q[rows]
     # Columns that are only coupled stay.
-    moved = dict(zip(own.names, (own.values(q) - own.values(before)).T, strict=True))
-    moved = {n: moved[n] for n, j in zip(own.names, own.joints, strict=True) if j}
-    for k, (joint, (name, given)) in enumerate(own.maps.items()):
-        if joint not in own.joints and name in columns:  # It mimics another.
+    moved = dict(zip(ours.names, (ours.values(q) - ours.values(before)).T, strict=True))
+    moved = {n: moved[n] for n, j in zip(ours.names, ours.joints, strict=True) if j}
+    for k, (joint, (name, given)) in enumerate(ours.maps.items()):
+        if joint not in ours.joints and name in columns:  # It mimics another.
             moved[name] = (q - before)[:, k] / (given.sign * given.gear)
     result = dict[str, Sequence[object]]()
-    for name in columns if targets.T is None else {**dict.fromkeys(own.names), **moved}:
+    for name in columns if targets.T is None else dict.fromkeys([*ours.names, *moved]):
         column = columns[name]
         if name in moved:
-            kind = measured_columns.kind_of(own, name)
+            kind = measured_columns.kind_of(ours, name)
             change = moved[name] / kind.units[column.unit or kind.si]
             result[column.header] = (column.numbers[rows] + change).tolist()
         else:

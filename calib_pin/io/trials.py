@@ -51,16 +51,16 @@ def read_trials(path: Path, study: str, each: int) -> list[tuple[Trial, ...]]:
     if not (data.startswith(begin) or begin.startswith(data)):
         raise InputError("holds trials of another study; use --force", file=path)
     whole = data[len(begin) : data.rfind(b"\n") + 1].decode("utf-8", "replace")
-    found, reader = list[Trial](), TypeAdapter(Trial)
+    trials, reader = list[Trial](), TypeAdapter(Trial)
     for line, cells in enumerate(csv.reader(io.StringIO(whole, newline="")), 3):
         with suppress(ValueError):
             trial = reader.validate_python(dict(zip(COLUMNS, cells, strict=True)))
-            if trial.robot == len(found) // each:
-                found.append(trial)
+            if trial.robot == len(trials) // each:
+                trials.append(trial)
                 continue
         raise InputError("damaged; use --force", file=path, line=line)
-    ends = range(each, len(found) + 1, each)
-    return [tuple(found[end - each : end]) for end in ends]
+    ends = range(each, len(trials) + 1, each)
+    return [tuple(trials[end - each : end]) for end in ends]
 
 
 def kept(
@@ -84,7 +84,7 @@ def kept(
     data = encode_trials(study, [*chain.from_iterable(known)])
     write_atomically(path, data, force=True)
     yield from known
-    for own in further:
-        data += encode_trials(study, own).removeprefix(head)
+    for trials in further:
+        data += encode_trials(study, trials).removeprefix(head)
         write_atomically(path, data, force=True)
-        yield own
+        yield trials

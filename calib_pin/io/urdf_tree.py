@@ -135,11 +135,11 @@ class Document:
 
     def axis(self, joint: Element) -> Floats:
         """Axis of a joint in its own frame as it is written, shape (3,), not zero."""
-        stated = joint.find("axis")
-        if stated is None:
+        element = joint.find("axis")
+        if element is None:
             return np.array([1.0, 0.0, 0.0])
-        axis = self.numbers(stated, "xyz", 3)
-        self.require(axis.any(), stated, f"the axis of {self.owner(joint)} is zero")
+        axis = self.numbers(element, "xyz", 3)
+        self.require(axis.any(), element, f"the axis of {self.owner(joint)} is zero")
         return axis
 
     def origin(self, element: Element) -> pin.SE3:
@@ -185,10 +185,10 @@ def parse_document(
     mark = codecs.BOM_UTF8 if source.startswith(codecs.BOM_UTF8) else b""
     data = plain = source.removeprefix(mark)
     if not re.match(rb"\s*<", data):
-        found = data[:16] if data.strip(b"\0 \t\r\n") else None
-        reason = "the file is empty" if found is None else "is not XML"
+        start = data[:16] if data.strip(b"\0 \t\r\n") else None
+        reason = "the file is empty" if start is None else "is not XML"
         allowed = f"{kind}, as text in UTF-8"
-        raise RobotError(reason, file=file, value=found, allowed=allowed)
+        raise RobotError(reason, file=file, value=start, allowed=allowed)
     try:
         data.decode()
     except UnicodeDecodeError as error:
@@ -196,9 +196,9 @@ def parse_document(
         reason = f"the byte 0x{data[error.start]:02x} is not UTF-8"
         allowed = "text in UTF-8"
         raise RobotError(reason, file=file, line=line, allowed=allowed) from None
-    if stated := _DECLARATION.match(data):
-        blank = re.sub(rb"[^\r\n]", b" ", stated[1])
-        plain = data[: stated.start(1)] + blank + data[stated.end() :]
+    if match := _DECLARATION.match(data):
+        blank = re.sub(rb"[^\r\n]", b" ", match[1])
+        plain = data[: match.start(1)] + blank + data[match.end() :]
     return Document(file, data, plain, mark, *_scan(plain, file, comments))
 
 
@@ -316,9 +316,9 @@ def _edited(
     written = {} if origin is None else origin.attrib
     texts = {k: _text(v, written.get(k, "")).encode() for k, v in changed.items()}
 
-    def value(found: re.Match[bytes]) -> bytes:
-        text, quote = texts.pop(found[2].decode(), None), found[3][:1]
-        return found[0] if text is None else found[1] + quote + text + quote
+    def value(match: re.Match[bytes]) -> bytes:
+        text, quote = texts.pop(match[2].decode(), None), match[3][:1]
+        return match[0] if text is None else match[1] + quote + text + quote
 
     tag = _ATTRIBUTE.sub(value, tag)
     tag += b"".join(b' %s="%s"' % (k.encode(), text) for k, text in texts.items())
@@ -455,7 +455,7 @@ def _mimics(joints: Mapping[str, Element]) -> tuple[dict[str, Mimic], dict[str, 
         Mimic joints, each with the driven joint at the end of those that it follows,
         and phrases for "joint x is ..., which a chain cannot contain".
     """
-    stated, mimics, refused = dict[str, Mimic](), dict[str, Mimic](), dict[str, str]()
+    direct, mimics, refused = dict[str, Mimic](), dict[str, Mimic](), dict[str, str]()
     single = {k for k, joint in joints.items() if joint.get("type") in _SINGLE}
     for name, joint in joints.items():
         kind, element = joint.attrib["type"], joint.find("mimic")
@@ -464,18 +464,18 @@ def _mimics(joints: Mapping[str, Element]) -> tuple[dict[str, Mimic], dict[str, 
         elif element is not None and name in single:
             about = {"multiplier": "1", "offset": "0", **element.attrib}
             factor, offset = float(about["multiplier"]), float(about["offset"])
-            stated[name] = Mimic(about.get("joint", ""), factor, offset)
-    for name, mimic in stated.items():
+            direct[name] = Mimic(about.get("joint", ""), factor, offset)
+    for name, mimic in direct.items():
         path = {name}
-        while (leader := mimic.leader) in stated and leader not in path:
+        while (leader := mimic.leader) in direct and leader not in path:
             path.add(leader)
-            above = stated[leader]
+            above = direct[leader]
             offset = mimic.factor * above.offset + mimic.offset
             mimic = Mimic(above.leader, mimic.factor * above.factor, offset)
         if leader in single - path:
             mimics[name] = mimic
         else:
-            leader = stated[name].leader
+            leader = direct[name].leader
             refused[name] = f"a mimic joint without a driven leader ('{leader}')"
     return mimics, refused
 
@@ -490,13 +490,13 @@ def _build_model(document: Document, known: Mapping[str, Element]) -> pin.Model:
                 model = pin.buildModelFromXML(text)
         except Exception as failure:  # Whatever C++ throws.
             printed.seek(0)
-            found = printed.read().decode(errors="replace")
-            errors = re.search(r"Error:\s+(.*?)\.?\s\s", found, re.DOTALL)
-            said = errors[1] if errors else str(failure)
+            output = printed.read().decode(errors="replace")
+            errors = re.search(r"Error:\s+(.*?)\.?\s\s", output, re.DOTALL)
+            message = errors[1] if errors else str(failure)
             # What it names last is what is wrong.
-            named = [n for n in re.findall(r"[\['](.*?)[\]']", said) if n in known]
+            named = [n for n in re.findall(r"[\['](.*?)[\]']", message) if n in known]
             culprit = known[named[-1]] if named else document.root
-            reason = f"Pinocchio cannot read it: {said}"
+            reason = f"Pinocchio cannot read it: {message}"
             raise document.error(culprit, reason) from failure
     reason = f"the robot has {model.nv} degrees of freedom"
     few, allowed = model.nv <= FREEDOM, f"at most {FREEDOM}"

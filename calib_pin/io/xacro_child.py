@@ -123,17 +123,17 @@ def _install(folders: list[Path]) -> None:
 
     def find(name: str) -> str:
         """The folder of a package."""
-        found = next(packages(name, folders), None)
-        if found is None:
+        package = next(packages(name, folders), None)
+        if package is None:
             hint = "name its folder, or that which holds it, with --package-dir"
             raise Refused(f"the package '{name}' is not found: {hint}")
-        return str(found.absolute())
+        return str(package.absolute())
 
     def folder(*_: object) -> str:
         """The folder of the file that is read."""
         return str(Path(xacro.filestack[-1]).absolute().parent)
 
-    for module, name, own in (
+    for module, name, replacement in (
         (xacro, "safe_eval", value),
         (substitution_args, "_eval", substituted),
         (substitution_args, "_eval_find", find),
@@ -141,7 +141,7 @@ def _install(folders: list[Path]) -> None:
     ):
         if not hasattr(module, name):
             raise Refused(f"this version of xacro has no {name}")
-        setattr(module, name, own)
+        setattr(module, name, replacement)
 
 
 def _expanded(file: str, given: Mapping[str, str]) -> str:

@@ -272,8 +272,8 @@ class Detector:
             return detection
         half, rough = self._half(detection), detection.pixels
         if self.board.type in TAGS:
-            met = [detection.tags[int(name[:-2])] for name in detection.names[::4]]
-            fine, sigma = (np.concatenate(part) for part in zip(*met, strict=True))
+            tags = [detection.tags[int(name[:-2])] for name in detection.names[::4]]
+            fine, sigma = (np.concatenate(part) for part in zip(*tags, strict=True))
         else:
             start = np.array(rough[:, None], np.float32, order="C")
             criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, *STEPS)
@@ -343,9 +343,9 @@ class Detector:
         if np.linalg.det([grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]]) < 0.0:
             grid = grid[:, ::-1]  # As it is seen from the front.
         ways = [np.rot90(grid, k) for k in range(4)]
-        ways = [way for way in ways if way.shape == grid.shape]
+        ways = [view for view in ways if view.shape == grid.shape]
         ways = [w for w in ways if chess and corners.first_is_dark(levels, w)] or ways
-        chosen = min(ways, key=lambda way: float(way[0, 0].sum()))
+        chosen = min(ways, key=lambda view: float(view[0, 0].sum()))
         across = chosen[0, -1] - chosen[0, 0]
         # A right angle further, it is clear which corner is the upper left one.
         if not whole or (len(ways) > 1 and across[0] < abs(across[1])):
@@ -703,8 +703,8 @@ def start_camera(
         return Start(assumed, True, rms)
     # A start needs no more digits.
     fx, fy, cx, cy = numbers[:4].round(3).tolist()
-    about = (fx, fy), (cx, cy), tuple(numbers[4:].round(6).tolist()), size
-    return Start(CameraSetup(mount, *about, estimate=True), False, rms)
+    intrinsics = (fx, fy), (cx, cy), tuple(numbers[4:].round(6).tolist()), size
+    return Start(CameraSetup(mount, *intrinsics, estimate=True), False, rms)
 
 
 def _require_flat(images: Mapping[str, Found], rms: float, each: Floats) -> None:

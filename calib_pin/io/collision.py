@@ -89,8 +89,8 @@ def load_collisions(
     solids = [*robot_solids, *_of_obstacles(chains, obstacles, file)]
     for number, name, place, solid in solids:
         frame = model.frames[number]
-        about = name, frame.parentJoint, number, frame.placement * place, solid
-        geometry.addGeometryObject(pin.GeometryObject(*about))
+        arguments = name, frame.parentJoint, number, frame.placement * place, solid
+        geometry.addGeometryObject(pin.GeometryObject(*arguments))
     links = [model.frames[number].name for number, *_ in solids]
     for i, j in combinations(range(len(solids)), 2):
         # Obstacles, and of the robot only links that may not touch.
@@ -140,8 +140,8 @@ def _as_built(
             count = counted(len(pairs), "pair")
             tell(f"links that {words}: {count} ({named}{'; ...' * (len(pairs) > 3)})")
     order = np.argsort(-contacts.mean(axis=0), kind="stable")
-    kept = (k for k in order if collisions.pairs[k] not in left_out)
-    return collisions.only(kept, clearances)
+    indices = (k for k in order if collisions.pairs[k] not in left_out)
+    return collisions.only(indices, clearances)
 
 
 _Solid = tuple[int, str, pin.SE3, pin.coal.CollisionGeometry]

@@ -101,7 +101,7 @@ def unit_called(text: str) -> str | None:
     text = text.strip().lower()
     if text in ANGLE.units:
         return text
-    return next((unit for unit, ways in UNITS.items() if text in ways), None)
+    return next((unit for unit, texts in UNITS.items() if text in texts), None)
 
 
 def kind_of_unit(unit: str | None) -> Kind:

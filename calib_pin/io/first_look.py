@@ -397,7 +397,7 @@ def _joints(
     # Joints at the end of a chain that stand still may be in units of their own, such
     # as a gripper in percent.
     for look in (look for look in looks if look.tips):
-        moving = {joint for joint, one in look.joints.items() if one.moves}
+        moving = {joint for joint, column in look.joints.items() if column.moves}
         for chain, links in chains_of(robot, setup.base).items():
             if moving <= {*chain} < look.joints.keys():
                 few = {joint: look.joints[joint] for joint in chain}
@@ -426,13 +426,13 @@ def _links_called(
     """
     # Of links that the same joints move, one is as good as another.
     called = {
-        one: link
-        for one, links in chains.items()
+        chain: link
+        for chain, links in chains.items()
         for link in reversed(links)
-        if joints >= {*one} and {*_parts(name)} <= {*_parts(link)}
+        if joints >= {*chain} and {*_parts(name)} <= {*_parts(link)}
     }
     most = max(map(len, called), default=0)
-    return [link for one, link in called.items() if len(one) == most]
+    return [link for chain, link in called.items() if len(chain) == most]
 
 
 def chains_of(
@@ -577,7 +577,7 @@ def _units(
     turned = [every] if steps else [every, far] if far else [far, every]
     metric = [oriented, oriented | dict.fromkeys(lengths, "mm")]
     options = [{**a, **b, **c} for a, b, c in product(turned, [{}, slides], metric)]
-    return [one for k, one in enumerate(options) if one not in options[:k]]
+    return [units for k, units in enumerate(options) if units not in options[:k]]
 
 
 def with_errors(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look:

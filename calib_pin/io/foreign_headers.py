@@ -203,16 +203,16 @@ def require_units(columns: Iterable[Foreign]) -> None:
     Raises:
         InputError: If there is one.
     """
-    for one in columns:
-        if one.column.unit and one.unit is None:
-            reason = f"the unit '{one.column.unit}' is not known"
+    for foreign in columns:
+        if foreign.column.unit and foreign.unit is None:
+            reason = f"the unit '{foreign.column.unit}' is not known"
             allowed = ", ".join(dict.fromkeys((*UNITS, *ANGLE.units)))
-            raise InputError(reason, column=one.name, allowed=allowed)
+            raise InputError(reason, column=foreign.name, allowed=allowed)
 
 
 def _with_axes(columns: Sequence[Foreign]) -> list[Foreign]:
     """The same, elements of vectors of three called by their axes."""
-    threes = [one for one in families(columns) if len(one) == 3]
+    threes = [family for family in families(columns) if len(family) == 3]
     named = dict[str, str]()
     for three in threes:
         for axis, one in zip("xyz", three, strict=True):
@@ -257,11 +257,11 @@ def _choices(columns: Sequence[Foreign]) -> dict[str, dict[str, Foreign]]:
     options, kinds = defaultdict[str, dict[str, Foreign]](dict), measured_kinds()
     likely = sorted(columns, key=_likelihood)
     for ours in MEANINGS:
-        for one in sorted(likely, key=lambda one: one.name != ours):
-            fits = ours not in kinds or one.unit in (None, *kinds[ours].units)
-            stem = _stem(one, ours) if fits else None
-            if stem is not None and (ours not in NAMES or _names(one, ours)):
-                options[ours].setdefault(stem, one)
+        for column in sorted(likely, key=lambda column: column.name != ours):
+            fits = ours not in kinds or column.unit in (None, *kinds[ours].units)
+            stem = _stem(column, ours) if fits else None
+            if stem is not None and (ours not in NAMES or _names(column, ours)):
+                options[ours].setdefault(stem, column)
     for vector in VECTORS:
         # Points of a sheet have no z.
         needed = [v for v in vector if v != "z" or options[v]]
@@ -308,7 +308,7 @@ def vectors(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:
             ways = {TURNS.sub("", stem).strip(): stem for stem in options[names[0]]}
             likely = [beside] if beside in ways else [*ways][: len(stems) == 1]
             turned = {name: options[name][ways[likely[0]]] for name in names if likely}
-            if any(one.moves for one in turned.values()):
+            if any(column.moves for column in turned.values()):
                 result.append(position | turned)
                 break
         result.append(position)
@@ -340,52 +340,52 @@ def check_gauges(table: Table, names: Iterable[str]) -> None:
         InputError: If there is one; says how to name it.
     """
     choices = measured(foreign({name: table.columns[name] for name in names}))
-    for ours, (one, *_) in choices.items():
+    for ours, (column, *_) in choices.items():
         # Whole numbers without a unit count readings.
-        if ours in optional() and (one.unit or (one.numbers % 1.0 != 0.0).any()):
-            way = f"columns: {{{ours}: '{one.stated(one.unit)}'}}"
-            reason = f"looks like readings of a gauge: state in the setup '{way}' "
+        if ours in optional() and (column.unit or (column.numbers % 1.0 != 0.0).any()):
+            remedy = f"columns: {{{ours}: '{column.stated(column.unit)}'}}"
+            reason = f"looks like readings of a gauge: state in the setup '{remedy}' "
             reason += "('dial' where pushed in is positive), or leave it out"
-            raise table.error(reason, one.name)
+            raise table.error(reason, column.name)
 
 
-def _stem(one: Foreign, ours: str) -> str | None:
+def _stem(column: Foreign, ours: str) -> str | None:
     """The words of a header beside one of our meanings; None if it has another.
 
     Capitals are words of their own: a file may have `x` and `X`.
     """
-    if one.name == ours:
+    if column.name == ours:
         return ""
-    parts = re.findall(r"[^\W_]+", one.words)
+    parts = re.findall(r"[^\W_]+", column.words)
     single = any(ours in vector for vector in VECTORS)
-    ways = [(parts[:-2], "".join(parts[-2:])), (parts[:-1], "".join(parts[-1:]))]
+    splits = [(parts[:-2], "".join(parts[-2:])), (parts[:-1], "".join(parts[-1:]))]
     if ours in VECTORS[1]:
-        ways.append((parts[1:-1], "".join(parts[:1] + parts[-1:])))  # As in q_RS_w.
-    for rest, word in [*ways, (parts[1:], "".join(parts[:1]))]:
+        splits.append((parts[1:-1], "".join(parts[:1] + parts[-1:])))  # As in q_RS_w.
+    for rest, word in [*splits, (parts[1:], "".join(parts[:1]))]:
         # Several points may be called pos_x and tcp_x, or x1 and x2.
         letters, before = word, ""
         if ours in VECTORS[0]:
             letters = word.rstrip("0123456789")
             before = letters[:-1] + word[len(letters) :]
         stem = " ".join(filter(None, [*rest, before]))
-        alike = re.fullmatch(MEANINGS[ours], letters) and not OTHER.search(stem)
+        matches = re.fullmatch(MEANINGS[ours], letters) and not OTHER.search(stem)
         turned = ours in VECTORS[0] and TURNED.search(stem)
         first = rest == parts[1:] and len(parts) > 1
-        if alike and not turned and (single or not first or LABEL.fullmatch(stem)):
-            return stem + "^" * one.name.isupper()
+        if matches and not turned and (single or not first or LABEL.fullmatch(stem)):
+            return stem + "^" * column.name.isupper()
     return None
 
 
-def _names(one: Foreign, ours: str) -> bool:
+def _names(foreign: Foreign, ours: str) -> bool:
     """Whether a column says what several measurements have in common."""
-    count = max(len(one.column.words), len(np.unique(one.numbers)), 1)
-    return one.name == ours or len(one.column.numbers) >= SHARED * count
+    count = max(len(foreign.column.words), len(np.unique(foreign.numbers)), 1)
+    return foreign.name == ours or len(foreign.column.numbers) >= SHARED * count
 
 
-def _likelihood(one: Foreign) -> int:
+def _likelihood(column: Foreign) -> int:
     """Order in which columns of the same meaning are tried."""
-    wrong = COMMANDED.search(one.words) or COMPUTED.search(one.words)
-    return bool(wrong) - bool(MEASURED.search(one.words))
+    wrong = COMMANDED.search(column.words) or COMPUTED.search(column.words)
+    return bool(wrong) - bool(MEASURED.search(column.words))
 
 
 def joints_by_name(
@@ -428,10 +428,10 @@ def families(columns: Sequence[Foreign]) -> list[list[Foreign]]:
     Those whose name is that of joints come first, then measured before commanded ones.
     """
     groups = defaultdict[tuple[str, str], dict[int, Foreign]](dict)
-    for one in columns:
-        if one.numeric and (match := NUMBERED.match(one.words)):
+    for column in columns:
+        if column.numeric and (match := NUMBERED.match(column.words)):
             key = match[1].strip(" _-."), match[3].strip(" _-.")
-            groups[key][int(match[2])] = one
+            groups[key][int(match[2])] = column
     whole = [
         (re.split(r"[ _.\-]", stem)[-1], [family[k] for k in sorted(family)])
         for (stem, _), family in groups.items()

@@ -147,9 +147,9 @@ def merged(*documents: Mapping[str, Any]) -> Json:
     result: Json = {}
     for document in documents:
         for key, value in document.items():
-            there = result.get(key)
-            both = isinstance(value, dict) and isinstance(there, dict)
-            result[key] = merged(there, value) if both and there else value
+            old = result.get(key)
+            both = isinstance(value, dict) and isinstance(old, dict)
+            result[key] = merged(old, value) if both and old else value
     return result
 
 

@@ -92,8 +92,8 @@ def join_logs(
     measured += QUATERNION if way else ()
     with stated_in(f"{ours.file}, {theirs.file}"):
         if POSE in ours:
-            both = ours.labels(POSE), theirs.labels(POSE)
-            joined = joining.join_by_name(q, values, *both)
+            names = ours.labels(POSE), theirs.labels(POSE)
+            joined = joining.join_by_name(q, values, *names)
             _require_points(theirs, measured, values.values, joined)
         else:
             stamps = ours.columns["time"], theirs.columns["time"]
@@ -111,7 +111,7 @@ def join_logs(
         notice(f"in one of both files only, and left out: {alone}")
     if IMAGE in theirs:
         images = theirs.labels(IMAGE)
-        used = {images[k] for one in joined.standstills for k in one.readings}
+        used = {images[k] for stand in joined.standstills for k in stand.readings}
         if lost := enumerated(name for name in images.distinct if name not in used):
             notice(f"the joints do not stand at the time of {lost}: left out")
     units = {name: ours.columns[name].unit or "" for name in joints}
@@ -139,10 +139,10 @@ def _encoded(
     """
     rows, oriented = [*joined.standstills], "qx" in measured
     if keep:
-        rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
-        rows.sort(key=lambda one: int(one.readings[0]))
+        rows = [replace(row, readings=k) for row in rows for k in row.readings[:, None]]
+        rows.sort(key=lambda row: int(row.readings[0]))
     cells: dict[str, Any] = {}
-    q = np.array([one.q for one in rows])
+    q = np.array([row.q for row in rows])
     for (name, unit), column in zip(joints.items(), q.T, strict=True):
         # Steps of servos are told in radians.
         unit = "" if steps_of(unit) else unit
@@ -154,17 +154,17 @@ def _encoded(
         names = [name for name in measured if name not in QUATERNION]
         names += ROTATION_VECTOR if oriented else ()
         cells |= zip((f"sigma_{name}" for name in names), sigma.T, strict=True)
-    averaged = any(len(one.readings) > 1 for one in rows)
-    table = table.rows(np.array([one.readings[0] for one in rows]))
-    for name in _kept(table):
+    averaged = any(len(row.readings) > 1 for row in rows)
+    table = table.rows(np.array([row.readings[0] for row in rows]))
+    for name in _copied_columns(table):
         if not (averaged and name.startswith("sigma")):
             column = table.columns[name]
             cells[header(name, column.unit)] = column.texts().map(str.strip)
     if joined.clock:
-        time = np.array([values.time[one.readings].mean() for one in rows])
+        time = np.array([values.time[row.readings].mean() for row in rows])
         cells["time"] = time - joined.clock.ahead
-    way = "time" if joined.clock else "name"
-    comment = f"joined by {way}: {counted(joined.stands, 'standstill')}, "
+    kind = "time" if joined.clock else "name"
+    comment = f"joined by {kind}: {counted(joined.stands, 'standstill')}, "
     comment += counted(joined.used, "reading")
     comment += ", each sigma that of a mean" * averaged
     return encode_table(cells, [comment])
@@ -202,7 +202,7 @@ def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
 def _time_column(table: Table) -> str:
     """The likeliest column of times; empty where there is none."""
     choices = headers.measured(headers.foreign(table.columns)).get("time", ())
-    names = (one.name for one in choices)
+    names = (column.name for column in choices)
     return next(names, next((n for n in table.columns if n.lower() == "t"), ""))
 
 
@@ -247,7 +247,7 @@ def _require_points(
         InputError: If those of a name do.
     """
     lengths = [k for k, n in enumerate(measured) if n in ("x", "y", "z", "distance")]
-    for rows in (one.readings for one in joined.standstills):
+    for rows in (standstill.readings for standstill in joined.standstills):
         apart = float(np.ptp(values[rows][:, lengths], axis=0).max(initial=0.0))
         if apart > APART:
             reason = f"readings of one name are {1e3 * apart:.0f} mm apart"
@@ -259,7 +259,7 @@ def _joints(table: Table, columns: Collection[str]) -> list[str]:
     """Columns of joints: those that are named, or those of positions."""
     fields = headers.foreign(table.columns)
     # The pose that a controller computes, or an instrument's in the same log.
-    points = (one.name for way in headers.vectors(fields) for one in way.values())
+    points = (column.name for way in headers.vectors(fields) for column in way.values())
     known = {POSE, "time", *NAMES, *points}
     reserved = {POSE, "time", *measured_columns.reserved()}
     names = [name for name in columns if name in table and name not in reserved]
@@ -288,13 +288,13 @@ def _readings(table: Table, notice: Notice) -> tuple[Table, list[str], str]:
     if not (names or way or IMAGE in table):
         allowed = "x, y, z, distance, u, v, an orientation, or a column 'image'"
         raise table.error("there are no measured columns", allowed=allowed)
-    used = {"time", *names, *oriented, *_kept(table), "temperature"}
+    used = {"time", *names, *oriented, *_copied_columns(table), "temperature"}
     if ignored := table.ignored([name for name in table.columns if name not in used]):
         notice(ignored)
     return table, names, way
 
 
-def _kept(table: Table) -> list[str]:
+def _copied_columns(table: Table) -> list[str]:
     """Columns of readings that are written as they are."""
     names = [name for name in (*NAMES, IMAGE) if name in table]
     if IMAGE in table or POSE in table:
@@ -338,13 +338,13 @@ def _read(
     return table.rows(order), joining.continuous(log) if way else log
 
 
-def _is_position(one: headers.Foreign) -> bool:
+def _is_position(foreign: headers.Foreign) -> bool:
     """Whether a column of a log may be one of joint positions: no counter, no stamp."""
-    unit = one.column.unit or ANGLE.si
+    unit = foreign.column.unit or ANGLE.si
     known = unit in ANGLE.units or unit in LENGTH.units
-    steps = np.unique(np.diff(one.numbers))
-    counter = len(steps) == 1 and steps[0] > 0.0 and len(one.numbers) > COUNTED
-    return one.numeric and known and not (counter or STAMPS.search(one.words))
+    steps = np.unique(np.diff(foreign.numbers))
+    counter = len(steps) == 1 and steps[0] > 0.0 and len(foreign.numbers) > COUNTED
+    return foreign.numeric and known and not (counter or STAMPS.search(foreign.words))
 
 
 def _times(table: Table, name: str) -> Floats:

@@ -52,9 +52,9 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
     columns = dict[str, Any]()
     blanks = [np.full(len(table["set"]), np.nan) for table in tables]
     for name in dict.fromkeys(name for table in tables for name in table):
-        every = [t.get(name, none) for t, none in zip(tables, blanks, strict=True)]
+        cells = [t.get(name, none) for t, none in zip(tables, blanks, strict=True)]
         words = name in WORDS
-        columns[name] = [*chain(*every)] if words else np.concatenate(every)
+        columns[name] = [*chain(*cells)] if words else np.concatenate(cells)
     head = f"calib-pin measurements of a calibration, run {run}; in m, rad and px"
     return encode_table(columns, [head])
 
@@ -88,17 +88,17 @@ def decode_errors(
         components = unknown.components[start : start + len(about.components)]
         given = components if f"{components[0]}.stated" in cells else ()
         sigma = numbers("{}.stated", given, rows)
-        held: Any = {n: cells[n].numbers[rows] for n in STATED if n in cells}
+        conditions: Any = {n: cells[n].numbers[rows] for n in STATED if n in cells}
         if f"direction.{joints[0]}" in cells:
             directions = numbers("direction.{}", joints, rows).astype(np.int8)
-            held |= {"direction": directions, "source": "columns"}
+            conditions |= {"direction": directions, "source": "columns"}
         return Measurements(
             joints=joints,
             q=numbers("joint.{}", joints, rows),
             values=numbers("measured.{}", range(1, len(about.values) + 1), rows),
             sigma=None if np.isnan(sigma).all() else sigma,
             target=words["target"][index],
-            conditions=Conditions(words["payload"][index], **held),
+            conditions=Conditions(words["payload"][index], **conditions),
             start=numbers("start.{}", joints if about.relative else (), rows),
             lines=cells["line"].numbers[rows].astype(np.int64),
             files=words["file"][index],

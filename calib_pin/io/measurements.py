@@ -174,11 +174,11 @@ def _without(
         mine = f"/{table.file}".endswith(f"/{file}") if file else alone
         if mine and int(line) in table.lines:
             lines[place] = int(line)
-    kept = np.flatnonzero(~np.isin(table.lines, [*lines.values()]))
-    if not len(kept):
+    rows = np.flatnonzero(~np.isin(table.lines, [*lines.values()]))
+    if not len(rows):
         raise InputError("'reading' leaves out all measurements", file=table.file)
     others = tuple(place for place in reading.without if place not in lines)
-    return table.rows(kept), replace(reading, without=others)
+    return table.rows(rows), replace(reading, without=others)
 
 
 def _with_joints(part: Measurements, chains: Chains) -> Measurements:
@@ -274,10 +274,10 @@ class _Reader:
 
     def _of_sheet(self, table: Table) -> Table:
         """The file with z = 0 where it states x and y alone: points of a sheet."""
-        there = table.columns.keys()
-        others = measured_columns.ORIENTED & there or {*self.asked} - {"position"}
-        hidden = "z" in {*there, *table.missing} or closest("z", there)
-        if hidden or others or not {"x", "y"} <= there:
+        names = table.columns.keys()
+        others = measured_columns.ORIENTED & names or {*self.asked} - {"position"}
+        hidden = "z" in {*names, *table.missing} or closest("z", names)
+        if hidden or others or not {"x", "y"} <= names:
             return table
         self.notice(f"{table.file}: no z: a sheet, z = 0, on which the robot stands")
         z = Column("z", None, np.zeros(len(table.lines)))
@@ -317,8 +317,8 @@ class _Reader:
         items = table.columns.items()
         columns = {n: c for n, c in items if n in needed or not c.missing().all()}
         table = replace(table, columns=columns)
-        about = key.model, spare, self.orientation
-        read, values = measured_columns.read_values(table, *about)
+        arguments = key.model, spare, self.orientation
+        read, values = measured_columns.read_values(table, *arguments)
         # How far apart points stand that stand still has nothing to do with the robot.
         if "x" in read and key.chain != WORLD:
             measured_columns.check_spread(table, chains[key.chain], values[:, :3])
@@ -399,9 +399,9 @@ def _check_names(data: Observations, sockets: Collection[str]) -> None:
     The places of one station are the same for all chains and tools.
     """
     for block in data.blocks:
-        alike = [key for key in data.keys if key[:2] == block.key[:2]]
+        siblings = [key for key in data.keys if key[:2] == block.key[:2]]
         for k in ("station", "tool"):
-            if not getattr(block, k) and any(getattr(key, k) for key in alike):
+            if not getattr(block, k) and any(getattr(key, k) for key in siblings):
                 raise block.error(0, f"the row names no {k}, others do", column=k)
         still, naming = block.chain == WORLD, declared(block.model).naming
         if still or naming.required == "every":

@@ -133,8 +133,8 @@ class Writer:
                 continue
             # Coupled are the distances from the reference positions.
             zero, leader = (model.qpos0[model.jnt_qposadr[j]] for j in (one, other))
-            about = {"multiplier": factor, "offset": zero + offset - factor * leader}
-            elements[one] = _tag("mimic", joint=self.joints[other], **about)
+            numbers = {"multiplier": factor, "offset": zero + offset - factor * leader}
+            elements[one] = _tag("mimic", joint=self.joints[other], **numbers)
         return elements
 
 

@@ -348,8 +348,8 @@ def read_written(
 
 def _chains(record: Document, robot: Robot) -> Chains:
     """The chains that were measured."""
-    about, setup = record.robot, setup_of(record.model.setup)
-    ends = about.chains or {"": about.ends}
+    robot_record, setup = record.robot, setup_of(record.model.setup)
+    ends = robot_record.chains or {"": robot_record.ends}
     built = {name: Chain(robot, e.base, e.tip) for name, e in ends.items()}
     default = built.get("", setup)
     return Chains(robot, default.base, default.tip, setup.chains, tuple(built), built)
@@ -434,10 +434,10 @@ def model_of(
     theta = theta if reference is None else np.zeros(len(given))
     for key, term in terms.items():
         objects: dict[str, Json] = {}
-        for one in term.measurement.references:
-            section, name = term.frames.place(one)
+        for item in term.measurement.references:
+            section, name = term.frames.place(item)
             place = places[section if section in SECTIONS else "cameras"][name]
-            objects.setdefault(section, {})[one.name] = place
+            objects.setdefault(section, {})[item.name] = place
         data = {**record.setup, "camera": None, **objects, **objects.get("camera", {})}
         measurement = measurement_model(key.model, setup_of(data), blocks[key])
         names = term.frames.station, term.frames.tool
@@ -445,7 +445,7 @@ def model_of(
         base, tool = map(frame_pose, ends)
         far = max(np.abs(pose.homogeneous).max() for pose in (base, tool))
         known = all(None not in (frame.xyz, frame.rpy) for frame in ends)
-        known &= all(one.located for one in measurement.references)
+        known &= all(item.located for item in measurement.references)
         if not (known and far < LARGEST):
             raise ValueError("a place is not known")
         # An error of the tip is carried by the tool: a URDF has no place for it.

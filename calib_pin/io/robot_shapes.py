@@ -230,8 +230,8 @@ def robot_shapes(robot: Robot, package_dirs: Sequence[str | Path] = ()) -> Shape
 def _color(element: Element, materials: Mapping[str, Element]) -> Color | None:
     """The color of a visual element, of its own or by the name of a material."""
     for material in element.findall("material")[:1]:
-        named = materials.get(material.get("name", ""), material)
-        for color in (*material.findall("color"), *named.findall("color")):
+        definition = materials.get(material.get("name", ""), material)
+        for color in (*material.findall("color"), *definition.findall("color")):
             with suppress(ValueError):
                 red, green, blue, _ = map(float, color.get("rgba", "").split())
                 return red, green, blue

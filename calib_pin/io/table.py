@@ -520,8 +520,8 @@ class Cells:
     def __post_init__(self) -> None:
         """Columns without rows."""
         known = [split_header(header)[0] for header in self.heading.names]
-        named = [self.names is None or name in self.names for name in known]
-        self.grown = [Growing(named=one) for one in named]
+        names = known if self.names is None else self.names
+        self.grown = [Growing(named=name in names) for name in known]
         self.comma = 0  # The first line with a decimal comma.
         self.head = set[str]()  # The header and the lines above it, with their ends.
 

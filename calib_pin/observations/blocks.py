@@ -158,9 +158,9 @@ class Observations(SourcedRows):
 
     def rows(self, index: NDArray[Any]) -> Observations:
         """The rows of a boolean mask or of ascending positions."""
-        every = np.arange(len(self))
-        order = every[index]
-        if np.array_equal(order, every):
+        positions = np.arange(len(self))
+        order = positions[index]
+        if np.array_equal(order, positions):
             return self
         picked = [
             block.rows(order[(order >= rows.start) & (order < rows.stop)] - rows.start)

@@ -147,8 +147,8 @@ def marker_corners(image: Floats, corners: Floats, cells: int) -> tuple[Floats, 
         two = ends[2 * k - 1], ends[2 * k]
         inverse = np.linalg.pinv(np.array([across for across, _, _ in two]))
         points[k] = inverse @ [offset for _, offset, _ in two]
-        both = inverse**2 @ [variance for _, _, variance in two]
-        sigma[k] = np.sqrt(both + ROUNDING**2)
+        variances = inverse**2 @ [variance for _, _, variance in two]
+        sigma[k] = np.sqrt(variances + ROUNDING**2)
     return points, np.clip(sigma, None, LARGEST)
 
 

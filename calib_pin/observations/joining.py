@@ -361,8 +361,8 @@ class _Motion:
                 zone, counts = best, by_zone[best]
         if not counts.max():
             spans = [f"{t[0]:.1f} to {t[-1]:.1f} s" for t in (self.grid, readings.time)]
-            both = "joints are of {}, readings of {}".format(*spans)
-            raise InputError(f"the logs have no common time: {both}")
+            text = "joints are of {}, readings of {}".format(*spans)
+            raise InputError(f"the logs have no common time: {text}")
         # Runs of offsets that are as good, of which the one nearest to zero counts.
         good = np.concatenate([[False], counts == counts.max(), [False]])
         runs = near[np.flatnonzero(np.diff(good)).reshape(-1, 2) - [0, 1]].tolist()
@@ -439,7 +439,7 @@ def means(standstills: Sequence[Standstill], values: Floats, oriented: bool) -> 
         values: Values of all readings, shape (N, k).
         oriented: Whether the last four are quaternions.
     """
-    averages = np.array([values[one.readings].mean(axis=0) for one in standstills])
+    averages = np.array([values[stand.readings].mean(axis=0) for stand in standstills])
     for mean in averages if oriented else ():
         mean[-4:] /= np.linalg.norm(mean[-4:])
     return averages
@@ -465,11 +465,11 @@ def mean_sigmas(
     Returns:
         The deviations, zero where no standstill has two readings.
     """
-    counts, columns = np.array([len(one.readings) for one in standstills]), []
-    for one, mean in zip(
+    counts, columns = np.array([len(stand.readings) for stand in standstills]), []
+    for stand, mean in zip(
         standstills, means(standstills, values, oriented), strict=True
     ):
-        away = values[one.readings]
+        away = values[stand.readings]
         if oriented:
             R = from_quaternion(mean[-4:]).T @ from_quaternion(away[:, -4:])
             away = np.hstack([away[:, :-4], so3_log(R)])

@@ -95,8 +95,8 @@ class Dialect:
             columns: Columns by name, those first renamed that the setup file names.
             file: The file, for others beside it.
         """
-        there = [any(re.fullmatch(sign, n) for n in columns) for sign in self.signs]
-        fits = there and all(there)
+        matches = [any(re.fullmatch(sign, n) for n in columns) for sign in self.signs]
+        fits = matches and all(matches)
         return Reading(self.converted(columns), self.remark) if fits else None
 
     def converted(self, columns: Columns) -> dict[str, Column]:

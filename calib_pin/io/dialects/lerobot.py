@@ -53,9 +53,9 @@ class LeRobot(base.Dialect):
             joint: np.where(column.missing(), np.nan, column.numbers)
             for joint, column in joints.items()
         }
-        every = np.concatenate([*numbers.values()])
-        largest = float(np.abs(np.nan_to_num(every)).max())
-        unit = counted(every) or ("deg" if largest > TURNED else None)
+        positions = np.concatenate([*numbers.values()])
+        largest = float(np.abs(np.nan_to_num(positions)).max())
+        unit = counted(positions) or ("deg" if largest > TURNED else None)
         words = {None: "rad", "deg": "degrees"}
         remark = words.get(unit, "steps of its motors")
         if unit and largest <= 100.0 and (ranges := _ranges(file, joints)):

@@ -289,8 +289,8 @@ class Format:
         if lacking or distance >= ENOUGH:
             yield sentence
         fitted = exported.fitted
-        placed = [s.parameter for one in fitted for s in one.error.screws]
-        carries = any(one.tool_carries_tip for one in fitted)
+        placed = [s.parameter for chain in fitted for s in chain.error.screws]
+        carries = any(chain.tool_carries_tip for chain in fitted)
         if carries or any(p.nuisance and p.free for p in placed):
             yield f"{self.name} holds no base and tool frames: see 'tf'"
         mimics = exported.nominal.mimics.items()

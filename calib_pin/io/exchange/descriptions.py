@@ -140,8 +140,8 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
     robot, document = exported.robot, _corrected(exported)
     links, joints = document.named("link"), document.named("joint").values()
     root, without = Element("mujoco", model=robot.name), list[str]()
-    about = {"angle": "radian", "autolimits": "true", "balanceinertia": "true"}
-    SubElement(root, "compiler", about)
+    settings = {"angle": "radian", "autolimits": "true", "balanceinertia": "true"}
+    SubElement(root, "compiler", settings)
     pending: list[tuple[Element, str, Element | None]]
     pending = [(SubElement(root, "worldbody"), robot.root, None)]
     while pending:
@@ -219,10 +219,10 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     document = _corrected(exported)
     changed = {} if exported.geometry is None else exported.geometry.urdf_corrections()
     used, renamed = set[str](), list[str]()
-    about = escape(exported.robot.name).replace("--", "- -")
+    title = escape(exported.robot.name).replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',
-        f"<!-- joint origins of {about}, calibrated: include it, and take them as "
+        f"<!-- joint origins of {title}, calibrated: include it, and take them as "
         '<origin xyz="${NAME_xyz}" rpy="${NAME_rpy}"/> -->',
         '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
     ]
@@ -236,8 +236,8 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
                 renamed.append(f"{stem}_xyz, {stem}_rpy are those of '{name}'")
             numbers = origin_of(document.origin(joint))
             for key, three in (("xyz", numbers[:3]), ("rpy", numbers[3:])):
-                about = f'name={quoteattr(f"{stem}_{key}")} value="{words(three)}"'
-                lines.append(f"  <xacro:property {about}/>")
+                attributes = f'name={quoteattr(f"{stem}_{key}")} value="{words(three)}"'
+                lines.append(f"  <xacro:property {attributes}/>")
     data = "\n".join([*lines, "</robot>", ""]).encode()
     return Encoded(data, tuple(renamed))
 
@@ -256,8 +256,8 @@ def tf(exported: Exported, _: Path | None) -> Encoded:
         numbers = place.numbers
         turn = {key[1:]: numbers[key] for key in QUATERNION}
         pose = {"translation": {k: numbers[k] for k in "xyz"}, "rotation": turn}
-        about = {"header": {"frame_id": place.parent}, "child_frame_id": place.child}
-        documents.append(about | {"transform": pose})
+        head = {"header": {"frame_id": place.parent}, "child_frame_id": place.child}
+        documents.append(head | {"transform": pose})
         ends = {"frame-id": place.parent, "child-frame-id": place.child}
         options = {**{key: repr(number) for key, number in numbers.items()}, **ends}
         flags = " ".join(f"--{key} {shlex.quote(o)}" for key, o in options.items())
@@ -302,11 +302,11 @@ def camera_info(exported: Exported, _: Path | None) -> Encoded:
     for key, matrix in matrices.items():
         (rows, cols), data = matrix.shape, matrix.ravel().tolist()
         document[key] = {"rows": rows, "cols": cols, "data": data}
-    (placed, remarks), about = places(exported, cameras=True), ""
+    (placed, remarks), place_text = places(exported, cameras=True), ""
     for place in placed:
         numbers = [*place.numbers.values()]
         x, turn = words(numbers[:3]), words(numbers[3:])
-        about = f" in {place.parent}: xyz {x}, quaternion x y z w {turn}"
-    lines = [f"# optical frame{about or f': {remarks[0]}'}"]
+        place_text = f" in {place.parent}: xyz {x}, quaternion x y z w {turn}"
+    lines = [f"# optical frame{place_text or f': {remarks[0]}'}"]
     lines.append(yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
     return Encoded("\n".join(lines).encode(), remarks)

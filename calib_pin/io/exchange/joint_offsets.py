@@ -237,12 +237,12 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
             another kind.
     """
     fit = exported.joint_errors({}, gains=True)
-    both = zip(fit.gains.tolist(), fit.offsets.tolist(), strict=True)
-    errors = dict(zip(fit.columns.joints, both, strict=True))
-    source, about = tostring(Element("robot", name=exported.nominal.robot.name)), None
+    pairs = zip(fit.gains.tolist(), fit.offsets.tolist(), strict=True)
+    errors = dict(zip(fit.columns.joints, pairs, strict=True))
+    source, file = tostring(Element("robot", name=exported.nominal.robot.name)), None
     if template is not None:
-        source, about = read_bytes(template, TEXT), str(template)
-    document = parse_document(source, about, "a robot with transmissions", True)
+        source, file = read_bytes(template, TEXT), str(template)
+    document = parse_document(source, file, "a robot with transmissions", True)
     root, joints = document.root, {*errors}
     theirs = {joint.get("name", "") for joint in root.findall("joint")}
     reason, allowed = "is of another robot", f"one with the joints {enumerated(errors)}"
@@ -304,8 +304,8 @@ def _correct(
                 usable = np.isfinite(number) and (number != 0.0 or tag == "offset")
                 usable &= tag in TAGS and before.setdefault(tag, number) == number
                 reason = f"{owner} has a <{part.tag}> that cannot be used"
-                about = {"value": part.text, "allowed": NUMBERS}
-                document.require(usable, part, reason, **about)
+                details = {"value": part.text, "allowed": NUMBERS}
+                document.require(usable, part, reason, **details)
                 parent.remove(part)
     SubElement(element, "plugin").text = PLUGIN
     inner[0].attrib.setdefault("role", "joint1")

@@ -270,7 +270,7 @@ class Detector:
         detection = search(image, levels)
         if not detection.names or self.board.type == "circles":
             return detection
-        half, rough = self._half(detection), detection.pixels
+        half, rough = self._half_width(detection), detection.pixels
         if self.board.type in TAGS:
             tags = [detection.tags[int(name[:-2])] for name in detection.names[::4]]
             fine, sigma = (np.concatenate(part) for part in zip(*tags, strict=True))
@@ -354,7 +354,7 @@ class Detector:
         names, sigma = map(str, range(len(pixels))), np.full_like(pixels, OFF_CENTER)
         return Found(tuple(names), pixels, sigma, sure=sure)
 
-    def _half(self, detection: Found) -> int:
+    def _half_width(self, detection: Found) -> int:
         """Half width of the window of a corner, in which there is no other edge."""
         sites = np.array([self.points[name][:2] for name in detection.names])
         both = sites, detection.pixels
@@ -452,7 +452,7 @@ def require_stated(
         return agreement is True
     sample = [read_image(path) for path in paths[:: len(paths) // SAMPLE + 1]]
     grid = board.type in GRIDS
-    others = _near(board, sample) if grid else [restated(board, images)]
+    others = _near_sizes(board, sample) if grid else [seen_board(board, images)]
     for other in filter(None, others):
         with suppress(OptionError):  # The dictionary may have fewer tags.
             detections = [Detector(other).find(image) for image in sample]
@@ -477,11 +477,11 @@ def agrees(board: BoardSetup, images: Sequence[Found]) -> bool | None:
     if board.type in GRIDS:
         whole = [bool(one.names) for one in images if one.sure]
         return 2 * sum(whole) >= len(whole) if whole else None
-    fit = restated(board, images)
+    fit = seen_board(board, images)
     return None if fit is None else fit == board
 
 
-def _near(board: BoardSetup, images: Sequence[Gray]) -> list[BoardSetup]:
+def _near_sizes(board: BoardSetup, images: Sequence[Gray]) -> list[BoardSetup]:
     """Boards of squares or circles with a few more or fewer, where a part is seen."""
     cv2 = vision()
     flags, search = cv2.CALIB_CB_LARGER, cv2.findChessboardCornersSB
@@ -543,7 +543,7 @@ def drawn_board(board: BoardSetup) -> Any:
     return drawn
 
 
-def restated(board: BoardSetup, detections: Sequence[Found]) -> BoardSetup | None:
+def seen_board(board: BoardSetup, detections: Sequence[Found]) -> BoardSetup | None:
     """The board with tags that images show.
 
     Nothing here needs a camera: tags of an image lie as a plane is seen.
@@ -565,7 +565,7 @@ def restated(board: BoardSetup, detections: Sequence[Found]) -> BoardSetup | Non
         return replace(board, first=seen[0])
     (right, of_board), most = _hits(board, images), RIGHT * sum(map(len, images))
     if len(seen) > 1 and right < most:
-        rivals = {other: _hits(other, images)[0] for other in _others(board, seen)}
+        rivals = {other: _hits(other, images)[0] for other in _candidates(board, seen)}
         best = max(rivals, key=lambda r: (rivals[r], -r.columns * r.rows))
         # Where its own lie right, other tags are of another board or of a larger one.
         least = max(right, most if right >= RIGHT * of_board else 0.0)
@@ -574,7 +574,7 @@ def restated(board: BoardSetup, detections: Sequence[Found]) -> BoardSetup | Non
     return _with_edge(board, images) if right >= RIGHT * of_board else None
 
 
-def _others(board: BoardSetup, seen: Sequence[int]) -> Iterator[BoardSetup]:
+def _candidates(board: BoardSetup, seen: Sequence[int]) -> Iterator[BoardSetup]:
     """Boards that the tags which are seen may be of."""
     per = 2 if board.type == "charuco" else 1
     firsts = {board.first, 0, seen[0]}

@@ -308,8 +308,8 @@ def _names_that_fit(
         for key in free:
             named = {**setup.columns, key: foreign.column.header}
             trial = replace(look, setup=replace(setup, columns=named))
-            errors[key] = _fitted(look_at(trial))
-        now, least = _fitted(look), min(errors.values(), default=inf)
+            errors[key] = _fit_rms(look_at(trial))
+        now, least = _fit_rms(look), min(errors.values(), default=inf)
         text = f"'{foreign.name}' has {count} names that repeat: "
         if least < CLEAR * now < inf:
             close = [key for key in free if CLEAR * errors[key] <= least]
@@ -319,7 +319,7 @@ def _names_that_fit(
             yield f"{text}does it tell {', '.join(free)} apart? name it in 'columns'"
 
 
-def _fitted(look: Look) -> float:
+def _fit_rms(look: Look) -> float:
     """Errors that a fit of the robot leaves [standard deviations]; infinite of none."""
     if look.data is None or look.chains is None:
         return inf
@@ -372,7 +372,7 @@ def _joints(
     by_name = headers.joints_by_name(columns, joint_names)
     named = headers.measured(columns).get("chain")
     if named is None or (setup.tip is not None and "=" not in setup.tip):
-        looks = _of_one_chain(robot, setup, columns, by_name)
+        looks = _one_chain_looks(robot, setup, columns, by_name)
     else:
         tips = dict(word.partition("=")[::2] for word in (setup.tip or "").split(","))
         names = named[0].column.texts().map(str.strip).distinct
@@ -463,7 +463,7 @@ def chains_of(
     return {joints: sorted(links, key=order) for joints, links in chains.items()}
 
 
-def _of_one_chain(
+def _one_chain_looks(
     robot: Robot, setup: Setup, columns: Sequence[Foreign], named: dict[str, Foreign]
 ) -> list[Look]:
     """Columns that may be those of the joints of a chain, likeliest first.

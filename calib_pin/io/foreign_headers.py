@@ -315,7 +315,7 @@ def vectors(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:
     return result
 
 
-def understood(table: Table) -> Table:
+def with_our_names(table: Table) -> Table:
     """A file whose measured columns have our names, and the units of their headers.
 
     Of several that may be one of ours, the likeliest is; a column of ours stays.

@@ -119,7 +119,7 @@ def plain(value: Any, *, brief: bool = False) -> Any:
         for name, key in keys_of(kind).items():
             item = getattr(value, name)
             if not (brief and (item is None or item == key.default)):
-                parts.append(_written(key, plain(item, brief=brief)))
+                parts.append(_field_document(key, plain(item, brief=brief)))
         return merged(*parts)
     if isinstance(value, np.ndarray | np.generic):
         listed = value.tolist()
@@ -133,7 +133,7 @@ def plain(value: Any, *, brief: bool = False) -> Any:
     return value
 
 
-def _written(key: Key, value: Any) -> Json:
+def _field_document(key: Key, value: Any) -> Json:
     """A field as the document that holds nothing else."""
     if key.by:
         value = {item.pop(key.by): item for item in value}

@@ -279,7 +279,7 @@ def _readings(table: Table, notice: Notice) -> tuple[Table, list[str], str]:
     measured, oriented = measured_columns.measured(), measured_columns.ORIENTED
     lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured}
     require_columns([replace(table, missing=lacking)])
-    table = with_images(headers.understood(table))
+    table = with_images(headers.with_our_names(table))
     turned = oriented & table.columns.keys()
     way = measured_columns.orientation_columns(table) if turned else ""
     names = [name for name in table.columns if name in measured.keys() - oriented]

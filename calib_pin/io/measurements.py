@@ -129,7 +129,7 @@ def read_measurements(
         for remark in table.remarks:
             notice(f"{file}: {remark}")
         if reading is not None:
-            table, reading = _without(table, reading, alone=len(files) == 1)
+            table, reading = _without_lines(table, reading, alone=len(files) == 1)
         tables.append(table.rows(slice(0)))
         if k + 1 == len(files):
             require_columns(tables)
@@ -152,7 +152,7 @@ def read_measurements(
     return data
 
 
-def _without(
+def _without_lines(
     table: Table, reading: ReadingSetup, *, alone: bool
 ) -> tuple[Table, ReadingSetup]:
     """A file without the lines that are left out, whatever stands there.
@@ -369,13 +369,13 @@ def _missing(
                 lost = result.setdefault(name, np.zeros(len(table.lines), bool))
                 lost[rows] = missing
         if {*POSITION} <= read & table.columns.keys():
-            signs = _without_target(table.rows(rows), drives & table.columns.keys())
+            signs = _lost_targets(table.rows(rows), drives & table.columns.keys())
             lost = result.setdefault("x", np.zeros(len(table.lines), bool))
             lost[rows] |= signs
     return result
 
 
-def _without_target(table: Table, drives: Collection[str]) -> Booleans:
+def _lost_targets(table: Table, drives: Collection[str]) -> Booleans:
     """Which positions or orientations are signs of a lost target, shape (N,).
 
     Trackers write 0, -1 or -999 three times, which no instrument measures at several
@@ -588,7 +588,7 @@ def measurement_columns(
         of_block = Labels.of([getattr(block, field) for block in data.blocks])
         if len(of_block.distinct) > 1 or (field != "model" and any(of_block)):
             columns[field] = _writable(field, of_block[data.block_of])
-    columns |= _measured(data)
+    columns |= _value_columns(data)
     for field in ("target", "payload"):
         if any((labels := getattr(data, field)).distinct):
             columns[field] = _writable(field, labels)
@@ -603,7 +603,7 @@ def measurement_columns(
     return {name: column[data.in_order] for name, column in columns.items()}
 
 
-def _measured(data: Observations) -> dict[str, Floats]:
+def _value_columns(data: Observations) -> dict[str, Floats]:
     """The columns of all blocks, NaN where a block has no such column."""
     result: dict[str, Floats] = {}
     # All values stand before all standard deviations.
@@ -631,12 +631,12 @@ def _with_starts(data: Observations) -> Observations:
     for block, rows in zip(data.blocks, data.slices, strict=True):
         if declared(block.model).relative:
             # The first that is measured from a start is the first in the file.
-            block = _started(block.rows(np.argsort(rank[rows])))
+            block = _with_start_rows(block.rows(np.argsort(rank[rows])))
         blocks.append(block)
     return Observations(tuple(blocks))
 
 
-def _started(data: Measurements) -> Measurements:
+def _with_start_rows(data: Measurements) -> Measurements:
     """Relative measurements with a row for every start, which targets tell apart."""
     start = data.start if data.start.size else data.q * np.nan
     _, firsts, which = np.unique(data.target.codes, True, True)

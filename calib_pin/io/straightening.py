@@ -62,7 +62,7 @@ def straightened(robot: Robot) -> Robot:
     far, moved = max(map(np.linalg.norm, origins)), enumerated(map(repr, slides))
     remark = f"offsets of up to {far:.3g} m along axes cancel: joints {moved} "
     remark += "are moved along them, in the corrected URDF as well"
-    source = urdf_tree.move_origins(document, _moved(document, slides))
+    source = urdf_tree.move_origins(document, _corrections(document, slides))
     straight = urdf_tree.parse_robot(source, robot.file)
     return replace(straight, remarks=(*robot.remarks, remark))
 
@@ -105,7 +105,7 @@ def _slides(document: Document) -> dict[str, Floats]:
     return {name: slides[name] for name in turning if cancel and slides[name].any()}
 
 
-def _moved(
+def _corrections(
     document: Document, slides: Mapping[str, Floats]
 ) -> Iterator[tuple[Element, pin.SE3]]:
     """Corrections of origins, each multiplied from the right."""

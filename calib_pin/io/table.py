@@ -385,10 +385,10 @@ def read_table(
         table = replace(table, columns=read.columns).called(table.missing)
         layout = read.remark
     remarks = cells.remarks + (f"read as {layout}",) * bool(layout)
-    return _measured(replace(table, remarks=remarks))
+    return _measured_rows(replace(table, remarks=remarks))
 
 
-def _measured(table: Table) -> Table:
+def _measured_rows(table: Table) -> Table:
     """The rows that are measurements as the file itself says, a remark on others."""
     remarks = [*table.remarks]
     if (first := first_statistic(table.columns, table.lines)) is not None:
@@ -402,13 +402,13 @@ def _measured(table: Table) -> Table:
             others = {n: c for n, c in table.columns.items() if n != name}
             table = replace(table, columns=others).rows(np.flatnonzero(~lost))
             break
-    if lists := [name for name, column in table.columns.items() if _listed(column)]:
+    if lists := [name for name, column in table.columns.items() if _is_list(column)]:
         remedy = "write a column for each number"
         remarks.append(f"lists in {enumerated(lists)} are not read: {remedy}")
     return replace(table, remarks=tuple(remarks))
 
 
-def _listed(column: Column) -> bool:
+def _is_list(column: Column) -> bool:
     """Whether the cells of a column are lists, such as `[0.1, 0.2]`."""
     words = [word.strip() for word in column.words if word.strip()]
     return bool(words) and all(map(LIST.fullmatch, words))

@@ -184,7 +184,7 @@ def join(joints: Log, readings: Log, settle: float, gap: float) -> Joined:
         inside[np.argmin(np.abs(joints.time - 0.5 * (start + end)))] = True
         for kind in readings.kinds:
             rows = kind[within[kind]]
-            kept = rows[_together(readings.values[rows])]
+            kept = rows[_near_median(readings.values[rows])]
             scattered += len(rows) - len(kept)
             used += len(rows)
             if len(kept):
@@ -193,7 +193,7 @@ def join(joints: Log, readings: Log, settle: float, gap: float) -> Joined:
     return Joined(clock, tuple(standstills), empty, len(time) - used, scattered)
 
 
-def _together(values: Floats) -> NDArray[np.bool_]:
+def _near_median(values: Floats) -> NDArray[np.bool_]:
     """Readings of a standstill that are not far from its median, shape (N,)."""
     if len(values) < 4:
         return np.ones(len(values), bool)

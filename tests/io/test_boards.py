@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.io.boards import Found, board_of, restated, tags_of, whole_grid, word_of
+from calib_pin.io.boards import (
+    Found,
+    board_of,
+    seen_board,
+    tags_of,
+    whole_grid,
+    word_of,
+)
 
 pytestmark = pytest.mark.needs("vision")
 
@@ -57,8 +64,8 @@ def seen(board, rng, count=2):
 def test_tags_say_which_board_they_are_of(true, stated):
     board = board_of(true)
     images = seen(board, np.random.default_rng(5))
-    assert word_of(restated(board_of(stated), images)) == true
-    assert restated(board, images) == board
+    assert word_of(seen_board(board_of(stated), images)) == true
+    assert seen_board(board, images) == board
 
 
 def test_tags_beside_the_board_are_not_of_it():
@@ -69,9 +76,9 @@ def test_tags_beside_the_board_are_not_of_it():
     (other,) = seen(replace(board, columns=5, first=12), rng, 1)
     beside = {k: (four + 2000.0, sigma) for k, (four, sigma) in other.tags.items()}
     image = Found(tags={**image.tags, **beside})
-    assert restated(board, [image]) == board
+    assert seen_board(board, [image]) == board
     # Of another one nothing is said; the camera does not fit it.
-    assert restated(replace(board, columns=3, rows=4), [image]) is None
+    assert seen_board(replace(board, columns=3, rows=4), [image]) is None
 
 
 @pytest.mark.parametrize("circles", [False, True])

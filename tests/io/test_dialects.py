@@ -16,7 +16,7 @@ from calib_pin import plugins
 from calib_pin.errors import InputError
 from calib_pin.io.columns import ANGLE, LENGTH, Column
 from calib_pin.io.dialects import DIALECTS, Dialect, Reading
-from calib_pin.io.foreign_headers import foreign, measured, understood
+from calib_pin.io.foreign_headers import foreign, measured, with_our_names
 from calib_pin.io.measured_columns import TIME, read_quaternions
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.spatial import from_quaternion, so3_exp, to_quaternion
@@ -200,7 +200,7 @@ WHOLE = ("plotjuggler", "pandas")
 def test_joints_are_those_written(written, layout, seed):
     job, whole = job_of(layout), layout in WHOLE
     file = written(layout, seed) / ("measurements.csv" if whole else "joints.csv")
-    found, at = understood(read_table(file)), job.measured if whole else slice(None)
+    found, at = with_our_names(read_table(file)), job.measured if whole else slice(None)
     named = [name for name in job.joints if name in found]
     names = named or [f"q_{k}" for k in range(len(job.joints))]
     q = np.stack([found.numbers(name, ANGLE) for name in names], axis=1)

@@ -452,7 +452,7 @@ def require_stated(
         return agreement is True
     sample = [read_image(path) for path in paths[:: len(paths) // SAMPLE + 1]]
     grid = board.type in GRIDS
-    others = _near_sizes(board, sample) if grid else [seen_board(board, images)]
+    others = _near_sizes(board, sample) if grid else [fit_board(board, images)]
     for other in filter(None, others):
         with suppress(OptionError):  # The dictionary may have fewer tags.
             detections = [Detector(other).find(image) for image in sample]
@@ -477,7 +477,7 @@ def agrees(board: BoardSetup, images: Sequence[Found]) -> bool | None:
     if board.type in GRIDS:
         whole = [bool(one.names) for one in images if one.sure]
         return 2 * sum(whole) >= len(whole) if whole else None
-    fit = seen_board(board, images)
+    fit = fit_board(board, images)
     return None if fit is None else fit == board
 
 
@@ -543,7 +543,7 @@ def drawn_board(board: BoardSetup) -> Any:
     return drawn
 
 
-def seen_board(board: BoardSetup, detections: Sequence[Found]) -> BoardSetup | None:
+def fit_board(board: BoardSetup, detections: Sequence[Found]) -> BoardSetup | None:
     """The board with tags that images show.
 
     Nothing here needs a camera: tags of an image lie as a plane is seen.

@@ -218,9 +218,9 @@ def first_look(
     looks, reading = list[Look](), None
     for joints in _joints(robot, _with_camera(setup, columns), columns, choose):
         likely = [k for look in joints for k in readings(look, robot, columns)]
-        upright = [look for look in likely if look.setup.reading == setup.reading]
+        direct = [look for look in likely if look.setup.reading == setup.reading]
         inverted = [look for look in likely if look.setup.reading != setup.reading]
-        tries = [*map(look_at, upright)]
+        tries = [*map(look_at, direct)]
         if inverted and not best(tries).fits:
             tries += map(look_at, inverted)
         tries = _in_conventions(tries, look_at)
@@ -549,7 +549,7 @@ def readings(look: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[L
             theirs = {
                 ours: text
                 for ours, one in {**joints, **by_name}.items()
-                for text in [one.stated(units.get(ours, one.unit))]
+                for text in [one.setup_name(units.get(ours, one.unit))]
                 if one.name != ours or text not in (ours, one.column.header)
             }
             position = spatial["x"].name if spatial else ""

@@ -154,7 +154,7 @@ class Foreign:
     unit: str | None
     column: Column
 
-    def stated(self, unit: str | None) -> str:
+    def setup_name(self, unit: str | None) -> str:
         """How `columns` in a setup file names it with a unit."""
         if self.column.unit in ANGLE.units or self.column.unit in LENGTH.units:
             return self.name  # Its header says so already.
@@ -343,7 +343,7 @@ def check_gauges(table: Table, names: Iterable[str]) -> None:
     for ours, (column, *_) in choices.items():
         # Whole numbers without a unit count readings.
         if ours in optional() and (column.unit or (column.numbers % 1.0 != 0.0).any()):
-            remedy = f"columns: {{{ours}: '{column.stated(column.unit)}'}}"
+            remedy = f"columns: {{{ours}: '{column.setup_name(column.unit)}'}}"
             reason = f"looks like readings of a gauge: state in the setup '{remedy}' "
             reason += "('dial' where pushed in is positive), or leave it out"
             raise table.error(reason, column.name)

@@ -7,14 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.io.boards import (
-    Found,
-    board_of,
-    seen_board,
-    tags_of,
-    whole_grid,
-    word_of,
-)
+from calib_pin.io.boards import Found, board_of, fit_board, tags_of, whole_grid, word_of
 
 pytestmark = pytest.mark.needs("vision")
 
@@ -64,8 +57,8 @@ def seen(board, rng, count=2):
 def test_tags_say_which_board_they_are_of(true, stated):
     board = board_of(true)
     images = seen(board, np.random.default_rng(5))
-    assert word_of(seen_board(board_of(stated), images)) == true
-    assert seen_board(board, images) == board
+    assert word_of(fit_board(board_of(stated), images)) == true
+    assert fit_board(board, images) == board
 
 
 def test_tags_beside_the_board_are_not_of_it():
@@ -76,9 +69,9 @@ def test_tags_beside_the_board_are_not_of_it():
     (other,) = seen(replace(board, columns=5, first=12), rng, 1)
     beside = {k: (four + 2000.0, sigma) for k, (four, sigma) in other.tags.items()}
     image = Found(tags={**image.tags, **beside})
-    assert seen_board(board, [image]) == board
+    assert fit_board(board, [image]) == board
     # Of another one nothing is said; the camera does not fit it.
-    assert seen_board(replace(board, columns=3, rows=4), [image]) is None
+    assert fit_board(replace(board, columns=3, rows=4), [image]) is None
 
 
 @pytest.mark.parametrize("circles", [False, True])

@@ -43,7 +43,7 @@ def columns(header: str) -> tuple[headers.Foreign, ...]:
 )
 def test_what_is_measured(header, ours):
     found = headers.measured(columns(header))
-    told = {name: one.stated(one.unit) for name, (one, *_) in found.items()}
+    told = {name: one.setup_name(one.unit) for name, (one, *_) in found.items()}
     assert told.items() >= ours.items() and (ours or not told)
 
 
@@ -65,7 +65,7 @@ def test_numbers_of_joints(header, names):
 def test_joints_by_name():
     found = columns("Elbow.pos [deg],elbow.goal,left_elbow_angle,elbow_vel,S,x,y,z")
     joints = headers.joints_by_name(found, ["elbow", "left_elbow", "wrist"])
-    named = {joint: one.stated(one.unit) for joint, one in joints.items()}
+    named = {joint: one.setup_name(one.unit) for joint, one in joints.items()}
     assert named == {"elbow": "Elbow.pos", "left_elbow": "left_elbow_angle"}
     meant = [one for choices in headers.measured(found).values() for one in choices]
     assert [one.name for one in found if one not in meant][-1] == "S"

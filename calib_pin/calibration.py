@@ -115,8 +115,8 @@ def calibrate(
         ('good', 34)
     """
     setup = formulation.setup_of(setup)
-    sources = [one for one in (measurements, validation) if one is not None]
-    given = [as_stated(Observations.of(one), setup.reading) for one in sources]
+    sources = [source for source in (measurements, validation) if source is not None]
+    given = [as_stated(Observations.of(source), setup.reading) for source in sources]
     # It has been obeyed now, and says nothing of other files.
     setup = replace(setup, reading=ReadingSetup())
     chains, (data, *more) = formulation.fitting(chains, setup, *given)
@@ -129,7 +129,7 @@ def calibrate(
     begun = None
     if start is not None or process_noise is not None:
         setup, begun = started(chains, training, setup, start, process_noise, ladder)
-    stated = setup
+    original = setup
     setup = with_time_course(chains, training, setup, seed)
     if held is not None:
         formulation.require_conditions(held, setup)
@@ -148,7 +148,7 @@ def calibrate(
             model, parts = selected.model, selected.parts
             # What hid a drift of the instrument may be explained now.
             chosen = model.fit.problem.setup
-            chosen = replace(chosen, drift=stated.drift, thermal=stated.thermal)
+            chosen = replace(chosen, drift=original.drift, thermal=original.thermal)
             chosen = with_time_course(chains, training, chosen, seed)
             if time_course(chosen) != time_course(setup):
                 setup, parts = chosen, None
@@ -162,7 +162,7 @@ def calibrate(
         # Fits to parts of what no robot explains are slow, and say nothing.
         errors = fitted.counted(model.fit.problem.data.weight)
         sizes = model_errors.quantity_errors(model.problem.layout.quantities, errors)
-        hopeless = bool(known.found.causes or unexplained(model.fit, sizes))
+        hopeless = bool(known.findings.causes or unexplained(model.fit, sizes))
         hopeless &= held is None and not ladder
         held_out = check(
             model,
@@ -275,11 +275,11 @@ def _require_ends(
         return
     targets = {block.key: block.target.distinct for block in training.blocks}
     terms, _ = formulation.make_terms(chains, targets, setup)
-    fitted = {half for found in targets.values() for t in found for half in t.split(AT)}
+    fitted = {half for names in targets.values() for t in names for half in t.split(AT)}
     new = set[str]()
     for block in held.blocks if held is not None else ():
-        own = {half for t in block.target.distinct for half in t.split(AT)} - fitted
-        new |= own | {f"{block.station}/{name}" for name in own}
+        ends = {half for t in block.target.distinct for half in t.split(AT)} - fitted
+        new |= ends | {f"{block.station}/{name}" for name in ends}
     formulation.require_known(terms.values(), setup, fitted, new)
 
 
@@ -319,10 +319,11 @@ def _urdf(
         geometry, training, seed, validation=held, validate=validate, workers=workers
     )
     errors = model_errors.fitted_errors(geometry, training)
-    own = judge(geometry, errors, held_out, examine(chains, geometry, seed, seek=False))
+    known = examine(chains, geometry, seed, seek=False)
+    geometric = judge(geometry, errors, held_out, known)
     return UrdfResult(
-        own.errors,
-        "" if own.verdict[0] == "good" else own.verdict[1],
+        geometric.errors,
+        "" if geometric.verdict[0] == "good" else geometric.verdict[1],
         CalibratedModel.create(geometry.problem, geometry.theta),
     )
 
@@ -340,13 +341,13 @@ def _measured(
     if all(key in problem.terms for key in rows.keys):
         problem = replace(problem, data=rows)
     else:
-        there = model_errors.registered(problem, theta, rows)
-        problem, theta = there.problem, there.theta
+        registered = model_errors.registered(problem, theta, rows)
+        problem, theta = registered.problem, registered.theta
     points, points_of = [], tool_points(problem, theta)
-    for (term, *_), found in zip(problem.blocks, points_of, strict=True):
+    for (term, *_), tips in zip(problem.blocks, points_of, strict=True):
         error, of_robot = term.error, term.values(theta)[0]
         to_base = (error.base * error.corrections(of_robot)[0]).inverse()
-        points.append(found @ to_base.rotation.T + to_base.translation)
+        points.append(tips @ to_base.rotation.T + to_base.translation)
     return MeasurementErrors(
         rows=rows,
         quantities=problem.layout.quantities,

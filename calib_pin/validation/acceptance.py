@@ -52,7 +52,7 @@ from calib_pin.setup import LimitSetup, Setup
 from calib_pin.validation import model_errors
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.sentences import shown
-from calib_pin.validation.judgement import most_left
+from calib_pin.validation.judgement import error_limit
 from calib_pin.validation.result import CalibrationResult
 
 MODELS = ("position", "pose")
@@ -224,12 +224,12 @@ def acceptance(
         InputError: If no pose was visited often enough.
     """
     pose, first = ranked(number)
-    called = number[first]
+    numbers = number[first]
     cycles = cycles_in_order(pose) if cycles is None else cycles
     frames = frames or FrameErrors(np.zeros((*deviations.shape, 0)))
     visits = [np.flatnonzero(pose == k) for k in range(len(first))]
-    kept = [k for k in np.argsort(called) if len(visits[k]) >= LEAST]
-    if not kept:
+    tested_poses = [k for k in np.argsort(numbers) if len(visits[k]) >= LEAST]
+    if not tested_poses:
         most = max(map(len, visits), default=0)
         reason = f"no pose was visited {LEAST} times: {counted(len(first), 'pose')}, "
         reason += f"at most {counted(most, 'visit')} of one"
@@ -237,39 +237,39 @@ def acceptance(
         raise InputError(reason, allowed=f"{allowed}--cycles N' asks for them")
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
-    for k in kept:
-        own, effects = deviations[visits[k]], frames.effects[first[k]]
-        means = tuple(map(_mean, own.T, effects, repeat(frames.dof)))
-        place, accuracy, turns = own[:, :3], UNTESTABLE, means[3:]
+    for k in tested_poses:
+        errors, effects = deviations[visits[k]], frames.effects[first[k]]
+        means = tuple(map(_mean, errors.T, effects, repeat(frames.dof)))
+        positional, accuracy, turns = errors[:, :3], UNTESTABLE, means[3:]
         if frames.fitted:
             turns = (UNTESTABLE,) * len(turns)
         else:
-            accuracy = _mean_length(place, effects[:3], frames.dof, rng)
-        positions = accuracy, means[:3], repeatability(place, rng)
-        angled = turns, tuple(map(_three_sigma, own.T[3:]))
-        ways = _directions(place, before[visits[k]])
-        poses.append(PoseTest(int(called[k]), len(own), *positions, *angled, ways))
+            accuracy = _mean_length(positional, effects[:3], frames.dof, rng)
+        positions = accuracy, means[:3], repeatability(positional, rng)
+        angled = turns, tuple(map(_three_sigma, errors.T[3:]))
+        vAP = _directions(positional, before[visits[k]])
+        poses.append(PoseTest(int(numbers[k]), len(errors), *positions, *angled, vAP))
     commanded = attained - deviations[:, :3]
-    for k, m in combinations(kept, 2):
-        turns_of = cycles[visits[k]], cycles[visits[m]]
-        _, a, b = np.intersect1d(*turns_of, return_indices=True)
+    for k, m in combinations(tested_poses, 2):
+        cycle_pair = cycles[visits[k]], cycles[visits[m]]
+        _, a, b = np.intersect1d(*cycle_pair, return_indices=True)
         if len(a) < LEAST:
             continue
         one, other = visits[k][a], visits[m][b]
-        apart = commanded[one] - commanded[other]
-        D_c = np.linalg.norm(apart, axis=1)
+        vectors = commanded[one] - commanded[other]
+        D_c = np.linalg.norm(vectors, axis=1)
         D = np.linalg.norm(attained[one] - attained[other], axis=1)
         effect = frames.effects[one[0], :3] - frames.effects[other[0], :3]
-        accuracy = _mean(D - D_c, apart[0] @ effect / (D_c[0] or 1.0), frames.dof)
-        pair, length = (int(called[k]), int(called[m])), float(D_c.mean())
+        accuracy = _mean(D - D_c, vectors[0] @ effect / (D_c[0] or 1.0), frames.dof)
+        pair, length = (int(numbers[k]), int(numbers[m])), float(D_c.mean())
         distance = DistanceTest(pair, len(D), length, accuracy, _three_sigma(D))
         distances.append(distance)
-    places = [deviations[visits[k], :3] for k in kept]
-    test = Acceptance(tuple(poses), tuple(distances), _drift(places))
+    by_pose = [deviations[visits[k], :3] for k in tested_poses]
+    test = Acceptance(tuple(poses), tuple(distances), _drift(by_pose))
     if not frames.fitted:
         return test
-    bound, said = _bound(places, frames.effects[first[kept], :3], rng)
-    return replace(test, bound=bound, untestable=f"{frames.fitted}, {said}")
+    bound, text = _bound(by_pose, frames.effects[first[tested_poses], :3], rng)
+    return replace(test, bound=bound, untestable=f"{frames.fitted}, {text}")
 
 
 def ranked(group: Indices) -> tuple[Indices, Indices]:
@@ -308,16 +308,16 @@ def _bound(
     U, s, _ = np.linalg.svd(motions.reshape(values, -1), full_matrices=False)
     # What moves a ten-thousandth as far as others by a meter or radian moves nothing.
     U = U[:, s > 1e-4 * s.max(initial=0.0)]
-    left, said = values - U.shape[1], f"{U.shape[1]} unknowns of {values} values"
-    if left == 0:
-        return UNTESTABLE, f"{said}; from {count // 3 + 1} poses on AP has a bound"
-    d = np.concatenate([own.mean(axis=0) for own in deviations])
-    noise = np.column_stack([_of_mean(own, rng) for own in deviations])
-    found = _length(d - U @ (U.T @ d), noise - noise @ U @ U.T)
-    low, rms = found.low / len(motions) ** 0.5, found.value * (3.0 / left) ** 0.5
-    said += f"; AP is at least {shown(low, 'm', 3)}, and {shown(rms, 'm', 3)} rms if "
-    said += "the fit took the same from all directions"
-    return Interval(np.nan, low, np.inf), said
+    dof, text = values - U.shape[1], f"{U.shape[1]} unknowns of {values} values"
+    if dof == 0:
+        return UNTESTABLE, f"{text}; from {count // 3 + 1} poses on AP has a bound"
+    d = np.concatenate([errors.mean(axis=0) for errors in deviations])
+    noise = np.column_stack([_of_mean(errors, rng) for errors in deviations])
+    length = _length(d - U @ (U.T @ d), noise - noise @ U @ U.T)
+    low, rms = length.low / len(motions) ** 0.5, length.value * (3.0 / dof) ** 0.5
+    text += f"; AP is at least {shown(low, 'm', 3)}, and {shown(rms, 'm', 3)} rms if "
+    text += "the fit took the same from all directions"
+    return Interval(np.nan, low, np.inf), text
 
 
 def _directions(deviations: Floats, before: Indices) -> float | None:
@@ -406,23 +406,23 @@ def _scatter(C: Floats, shape: int | tuple[int, int], rng: np.random.Generator) 
 def _length(m: Floats, noise: Floats) -> Interval:
     """The length of a vector, shape (d,), with simulated errors of it, (DRAWS, d).
 
-    With each error the true length is another one: that which looks like the one found.
+    With each error the true length is another one: that which looks like this one.
     """
-    found = float(np.linalg.norm(m))
-    along = noise @ (m / found if found > 0.0 else np.eye(len(m))[0])
+    length = float(np.linalg.norm(m))
+    along = noise @ (m / length if length > 0.0 else np.eye(len(m))[0])
     squares = np.sum(noise**2, axis=1)
-    true = np.sqrt(np.maximum(found**2 - squares + along**2, 0.0)) - along
+    true = np.sqrt(np.maximum(length**2 - squares + along**2, 0.0)) - along
     # A larger error than what was found leaves open whether there is any length.
-    least = np.where(squares < found**2, true, 0.0)
+    least = np.where(squares < length**2, true, 0.0)
     ends = (0.5 - 0.5 * LEVEL, least), (0.5 + 0.5 * LEVEL, np.maximum(true, 0.0))
     low, high = (np.quantile(of, part, method="inverted_cdf") for part, of in ends)
-    return Interval(found, float(low), float(high))
+    return Interval(length, float(low), float(high))
 
 
 def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
     """RP, shape (n, 3), by the distribution of its ratio to the true one."""
-    n, found = len(deviations), _sizes(deviations)[1]
-    if not found > 0.0:
+    n, RP = len(deviations), _sizes(deviations)[1]
+    if not RP > 0.0:
         return Interval(0.0, 0.0, 0.0)
     C = np.cov(deviations.T)
     lengths = np.linalg.norm(_scatter(C, 20 * DRAWS, rng), axis=1)
@@ -431,7 +431,7 @@ def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
     away = np.linalg.norm(tests - tests.mean(axis=1, keepdims=True), axis=2)
     ratios = (away.mean(axis=1) + 3.0 * away.std(axis=1, ddof=1)) / true
     low, high = np.quantile(ratios, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
-    return Interval(found, found / float(high), found / float(low))
+    return Interval(RP, RP / float(high), RP / float(low))
 
 
 def limits(limit: LimitSetup) -> dict[str, tuple[float, str]]:
@@ -454,10 +454,10 @@ def judged(
     nothing is in doubt, and fails where all of it is above. What depends on where the
     instrument stands fails only where that is known.
     """
-    found = measured(test)
+    quantities = measured(test)
     unknown = OF_STATION if test.elsewhere else ()
     for name, (most, unit) in limits(limit).items():
-        interval = worst(found[name][0]) if name in found else UNTESTABLE
+        interval = worst(quantities[name][0]) if name in quantities else UNTESTABLE
         if interval.high <= most and not test.doubts:
             status = "pass"
         elif interval.low > most and not test.moved and name not in unknown:
@@ -470,13 +470,13 @@ def judged(
 def measured(test: Acceptance) -> dict[str, tuple[list[Interval], str]]:
     """Intervals of absolute values, and their unit, of each quantity that there is."""
     accuracies = [p.accuracy for p in test.poses]
-    found = {
+    quantities = {
         "AP": ([test.bound] if test.untestable else accuracies, "m"),
         "RP": ([p.repeatability for p in test.poses], "m"),
         "AD": ([_away(d.accuracy) for d in test.distances], "m"),
         "orientation": ([_away(a) for p in test.poses for a in p.angles], "rad"),
     }
-    return {name: both for name, both in found.items() if both[0]}
+    return {name: both for name, both in quantities.items() if both[0]}
 
 
 def _away(interval: Interval) -> Interval:
@@ -506,11 +506,11 @@ class Tested:
 
     def table(self) -> dict[str, Sequence[object]]:
         """A table by robot and pose, in SI units."""
-        columns = [f"{of}{end} [m]" for of in ("AP", "RP") for end in ENDS]
+        columns = [f"{quantity}{end} [m]" for quantity in ("AP", "RP") for end in ENDS]
         rows = []
         for name, p in ((name, p) for name, t in self.tests.items() for p in t.poses):
-            ways = "" if p.directions is None else p.directions
-            rows.append((name, p.pose, p.visits, *p.accuracy, *p.repeatability, ways))
+            vAP = "" if p.directions is None else p.directions
+            rows.append((name, p.pose, p.visits, *p.accuracy, *p.repeatability, vAP))
         titles = ("robot", "pose", "visits", *columns, "vAP [m]")
         return dict(zip(titles, zip(*rows, strict=True), strict=True))
 
@@ -554,31 +554,29 @@ def tested(
     order = np.lexsort((visits.lines, time, visits.files.codes))
     visits = Observations((visits.only.rows(order),))
     group, _ = ranked(visits.groups())
-    number, cycle, missing = _named(visits, group, named or {})
+    number, cycle, missing = _pose_numbers(visits, group, named or {})
     x = visits.only.values[:, :3]
     good = ~np.isin(np.arange(len(x)), bad_visits(x, group))
     places = [f"{visits.source(k)} (P{p})" for k, p in enumerate(number)]
-    doubts = [*doubts, *missing, *_misplaced(x, number, good, places)]
+    doubts = [*doubts, *missing, *_outliers(x, number, good, places)]
     visits, x, group = visits.rows(good), x[good], group[good]
     moved = moved_after(x, group)
     if moved is not None:
-        at = places[np.flatnonzero(good)[moved]]
-        doubts += [f"the instrument was moved before {at}; test both parts alone"]
-    frames, fitted, how, more = _frames(robot, visits, others, setup, registration)
-    doubts, elsewhere, shaken = [*doubts, *more], ELSEWHERE in more, moved is not None
+        place = places[np.flatnonzero(good)[moved]]
+        doubts += [f"the instrument was moved before {place}; test both parts alone"]
+    frames, fitted, origin, more = _frames(robot, visits, others, setup, registration)
+    doubts, elsewhere, shaken = (*doubts, *more), ELSEWHERE in more, moved is not None
     tests = {}
     for name, fit in frames.items():
-        there = model_errors.registered(fit.problem, fit.theta, visits)
-        deviations = -error_table(there.problem, there.theta)
-        effects = _derivatives(there.problem, there.theta) @ fit.known
-        off = FrameErrors(effects, fit.dof or np.inf, fitted)
-        test = acceptance(x, deviations, number[good], cycle[good], off)
-        said = tuple(doubts)
-        tests[name] = replace(test, doubts=said, moved=shaken, elsewhere=elsewhere)
+        visited_fit = model_errors.registered(fit.problem, fit.theta, visits)
+        deviations = -error_table(visited_fit.problem, visited_fit.theta)
+        effects = _derivatives(visited_fit.problem, visited_fit.theta) @ fit.known
+        uncertainty = FrameErrors(effects, fit.dof or np.inf, fitted)
+        test = acceptance(x, deviations, number[good], cycle[good], uncertainty)
+        tests[name] = replace(test, doubts=doubts, moved=shaken, elsewhere=elsewhere)
     name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
     visited = f"{counted(len(x), 'visit')} of {counted(len(test.poses), 'pose')}"
-    about = f"{name}: {visited}; {how}."
-    return Tested(tests, about)
+    return Tested(tests, f"{name}: {visited}; {origin}.")
 
 
 def _frames(
@@ -592,26 +590,27 @@ def _frames(
 
     Registered frames come before stated ones.
     """
-    on, own, doubts = visits, "fitted to these visits", list[str]()
+    rows, source, doubts = visits, "fitted to these visits", list[str]()
     alone = others is None
     if others is not None:
-        on, own = others, f"registered on {counted(len(others), 'other measurement')}"
+        rows = others
+        source = f"registered on {counted(len(rows), 'other measurement')}"
     if isinstance(robot, Chains):
-        fit = _as_stated(robot, on, setup)
-        what, how = "base and tool were", "base and tool as stated"
+        fit = _as_stated(robot, rows, setup)
+        what, origin = "base and tool were", "base and tool as stated"
         if not alone or not np.isfinite(fit.known).all():
-            problem, found = register(fit.problem, fit.theta)
+            problem, solution = register(fit.problem, fit.theta)
             nuisance = problem.parameters.free & problem.parameters.nuisance
-            fit = _fitted(problem, found.x, nuisance, alone)
-            how = f"base and tool {own}"
-        return {"robot": fit}, "" if fit.dof else f"{what} {own}", how, doubts
+            fit = _fitted(problem, solution.x, nuisance, alone)
+            origin = f"base and tool {source}"
+        return {"robot": fit}, "" if fit.dof else f"{what} {source}", origin, doubts
     models = {"nominal": robot.reference, NOW: robot.model}
     elsewhere = visits.keys[0] not in robot.model.problem(visits).terms
     if registration or elsewhere or not alone:
-        fits = {name: _at_station(model, on, alone) for name, model in models.items()}
-        said, unlikely = _misfit(robot, fits[NOW])
-        doubts += [said] * unlikely
-        how = f"tool as calibrated, station {own}; {said}"
+        fits = {name: _at_station(model, rows, alone) for name, model in models.items()}
+        misfit, unlikely = _misfit(robot, fits[NOW])
+        doubts += [misfit] * unlikely
+        origin = f"tool as calibrated, station {source}; {misfit}"
     else:
         none = np.zeros((len(robot.model.theta), 0))
         fits = {
@@ -623,18 +622,18 @@ def _frames(
             np.linalg.norm(error_table(*f[:2])[:, :3]) for f in (fits[NOW], again)
         )
         # A station uses up all values of a pose: what a robot leaves has to tell.
-        limit = most_left(again.problem, "m") * len(visits) ** 0.5
+        limit = error_limit(again.problem, "m") * len(visits) ** 0.5
         if again.dof:
             values = visits.configurations * again.problem.layout.width
             limit = APART * (values / again.dof) ** 0.5 * now
         doubts += [ELSEWHERE] * bool(was > limit)
-        how = "base and tool as calibrated"
-    how += " (nominal robot: as registered on the calibration's measurements)"
-    fitted = "" if fits[NOW].dof else f"the station was {own}"
-    return fits, fitted, how, doubts
+        origin = "base and tool as calibrated"
+    origin += " (nominal robot: as registered on the calibration's measurements)"
+    fitted = "" if fits[NOW].dof else f"the station was {source}"
+    return fits, fitted, origin, doubts
 
 
-def _named(
+def _pose_numbers(
     visits: Observations, group: Indices, named: Names
 ) -> tuple[Indices, Indices, list[str]]:
     """Number of the pose and cycle of each visit in their order, and what is missing.
@@ -645,9 +644,9 @@ def _named(
     """
     places = [*zip(visits.files, visits.lines.tolist(), strict=True)]
     pose, turn = (named.get(column, {}) for column in ("pose", "cycle"))
-    for column, of in (("pose", pose), ("cycle", turn)):
-        lacking = [row for row, place in enumerate(places) if place not in of]
-        if of and lacking:
+    for column, names in (("pose", pose), ("cycle", turn)):
+        lacking = [row for row, place in enumerate(places) if place not in names]
+        if names and lacking:
             reason = f"the visit names no {column}, others do"
             raise visits.error(lacking[0], reason, column=column)
     number = np.array([pose[p] for p in places]) if pose else group + 1
@@ -657,14 +656,14 @@ def _named(
         poses |= {*range(1, max(poses))}
     seen: dict[tuple[object, ...], tuple[int, int]] = {}
     for row, (g, p, c) in enumerate(zip(group, number, cycle, strict=True)):
-        for column, key, value, said in (
+        for column, key, value, conflict in (
             ("pose", (g,), p, f"the configuration of P{p} has another name"),
             ("pose", (p, "P"), g, f"P{p} has another configuration"),
             ("cycle", (g, c, visits.files[row]), row, f"cycle {c} has had P{p}"),
         ):
-            first, there = seen.setdefault((column, *key), (int(value), row))
+            first, earlier = seen.setdefault((column, *key), (int(value), row))
             if first != value:
-                reason = f"{said} in line {visits.lines[there]}"
+                reason = f"{conflict} in line {visits.lines[earlier]}"
                 allowed = "commanded joint positions, the same at every visit of a pose"
                 raise visits.error(row, reason, column=column, allowed=allowed)
     if len({*zip(group, cycle, strict=True)}) < len(cycle):
@@ -672,25 +671,25 @@ def _named(
         cycle = cycle + visits.files.codes * int(cycle.max())
         cycles = {*cycle}
     missing = [
-        f"P{p} lacks {len(gone)} of {len(cycles)} cycles: {enumerated(map(str, gone))}"
+        f"P{p} lacks {len(gaps)} of {len(cycles)} cycles: {enumerated(map(str, gaps))}"
         for p in sorted(poses)
-        if (gone := sorted(cycles - {*cycle[number == p]}))
+        if (gaps := sorted(cycles - {*cycle[number == p]}))
     ]
     return number, cycle, missing
 
 
-def _misplaced(
+def _outliers(
     attained: Floats, number: Indices, good: NDArray[np.bool_], places: Sequence[str]
 ) -> Iterator[str]:
     """Which visits are left out, and why, in sentences."""
     means = {p: attained[good & (number == p)].mean(axis=0) for p in set(number[good])}
     for k in np.flatnonzero(~good).tolist():
-        away = {p: float(np.linalg.norm(attained[k] - m)) for p, m in means.items()}
-        near, own = min(away, key=away.__getitem__), away[number[k]]
+        lengths = {p: float(np.linalg.norm(attained[k] - m)) for p, m in means.items()}
+        nearest, distance = min(lengths, key=lengths.__getitem__), lengths[number[k]]
         # A tenth of the distance from its own pose is at the other one.
-        other = f", where P{near} is" if away[near] < 0.1 * own else ""
-        said = f"{shown(own, 'm', 3)} from the other visits of its pose{other}"
-        yield f"{places[k]} is left out: {said}"
+        other = f", where P{nearest} is" if lengths[nearest] < 0.1 * distance else ""
+        text = f"{shown(distance, 'm', 3)} from the other visits of its pose{other}"
+        yield f"{places[k]} is left out: {text}"
 
 
 class FrameFit(NamedTuple):
@@ -726,8 +725,8 @@ def _at_station(
     problem, theta = extended(model.problem(rows), model.theta, rows)
     term = problem.terms[rows.only.key]
     base = term.index[:FRAME]
-    there = model_errors.at_another_station(problem, theta, term.frames.station, base)
-    return _fitted(*there, np.isin(np.arange(len(theta)), base), alone)
+    moved = model_errors.at_another_station(problem, theta, term.frames.station, base)
+    return _fitted(*moved, np.isin(np.arange(len(theta)), base), alone)
 
 
 def _derivatives(problem: Problem, theta: Floats) -> Floats:
@@ -777,18 +776,18 @@ def _misfit(calibration: CalibrationResult, fit: FrameFit) -> tuple[str, bool]:
     d = error_table(problem, fit.theta)[first, :3].reshape(-1)
     J = _derivatives(problem, fit.theta)[first, :3].reshape(len(d), -1)
     # Another station has parameters beside those of the calibration, in their order.
-    own = np.isin(problem.parameters.names, calibration.covariance.rows)
-    S = J[:, own] @ C @ J[:, own].T
+    calibrated = np.isin(problem.parameters.names, calibration.covariance.rows)
+    S = J[:, calibrated] @ C @ J[:, calibrated].T
     S += noise[0].estimate ** 2 * np.eye(len(d))
     Q = np.linalg.qr(J[:, problem.terms[problem.data.only.key].index[:FRAME]])[0]
-    left = np.eye(len(d)) - Q @ Q.T
-    squares = np.maximum(np.linalg.eigvalsh(left @ S @ left), 0.0)
+    projector = np.eye(len(d)) - Q @ Q.T
+    squares = np.maximum(np.linalg.eigvalsh(projector @ S @ projector), 0.0)
     draws = np.random.default_rng(0).standard_normal((DRAWS, len(d))) ** 2 @ squares
-    found = float(np.sum((left @ d) ** 2))
-    sizes = np.sqrt(np.array([found, squares.sum()]) / len(first))
-    here, there = (shown(size, "m", 3) for size in sizes)
-    said = f"the misfit of the station is {here} where {there} is expected"
-    return said, float(np.mean(draws >= found)) < CHANCE
+    square = float(np.sum((projector @ d) ** 2))
+    sizes = np.sqrt(np.array([square, squares.sum()]) / len(first))
+    actual, expected = (shown(size, "m", 3) for size in sizes)
+    text = f"the misfit of the station is {actual} where {expected} is expected"
+    return text, float(np.mean(draws >= square)) < CHANCE
 
 
 def bad_visits(attained: Floats, pose: Indices) -> list[int]:
@@ -798,23 +797,23 @@ def bad_visits(attained: Floats, pose: Indices) -> list[int]:
         attained: Measured positions, shape (N, 3) [m].
         pose: Pose of each visit from 0, shape (N,).
     """
-    count, found = int(pose.max()) + 1, list[int]()
+    count, bad = int(pose.max()) + 1, list[int]()
     for k in range(count):
-        left, gone, last = np.flatnonzero(pose == k).tolist(), list[int](), 0
-        most = len(left) // 5  # Of so many visits of a pose one is bad at most.
-        while len(gone) < most and (n := len(left)) > 4:
-            d = attained[left] - attained[left].mean(axis=0)
+        remaining, removed, last = np.flatnonzero(pose == k).tolist(), list[int](), 0
+        most = len(remaining) // 5  # Of so many visits of a pose one is bad at most.
+        while len(removed) < most and (n := len(remaining)) > 4:
+            d = attained[remaining] - attained[remaining].mean(axis=0)
             C = d.T @ d / (n - 1) + RESOLUTION**2 * np.eye(3)
             squares = np.einsum("ni,ij,nj->n", d, np.linalg.inv(C), d)
             worst = int(np.argmax(squares))
-            gone.append(left.pop(worst))
+            removed.append(remaining.pop(worst))
             # The part that one of n visits has of their scatter.
             part = n * squares[worst] / (n - 1) ** 2
             ratio = part / max(1.0 - part, np.finfo(float).eps) * (n - 4) / 3.0
             if n * count * f_tail(ratio, 3, n - 4) < CHANCE:
-                last = len(gone)
-        found += gone[:last]
-    return sorted(found)
+                last = len(removed)
+        bad += removed[:last]
+    return sorted(bad)
 
 
 def moved_after(attained: Floats, pose: Indices) -> int | None:
@@ -829,21 +828,21 @@ def moved_after(attained: Floats, pose: Indices) -> int | None:
     d, centered = attained - x[pose], (x - x.mean(axis=0))[pose]
     # In standard deviations of a visit, which no drift and no move makes larger.
     steps = [np.diff(d[pose == k], axis=0) for k in range(K)]
-    every = np.concatenate(steps)
+    all_steps = np.concatenate(steps)
     # The scatter of all counts as much as six visits of each.
-    shared = 6 * (every.T @ every) / max(len(every), 1)
+    shared = 6 * (all_steps.T @ all_steps) / max(len(all_steps), 1)
     scatter = np.array([(s.T @ s + shared) / (len(s) + 6) for s in steps])
     W = np.linalg.inv(np.linalg.cholesky(scatter + RESOLUTION**2 * np.eye(3)))[pose]
     turns = np.cross(np.eye(3), centered[:, None]).transpose(0, 2, 1)
     rigid = W @ np.concatenate([np.tile(np.eye(3), (n, 1, 1)), turns], axis=2)
-    own = np.einsum("nk,ij->nikj", np.eye(K)[pose], np.eye(3)).reshape(3 * n, -1)
+    pose_means = np.einsum("nk,ij->nikj", np.eye(K)[pose], np.eye(3)).reshape(3 * n, -1)
     values = (W @ d[:, :, None]).reshape(-1)
 
     def smooth(degree: int) -> tuple[Floats, Floats]:
         """Orthonormal poses' own means and a drift, and what they leave."""
         time = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), degree)
         drift = np.einsum("np,nij->nipj", time[:, 1:], rigid).reshape(3 * n, -1)
-        Q = column_space(np.column_stack([own, drift]))
+        Q = column_space(np.column_stack([pose_means, drift]))
         return Q, values - Q @ (Q.T @ values)
 
     def gain(k: int) -> float:
@@ -859,7 +858,7 @@ def moved_after(attained: Floats, pose: Indices) -> int | None:
     place = max(places.tolist(), key=gain)
     best = gain(place)
     # No scatter is that of rounding.
-    left = max((float(r @ r) - best) / free, 1e-3)
-    beaten = left * (3 * n - many.shape[1]) < float(rest @ rest)
-    sure = n * f_tail(best / 6.0 / left, 6, free) < CHANCE
+    variance = max((float(r @ r) - best) / free, 1e-3)
+    beaten = variance * (3 * n - many.shape[1]) < float(rest @ rest)
+    sure = n * f_tail(best / 6.0 / variance, 6, free) < CHANCE
     return place if beaten and sure else None

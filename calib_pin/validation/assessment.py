@@ -110,17 +110,17 @@ def identify(
 
     Examples:
         >>> import calib_pin
-        >>> found = calib_pin.identify(calib_pin.load_chain("pa10"), "pose")
-        >>> found.identifiability.rank, found.identifiability.everett
+        >>> result = calib_pin.identify(calib_pin.load_chain("pa10"), "pose")
+        >>> result.identifiability.rank, result.identifiability.everett
         (34, 34)
     """
     problem = nominal_problem(chains, measured, setup_of(setup))
     require_known(problem.terms.values(), problem.setup)
     theta = np.zeros(len(problem.parameters))
-    found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
-    ranks = _ranks(problem, found, found.robot, found.configurations)
-    parameters, groups = estimates(problem.parameters, found)
-    errors = robot_errors(problem, found)
+    structure, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
+    ranks = _ranks(problem, structure, structure.robot, structure.configurations)
+    parameters, groups = estimates(problem.parameters, structure)
+    errors = robot_errors(problem, structure)
     return Identification(parameters, groups, ranks, robot_errors=errors)
 
 
@@ -138,13 +138,13 @@ def estimates(
     alone, weak, names = dict[int, bool](), set[int](), parameters.names
     sigmas = dict[int, float | None]()
     for combination in structure.combinations:
-        value, sigma, told = _estimate(combination, parameters, fitted)
+        value, sigma, observable = _estimate(combination, parameters, fitted)
         if len(combination.terms) == 1:
             lead = combination.terms[0][0]
-            alone[lead], sigmas[lead] = told, sigma
+            alone[lead], sigmas[lead] = observable, sigma
             continue
         number = len(groups) + 1
-        weak |= set() if told else {number}
+        weak |= set() if observable else {number}
         for position, _ in combination.terms:
             member[position].append(number)
         terms = tuple(Coefficient(names[k], c) for k, c in combination.terms)
@@ -167,12 +167,12 @@ def estimates(
         return "weak" if weak.issuperset(member[k]) else "coupled"
 
     theta = np.zeros(len(parameters)) if fitted is None else fitted.theta
-    found = list[ParameterEstimate]()
+    result = list[ParameterEstimate]()
     for k, (p, value) in enumerate(zip(parameters, theta.tolist(), strict=True)):
         of_groups = tuple(member.get(k, ()))
         estimate = p.name, p.unit, value, sigmas.get(k), status(k), of_groups
-        found.append(ParameterEstimate(*estimate))
-    return tuple(found), tuple(groups)
+        result.append(ParameterEstimate(*estimate))
+    return tuple(result), tuple(groups)
 
 
 def _estimate(
@@ -190,10 +190,10 @@ def _estimate(
     row = combination.row(len(parameters))
     scaled = np.where(parameters.nuisance, 0.0, row * parameters.scales)
     weak = float(np.linalg.norm(fitted.directions.weak.T @ scaled))
-    told = weak <= WEAK_PART * float(np.linalg.norm(scaled))
+    observable = weak <= WEAK_PART * float(np.linalg.norm(scaled))
     sigma = float(np.sqrt(max(float(row @ fitted.covariance @ row), 0.0)))
-    known = told and np.isfinite(sigma)
-    return float(row @ fitted.theta), sigma if known else None, told
+    known = observable and np.isfinite(sigma)
+    return float(row @ fitted.theta), sigma if known else None, observable
 
 
 def fitted_ranks(fitted: Fit) -> Identifiability:
@@ -202,16 +202,16 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
     s = robot_singular_values(fitted.directions, result.jac, problem.parameters)
     rank, weak = fitted.rank, fitted.directions.weak.shape[1]
     if len(problem.further.priors):
-        s = _told(fitted)
+        s = _values_without_priors(fitted)
         rank += len(s) - fitted.directions.robot.shape[1]
         weak = max(len(fitted.structure.robot) - len(s), 0)
     s = s[s > 1e-12 * s.max(initial=0.0)]
-    found = _ranks(problem, fitted.structure, s, len(problem.data))
+    ranks = _ranks(problem, fitted.structure, s, len(problem.data))
     revealed = fitted.directions.revealed
-    return replace(found, rank=rank, weak=weak, revealed=revealed)
+    return replace(ranks, rank=rank, weak=weak, revealed=revealed)
 
 
-def _told(fitted: Fit) -> Floats:
+def _values_without_priors(fitted: Fit) -> Floats:
     """Singular values of the robot directions that measurements tell without priors."""
     problem, parameters = fitted.problem, fitted.problem.parameters
     count = len(fitted.result.fun) - len(problem.further.priors)
@@ -219,16 +219,16 @@ def _told(fitted: Fit) -> Floats:
     robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
     unit = fitted.unit if np.isfinite(fitted.unit) else 0.0
     values = known_count(problem) - absorbed(problem)
-    told = practical_directions(jac, fun, values, parameters, robot, unit)
-    return robot_singular_values(told, jac, parameters)
+    directions = practical_directions(jac, fun, values, parameters, robot, unit)
+    return robot_singular_values(directions, jac, parameters)
 
 
 def _ranks(
     problem: Problem, structure: Structure, s: Floats, configurations: int
 ) -> Identifiability:
     """Ranks of a structure, with the singular values s of some configurations."""
-    of_terms = [term.frames for term in problem.terms.values()]
-    frames = {own.station for own in of_terms} | {own.tool for own in of_terms}
+    ends = [(t.frames.station, t.frames.tool) for t in problem.terms.values()]
+    frames = {frame for pair in ends for frame in pair}
     # Everett's count of a complete model measured by full poses; each of its frames
     # beyond a base and a tool has six more.
     turns = problem.chains.revolute
@@ -253,8 +253,8 @@ def measurement_leverages(fitted: Fit) -> Floats:
     problem, jac = fitted.problem, fitted.result.jac
     half = half_covariance(jac, fitted.directions.basis, problem.parameters)
     of_values = leverages(problem, jac, half)
-    found = np.bincount(problem.layout.row, of_values, len(problem.data))
-    return np.asarray(found, float)
+    means = np.bincount(problem.layout.row, of_values, len(problem.data))
+    return np.asarray(means, float)
 
 
 def robot_errors(
@@ -281,16 +281,16 @@ def robot_errors(
     # Columns are scaled by the expected sizes; the coefficients are not.
     C[:, order] = rows / parameters.scales[order]
     sizes = np.array([expected_size(parameter.unit) for parameter in parameters])
-    found = [
+    errors = [
         _error(k, row / row[k], columns, parameters, sizes, fitted)
         for k, row in zip(leads.tolist(), C, strict=True)
         if not nuisance[k]
     ]
-    found += _absorbed(leads, C, columns, parameters)
+    errors += _absorbed(leads, C, columns, parameters)
     ranks = {name: k for k, name in enumerate((*KINDS, *system.chains.joints))}
     last = len(ranks)
-    found.sort(key=lambda e: [ranks.get(n, last) for n in (e.kind, e.of[0])])
-    return tuple(found)
+    errors.sort(key=lambda e: [ranks.get(n, last) for n in (e.kind, e.of[0])])
+    return tuple(errors)
 
 
 def _error(
@@ -305,7 +305,7 @@ def _error(
     label, unit = columns.labels[lead], parameters[lead].unit
     row = columns.turned @ full
     terms = [(k, float(row[k])) for k in np.flatnonzero(row).tolist()]
-    value, sigma, told = _estimate(Combination((*terms,), unit), parameters, fitted)
+    value, sigma, known = _estimate(Combination((*terms,), unit), parameters, fitted)
     # A minus where the axis points the other way; what comes first says so.
     signs: dict[str, str] = {}
     for k in columns.order:
@@ -313,7 +313,7 @@ def _error(
             signs.setdefault(columns.labels[k].of, "-" if full[k] < 0.0 else "")
     of = tuple(f"{sign}{of}" for of, sign in signs.items())
     for least in (max(sigma or 0.0, float(SMALL * sizes[lead])), 0.5 * sizes[lead]):
-        if kept := tuple((k, c) for k, c in terms if abs(c) * sizes[k] >= least):
+        if main := tuple((k, c) for k, c in terms if abs(c) * sizes[k] >= least):
             break
     return RobotError(
         label.kind,
@@ -321,9 +321,9 @@ def _error(
         unit,
         value,
         sigma,
-        status="identifiable" if told else "weak",
-        expression=Combination(kept, unit).expression(parameters.names),
-        terms=tuple(Coefficient(parameters.names[k], c) for k, c in kept),
+        status="identifiable" if known else "weak",
+        expression=Combination(main, unit).expression(parameters.names),
+        terms=tuple(Coefficient(parameters.names[k], c) for k, c in main),
     )
 
 
@@ -368,13 +368,13 @@ def breakdown(
         errors: Errors of the measurements that were fitted.
         accuracies: The expected errors of the tool by chain.
     """
-    told = _Parts(model, errors)
+    parts = _Parts(model, errors)
     return Breakdown(
         accuracies=accuracies,
-        stations=tuple(told.frames(0)),
-        tools=tuple(told.frames(1)),
-        chains=tuple(told.chains()),
-        unknown=told.unknown(),
+        stations=tuple(parts.frames(0)),
+        tools=tuple(parts.frames(1)),
+        chains=tuple(parts.chains()),
+        unknown=parts.unknown(),
     )
 
 
@@ -384,24 +384,24 @@ class _Parts:
     Attributes:
         covariance: Of all parameters, averaged over the likely sizes of errors, shape
             (P, P).
-        left_open: Directions that are left open, see the function.
+        open_directions: Directions that are left open, see the function.
     """
 
     def __init__(self, model: FittedModel, errors: ModelErrors) -> None:
         """Of a model, and the errors of all measurements that it was fitted to."""
         self.model, self.errors, self.fit = model, errors, model.fit
         self.problem = model.fit.problem
-        likely = [one.covariance for one in model.fit.likely_posteriors]
+        likely = [posterior.covariance for posterior in model.fit.likely_posteriors]
         self.covariance: Floats = np.mean(likely, axis=0)
-        self.left_open = left_open(model.fit, self.covariance)
+        self.open_directions = open_directions(model.fit, self.covariance)
 
     def frames(self, end: int) -> Iterator[FrameSummary]:
         """The stations, end 0, or the tools, end 1."""
-        found: dict[Frame, list[BlockKey]] = {}
+        by_frame: dict[Frame, list[BlockKey]] = {}
         for key, term in self.problem.terms.items():
-            found.setdefault(frames_of(term)[end][0], []).append(key)
+            by_frame.setdefault(frames_of(term)[end][0], []).append(key)
         calibrated = CalibratedModel.create(self.model.problem, self.model.theta)
-        for frame, keys in found.items():
+        for frame, keys in by_frame.items():
             term, at = self.problem.terms[keys[0]], calibrated.of(keys[0])
             T, chain = (at.tool if end else at.error.base), term.error.chain
             _, index = frames_of(term)[end]
@@ -411,7 +411,7 @@ class _Parts:
             yield FrameSummary(
                 frame.name,
                 chain.tip if end else chain.base,
-                *self._of(keys),
+                *self._statistics(keys),
                 xyz=tuple(T.translation.tolist()),
                 rpy=tuple(pin.rpy.matrixToRpy(T.rotation).tolist()),
                 sigma=self._deviations(index, np.kron(np.eye(2), T.rotation) @ twists),
@@ -423,23 +423,24 @@ class _Parts:
         still = set(still_joints(self.problem))
         for name in self.problem.chains.names:
             chain = self.problem.chains[name]
-            count, errors, _ = self._of([k for k in self.problem.terms if k[1] == name])
-            own = tuple(joint for joint in chain.joints if joint in still)
+            keys = [key for key in self.problem.terms if key.chain == name]
+            count, errors, _ = self._statistics(keys)
+            motionless = tuple(joint for joint in chain.joints if joint in still)
             yield ChainSummary(
-                name, chain.base, chain.tip, chain.joints, count, errors, own
+                name, chain.base, chain.tip, chain.joints, count, errors, motionless
             )
 
-    def _of(
+    def _statistics(
         self, keys: Collection[BlockKey]
     ) -> tuple[int, tuple[QuantityErrors, ...], tuple[VarianceComponent, ...]]:
         """Number of measurements of some blocks, their accuracy, and noise."""
         data, layout = self.problem.data, self.problem.layout
-        own = np.array([block.key in keys for block in data.blocks])[data.block_of]
-        known = self.errors.at(own).counted(data.weight)
-        errors = quantity_errors(self.model.problem.layout.quantities, known)
+        mask = np.array([block.key in keys for block in data.blocks])[data.block_of]
+        selected = self.errors.at(mask).counted(data.weight)
+        errors = quantity_errors(self.model.problem.layout.quantities, selected)
         kinds = {k for key in keys for k in layout.of_keys[key].tolist()}
-        noise = tuple(one for k, one in enumerate(self.fit.noise) if k in kinds)
-        return int(own.sum()), errors, noise
+        noise = tuple(n for k, n in enumerate(self.fit.noise) if k in kinds)
+        return int(mask.sum()), errors, noise
 
     def _deviations(self, index: Indices, motions: Floats) -> tuple[float, ...]:
         """Standard deviations of a frame along some motions, (6, 6)."""
@@ -461,11 +462,11 @@ class _Parts:
 
     def _unknown(self, index: Indices, rows: Floats) -> NDArray[np.bool_]:
         """Which sums of some parameters, rows (k, len(index)), nobody knows, (k,)."""
-        sizes = np.linalg.norm(rows @ self.left_open[index], axis=1)
+        sizes = np.linalg.norm(rows @ self.open_directions[index], axis=1)
         return np.asarray(sizes > 1.0)
 
 
-def left_open(fitted: Fit, covariance: Floats) -> Floats:
+def open_directions(fitted: Fit, covariance: Floats) -> Floats:
     """Directions of frames and instruments that measurements leave open, (P, k).
 
     They are as long as their deviations by `LIMITS`, and those that nothing shows a
@@ -476,10 +477,10 @@ def left_open(fitted: Fit, covariance: Floats) -> Floats:
         covariance: Of its parameters, shape (P, P).
     """
     problem, parameters = fitted.problem, fitted.problem.parameters
-    kept = parameters.free & problem.referred
+    mask = parameters.free & problem.referred
     for eliminated in problem.own_of_stations.values():
-        kept[eliminated] = False
-    free = np.flatnonzero(kept)
+        mask[eliminated] = False
+    free = np.flatnonzero(mask)
     visible = visible_nuisances(fitted.result.jac, parameters)[free]
     rest = np.linalg.qr(visible, mode="complete")[0][:, visible.shape[1] :]
     limits = np.array([LIMITS.get(p.unit, np.inf) for p in parameters])
@@ -488,6 +489,6 @@ def left_open(fitted: Fit, covariance: Floats) -> Floats:
     index = free[np.diag(relative)[free] > 1.0]
     squares, V = np.linalg.eigh(relative[np.ix_(index, index)])
     far = squares > FAR**2
-    every = np.eye(len(parameters))
+    identity = np.eye(len(parameters))
     little = V[:, far] * np.sqrt(squares[far])
-    return np.hstack([every[:, free] @ (1e3 * rest), every[:, index] @ little])
+    return np.hstack([identity[:, free] @ (1e3 * rest), identity[:, index] @ little])

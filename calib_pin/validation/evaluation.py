@@ -28,7 +28,7 @@ from calib_pin.validation.findings import explained, find
 from calib_pin.validation.findings.case import CHANCE, Case, Others, by_chance, some_of
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.findings.sentences import told as finding
-from calib_pin.validation.judgement import CHECK, most_left, told, too_large
+from calib_pin.validation.judgement import CHECK, error_limit, summary, too_large
 from calib_pin.validation.model_errors import (
     Registered,
     located_names,
@@ -78,16 +78,16 @@ def evaluate(
         chains = Chains.of(robot, plain)
     rows = as_stated(Observations.of(measurements), plain.reading)
     chains, (rows,) = fitting(chains, plain, rows)
-    there = robot if isinstance(robot, CalibratedModel) else chains
+    model = robot if isinstance(robot, CalibratedModel) else chains
     with explained(chains, rows, plain, others):
-        ready = prepared(there, rows, plain, registration=registration)
+        ready = prepared(model, rows, plain, registration=registration)
     sizes = error_sizes(ready.problem, ready.theta)
-    errors = tuple((name, unit, Accuracy.of(own)) for name, unit, own in sizes)
+    errors = tuple((name, unit, Accuracy.of(size)) for name, unit, size in sizes)
     findings = _findings(chains, rows, plain, others)
     if not ready.registered:
-        findings += tuple(_unregistered(there, rows))
-    reason = ready.reason or told([f for f in findings if f.severity == "error"])
-    large = (f"{said}; {CHECK}" for error in errors if (said := too_large(*error)))
+        findings += tuple(_unregistered(model, rows))
+    reason = ready.reason or summary([f for f in findings if f.severity == "error"])
+    large = (f"{text}; {CHECK}" for error in errors if (text := too_large(*error)))
     reason = reason or next(large, "")
     outside = (
         CalibratedChain(term.error, ready.theta, plain).outside(data.q).sum()
@@ -101,50 +101,46 @@ def evaluate(
         reason=reason,
         outside=int(sum(outside)),
         located=ready.located,
-        counts=tuple(len(own) for *_, own in sizes),
+        counts=tuple(len(size) for *_, size in sizes),
         findings=findings,
     )
 
 
-def no_longer_holds(result: CalibrationResult, found: Evaluation) -> Iterator[Finding]:
+def no_longer_holds(result: CalibrationResult, check: Evaluation) -> Iterator[Finding]:
     """Errors far beyond those that a calibration has promised, of the worst quantity.
 
     Args:
         result: The calibration.
-        found: Its accuracy on other measurements.
+        check: Its accuracy on other measurements.
     """
     nominal, workspace = result.verdict == "no-gain", result.accuracy.workspace
     promised = {e.name: e.shown[0 if nominal else 1].rms for e in result.errors}
     if workspace is not None and "position" in promised:
         # Elsewhere it has promised less.
         promised["position"] = max(promised["position"], workspace.bound.position)
-    codes = {one.code for one in found.findings}
+    codes = {f.code for f in check.findings}
     beyond = [
         (error.rms / known, name, unit, error.rms, known)
-        for name, unit, error in found.errors
+        for name, unit, error in check.errors
         if (known := promised.get(name, 0.0)) and error.rms > BEYOND * known
     ]
     if not beyond or "frames-moved" in codes:
         return
     times, name, unit, rms, known = max(beyond)
-    said = (
-        f"{name} errors of {shown(rms, unit, 3)} rms are {times:.2g} times those that "
-    )
-    said += (
-        f"the calibration promises, {shown(known, unit, 3)}: the robot, its tool or "
-    )
-    said += "the instrument is not as it was"
+    text = f"{name} errors of {shown(rms, unit, 3)} rms are {times:.2g} times those "
+    text += f"that the calibration promises, {shown(known, unit, 3)}: the robot, its "
+    text += "tool or the instrument is not as it was"
     remedy = "measure ten configurations and calibrate with --start, which names what "
     remedy += "has changed"
     numbers = {"rms": rms, "promised": known}
-    yield finding("old-calibration-no-longer-holds", said, numbers, remedy)
+    yield finding("old-calibration-no-longer-holds", text, numbers, remedy)
 
 
 def error_sizes(problem: Problem, theta: Floats) -> list[tuple[str, str, Floats]]:
     """Name, unit and sizes of the errors of each quantity that was measured."""
     table = error_table(problem, theta)
-    every = ((q.name, q.unit, q.errors(table)) for q in problem.layout.quantities)
-    return [one for one in every if len(one[2])]
+    rows = ((q.name, q.unit, q.errors(table)) for q in problem.layout.quantities)
+    return [row for row in rows if len(row[2])]
 
 
 def _findings(
@@ -160,17 +156,17 @@ def _findings(
     except (CalibPinError, np.linalg.LinAlgError):
         # They are too few, or have no derivative, or only the calibration knows more.
         return ()
-    found = find(case)
-    every = *found.causes, *found.others
-    return tuple(one for one in every if one.code != "few-configurations")
+    findings = find(case)
+    both = *findings.causes, *findings.others
+    return tuple(f for f in both if f.code != "few-configurations")
 
 
 def _unregistered(
     robot: Robots | CalibratedModel, rows: Observations
 ) -> Iterator[Finding]:
     """Frames or an instrument that are not where a calibration has seen them."""
-    some, _ = some_of(rows)
-    here, again = (prepared(robot, some, registration=anew) for anew in (False, True))
+    sample, _ = some_of(rows)
+    here, again = (prepared(robot, sample, registration=anew) for anew in (False, True))
     tables = [error_sizes(at.problem, at.theta) for at in (here, again)]
     sizes = [
         (name, unit, rms(was), rms(now))
@@ -182,15 +178,15 @@ def _unregistered(
         return
     # Whatever stands where, what few measurements have told about it is not left.
     was, now = (2.0 * at.problem.cost(at.theta) for at in (here, again))
-    left = distinct_values(again.problem) - again.used_up
-    if by_chance(was, now, again.used_up, left) > CHANCE:
+    dof = distinct_values(again.problem) - again.used_up
+    if by_chance(was, now, again.used_up, dof) > CHANCE:
         return
-    said = "base, tool or instrument stand elsewhere than at the calibration: "
-    said += f"registered on these measurements, the {name} errors fall from "
-    said += f"{shown(before, unit, 3)} to {shown(after, unit, 3)} rms"
+    text = "base, tool or instrument stand elsewhere than at the calibration: "
+    text += f"registered on these measurements, the {name} errors fall from "
+    text += f"{shown(before, unit, 3)} to {shown(after, unit, 3)} rms"
     numbers = {"rms_before": before, "rms_after": after}
-    remedy, large = "evaluate with --register", before > most_left(here.problem, unit)
-    yield finding("frames-moved", said, numbers, remedy, error=large)
+    remedy, large = "evaluate with --register", before > error_limit(here.problem, unit)
+    yield finding("frames-moved", text, numbers, remedy, error=large)
 
 
 def prepared(

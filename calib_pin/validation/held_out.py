@@ -112,8 +112,8 @@ def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
         problem = replace(problem, data=problem.data.rows(positions))
         tables = *map(problem.errors, (fitted.before, fitted.theta)), problem.sigma**2
     else:
-        (before, _), found = (press(robot, labels) for robot in Linear.of(fitted))
-        tables = before, *found
+        (before, _), calibrated = (press(robot, labels) for robot in Linear.of(fitted))
+        tables = before, *calibrated
     # What cannot be predicted is infinitely wrong.
     before, after = (np.where(np.isnan(e), np.inf, e) for e in tables[:2])
     flat = before, after, fitted.unit**2 * tables[2]
@@ -137,9 +137,9 @@ def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
     whitened, variance = robot.fun[:count].copy(), np.ones(count)
     for at in by_size(label):
         U, squares = spectrum(robot.columns[at])
-        left = 1.0 - squares
-        known = left > 1e-9  # Below, the others do not predict it: rounding.
-        gain = np.where(known, 1.0 / np.where(known, left, 1.0), 0.0) - 1.0
+        remainder = 1.0 - squares
+        known = remainder > 1e-9  # Below, the others do not predict it: rounding.
+        gain = np.where(known, 1.0 / np.where(known, remainder, 1.0), 0.0) - 1.0
         along = gain * np.einsum("gms,gm->gs", U, whitened[at])
         whitened[at] += np.einsum("gms,gs->gm", U, along)
         variance[at] += np.einsum("gms,gs->gm", U**2, gain)
@@ -166,34 +166,34 @@ def left_out(
     if not masks or fit.problem.own_of_stations:
         # The elimination of stations is no sum over groups.
         return result
-    robots, found = Linear.of(fit), dict[int, tuple[Rest, Rest]]()
+    robots, solutions = Linear.of(fit), dict[int, tuple[Rest, Rest]]()
     for k, mask in enumerate(masks):
         before, after = (without(robot, mask) for robot in robots)
         if before is not None and after is not None:
-            found[k] = before, after
-    anew = dict[int, LearnedCorrection]()
+            solutions[k] = before, after
+    corrections = dict[int, LearnedCorrection]()
     if learned is not None:
         rng = np.random.default_rng(seed)
-        parts = [masks[k] for k in found]
-        taught = learned_without(learned, fit, parts, rng)
-        anew = dict(zip(found, taught, strict=True))
-    for k, (nominal, fitted) in found.items():
+        parts = [masks[k] for k in solutions]
+        retrained = learned_without(learned, fit, parts, rng)
+        corrections = dict(zip(solutions, retrained, strict=True))
+    for k, (nominal, fitted) in solutions.items():
         rows, theta = fit.problem.data.rows(masks[k]), fitted.theta
         problem, deviations = fit.problem, fit.posterior
-        if k in anew:
+        if k in corrections:
             of_error = np.concatenate([t.of_error for t in problem.terms.values()])
             step = np.zeros_like(theta)
             step[of_error] = (theta - fit.theta)[of_error]
             # What was learned stands on the geometry; where it fades, that remains.
-            correction = replace(anew[k], shift=anew[k].shift - step)
+            correction = replace(corrections[k], shift=corrections[k].shift - step)
             problem = with_learned(model.problem, correction)
             theta = model.theta + step
         elif not problem.many:
             deviations = _deviations(fit, robots[1], fitted, masks[k])
-        known = Registered(replace(fit.problem, data=rows), nominal.theta)
-        there = Registered(replace(problem, data=rows), theta)
+        uncalibrated = Registered(replace(fit.problem, data=rows), nominal.theta)
+        calibrated = Registered(replace(problem, data=rows), theta)
         given = np.flatnonzero(masks[k]), deviations
-        errors = errors_of_registered(model, known, there, *given)
+        errors = errors_of_registered(model, uncalibrated, calibrated, *given)
         result[k] = replace(errors, reason=unusable(fit))
     return result
 
@@ -236,10 +236,10 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     count = len(r) - len(some.further)
     B = jac[:count] @ F
     # N_g = 1 - B^T B in the columns of F.
-    left, Q = np.linalg.eigh(np.eye(B.shape[1]) - B.T @ B)
-    if (left < ALONE).any():
+    values, Q = np.linalg.eigh(np.eye(B.shape[1]) - B.T @ B)
+    if (values < ALONE).any():
         return None
-    inner, theta = Q / np.sqrt(left), robot.theta
+    inner, theta = Q / np.sqrt(values), robot.theta
     for k in range(STEPS):
         step = inner.T @ (robot.columns.T @ fun - B.T @ r[:count])
         if k and np.linalg.norm(step) <= BENT * max(robot.unit, EXACT):
@@ -315,21 +315,21 @@ def gains(
     squares = (joined.after / unit) ** 2, joined.variance / unit**2
     # Lengths; of all, root mean square over the components: one for noise alone.
     whole = unit * np.sqrt(present.sum(axis=1))[:, None]
-    found = []
-    every = (ALL, slice(None)), *((q.name, q.columns) for q in layout.quantities)
-    for name, columns in every:
+    tests = []
+    quantities = (ALL, slice(None)), *((q.name, q.columns) for q in layout.quantities)
+    for name, columns in quantities:
         here = present[:, columns]
         rows, scale = here.any(axis=1), whole if name == ALL else 1.0
         if not rows.any():
             continue
         errors = ((e / scale)[rows, columns] for e in (joined.before, joined.after))
-        kept = (np.where(here[rows], e, 0.0) for e in errors)
-        old, new = (np.linalg.norm(e, axis=1) for e in kept)
+        masked = (np.where(here[rows], e, 0.0) for e in errors)
+        old, new = (np.linalg.norm(e, axis=1) for e in masked)
         square, predicted = (float(np.sum(s[:, columns][here])) for s in squares)
         # Where it predicts nothing, all values were needed to fit.
         ratio = float(np.sqrt(square / predicted)) if predicted > 0.0 else float("nan")
-        found.append(Gain(method, name, *paired(old, new, label[rows]), ratio))
-    return tuple(found)
+        tests.append(Gain(method, name, *paired(old, new, label[rows]), ratio))
+    return tuple(tests)
 
 
 def paired(
@@ -415,12 +415,11 @@ def check(
     if not validate:
         return HeldOut(training, gains=pressed)
     if validation is not None:
-        found = _checked_on(model, training, validation, method)
-        return replace(found, gains=found.gains + pressed)
+        held_out = _check_on(model, training, validation, method)
+        return replace(held_out, gains=held_out.gains + pressed)
     if parts is None:
         masks = folds(grouping, fitted, seed)
-        validated = cross_validate(model, training, masks, seed, progress, workers)
-        parts = tuple(validated)
+        parts = tuple(cross_validate(model, training, masks, seed, progress, workers))
     # A fit that fails without its fold says nothing about the robot.
     kept = tuple(part for part in parts if not part.reason)
     counted = [part.positions[training.weight[part.positions] > 0.0] for part in kept]
@@ -428,9 +427,9 @@ def check(
     if training.rows(held).configurations < FEWEST_HELD_OUT:
         kept = ()
     name = grouping.validation_name(len(kept))
-    every = gains(name, problem, kept, grouping.clusters) + pressed
+    tests = gains(name, problem, kept, grouping.clusters) + pressed
     skipped = tuple(part.reason for part in parts if part.reason)
-    return HeldOut(training, kept, name, every, skipped=skipped)
+    return HeldOut(training, kept, name, tests, skipped=skipped)
 
 
 def cross_validate(
@@ -451,21 +450,21 @@ def cross_validate(
         progress: Told the stage and the fraction done of all parts.
         workers: Who fits those parts that take a fit.
     """
-    found = left_out(whole, masks, seed)
+    parts = left_out(whole, masks, seed)
     if whole.fit.problem.many:
         # Their kernels keep all cores busy, and every worker would have a copy.
         workers = SERIAL
     shared = whole, measurements, seed
-    left = [mask for mask, one in zip(masks, found, strict=True) if one is None]
-    refits = workers.map(_refitted, shared, left)
-    for k, one in enumerate(found, 1):
+    remaining = [mask for mask, part in zip(masks, parts, strict=True) if part is None]
+    refits = workers.map(_refit_errors, shared, remaining)
+    for k, part in enumerate(parts, 1):
         if progress is not None:
-            progress(f"check {k} of {len(found)}", (k - 1) / len(found))
-        yield next(refits) if one is None else one
+            progress(f"check {k} of {len(parts)}", (k - 1) / len(parts))
+        yield next(refits) if part is None else part
 
 
 @serial_blas
-def _refitted(
+def _refit_errors(
     shared: tuple[FittedModel, Observations, int], mask: NDArray[np.bool_]
 ) -> ModelErrors:
     """Errors of a part of the measurements, of shape (N,), by a fit of the others."""
@@ -479,15 +478,15 @@ def _refitted(
         model = fit_model(*known, seed, effects_of=fit)
         if model.problem.layout.quantities != layout.quantities:
             raise InputError("all others of an instrument are set aside")
-        found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
+        errors = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
     except InputError as error:
         # All other measurements of a reference may be rejected.
         none = np.zeros((0, layout.width))
         return ModelErrors(np.zeros(0, np.intp), none, none, none, reason=error.reason)
-    return replace(found, reason=unusable(model.fit))
+    return replace(errors, reason=unusable(model.fit))
 
 
-def _checked_on(
+def _check_on(
     model: FittedModel, training: Observations, validation: Observations, method: str
 ) -> HeldOut:
     """The check on validation measurements."""
@@ -496,11 +495,11 @@ def _checked_on(
     old, seen = np.split(grouped(q), [len(q) - len(validation)])
     new = ~np.isin(seen, old)
     if repeated := len(new) - int(new.sum()):
-        said = f"{repeated} of {len(new)} validation measurements repeat "
-        said += "configurations that were fitted and do not count"
+        text = f"{repeated} of {len(new)} validation measurements repeat "
+        text += "configurations that were fitted and do not count"
         remedy = "validate with configurations that were not fitted"
         numbers = {"repeated": repeated, "all": len(new)}
-        findings.append(told("repeated-validation", said, numbers, remedy))
+        findings.append(told("repeated-validation", text, numbers, remedy))
     if new.any():
         pair = both(model, validation.rows(new))
         part, moved = registered_if_moved(model, *pair, np.flatnonzero(new))
@@ -508,6 +507,6 @@ def _checked_on(
     if part is None:
         return HeldOut(validation, findings=tuple(findings))
     clusters = Grouping.of(validation, model.problem.setup).clusters
-    there, _ = extended(model.problem, model.theta, validation)
-    found = gains(method, there, [part], clusters)
-    return HeldOut(validation, (part,), method, found, tuple(findings))
+    problem, _ = extended(model.problem, model.theta, validation)
+    tests = gains(method, problem, [part], clusters)
+    return HeldOut(validation, (part,), method, tests, tuple(findings))

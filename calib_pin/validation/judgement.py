@@ -149,7 +149,7 @@ class Judgement:
         return bool(first.ratio > MISJUDGED * uncertain)
 
     @property
-    def left(self) -> tuple[QuantityErrors, ...]:
+    def remaining(self) -> tuple[QuantityErrors, ...]:
         """The errors that noise or a robot has to explain.
 
         Where held-out ones are as large as the fit predicts, too few measurements are
@@ -168,13 +168,13 @@ class Judgement:
 
         Of several chains one that nothing has corrected is as good as it was.
         """
-        every = {n: a.workspace for n, a in self.accuracies.items() if a.workspace}
-        found = {n: w for n, w in every.items() if w.nominal != w.calibrated} or every
-        if not found:
+        known = {n: a.workspace for n, a in self.accuracies.items() if a.workspace}
+        chains = {n: w for n, w in known.items() if w.nominal != w.calibrated} or known
+        if not chains:
             return "", None
-        name = min(found, key=lambda name: found[name].better)
-        told = f" of the chain '{name}'" if name and len(every) > 1 else ""
-        return told, found[name]
+        name = min(chains, key=lambda name: chains[name].better)
+        text = f" of the chain '{name}'" if name and len(known) > 1 else ""
+        return text, chains[name]
 
 
 class Examined(NamedTuple):
@@ -182,11 +182,11 @@ class Examined(NamedTuple):
 
     Attributes:
         accuracies: Errors of the tool to expect by chain.
-        found: What is wrong with its measurements or with itself.
+        findings: What is wrong with its measurements or with itself.
     """
 
     accuracies: Mapping[str, ToolAccuracy]
-    found: Found
+    findings: Found
 
 
 def examine(
@@ -234,7 +234,7 @@ def judge(
         held_out: Its check on held-out measurements.
         known: What is known of it before that.
     """
-    (accuracies, found), fitted = known, model.fit
+    (accuracies, findings), fitted = known, model.fit
     data, quantities = fitted.problem.data, model.problem.layout.quantities
     counting = data.rows(data.weight > 0.0)
     seen = counting.configurations / max(data.configurations, 1)
@@ -244,10 +244,10 @@ def judge(
             quantities, fitted_errors.counted(data.weight), *held_out.counted
         ),
         held_out.gains,
-        (*found.causes, *held_out.findings, *found.others),
+        (*findings.causes, *held_out.findings, *findings.others),
         accuracies,
         max(1.0 - seen, fitted.robust.disagreement),
-        found.causes,
+        findings.causes,
     )
 
 
@@ -262,15 +262,15 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
     return next(filter(None, reasons), "")
 
 
-def too_large(name: str, unit: str, found: Accuracy) -> str:
+def too_large(name: str, unit: str, accuracy: Accuracy) -> str:
     """Why errors of a quantity are more than a robot has; empty where they are not."""
-    if not found.rms > FOREIGN * expected_size(unit):
+    if not accuracy.rms > FOREIGN * expected_size(unit):
         return ""
-    size = f"{name} errors of {shown(found.rms, unit, 3)} rms remain"
+    size = f"{name} errors of {shown(accuracy.rms, unit, 3)} rms remain"
     return f"{size}, far more than a robot's geometry explains"
 
 
-def most_left(problem: Problem, unit: str, part: float = LARGE) -> float:
+def error_limit(problem: Problem, unit: str, part: float = LARGE) -> float:
     """Errors that no calibrated robot exceeds, by its reach, in their unit.
 
     Args:
@@ -284,13 +284,13 @@ def most_left(problem: Problem, unit: str, part: float = LARGE) -> float:
     return part * reach * expected_size(unit) / expected_size("m")
 
 
-def told(findings: Sequence[Finding]) -> str:
+def summary(findings: Sequence[Finding]) -> str:
     """The first of some findings as one sentence, with what corrects them."""
-    said = [finding.message for finding in findings[:NAMED]]
+    messages = [finding.message for finding in findings[:NAMED]]
     if len(findings) > NAMED:
-        said.append(f"and {len(findings) - NAMED} more")
+        messages.append(f"and {len(findings) - NAMED} more")
     remedies = dict.fromkeys(finding.remedy for finding in findings)
-    return "; ".join(filter(None, (*said, *remedies)))
+    return "; ".join(filter(None, (*messages, *remedies)))
 
 
 def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
@@ -347,12 +347,12 @@ def _distrust(grounds: Judgement) -> Iterator[str]:
     """The reasons to distrust a fit whatever a check says, empty ones among them."""
     fitted, status = grounds.fitted, grounds.fitted.result.status
     advice = KNOWN_LENGTH[bool(fitted.problem.setup.distances)]
-    unknown = unexplained(fitted, grounds.left)
-    yield told(grounds.causes)
+    unknown = unexplained(fitted, grounds.remaining)
+    yield summary(grounds.causes)
     # Errors that nothing explains hide the scale as well.
     yield "" if unknown or fitted.structure.scaled else f"{SCALE}; {advice}"
     yield "" if status.success else status.advice
-    yield told([f for f in grounds.findings if f.severity == "error"][:1])
+    yield summary([f for f in grounds.findings if f.severity == "error"][:1])
     if grounds.aside > BREAKDOWN:
         yield (
             f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
@@ -369,8 +369,8 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         grounds: What is judged.
         coarse: Errors, by the reach, that noise may leave where nobody knows it.
     """
-    some = (quantity for quantity in grounds.left if quantity.unit in ("m", "px"))
-    reasons = (_inexplicable(grounds, quantity, coarse) for quantity in some)
+    quantities = (q for q in grounds.remaining if q.unit in ("m", "px"))
+    reasons = (_inexplicable(grounds, q, coarse) for q in quantities)
     return next(filter(None, reasons), "")
 
 
@@ -384,7 +384,7 @@ def _inexplicable(grounds: Judgement, quantity: QuantityErrors, coarse: float) -
     # Whatever finds the corners of a board finds them well.
     known = noise is not None or quantity.unit == "px"
     part = LARGE if known else coarse
-    if after <= most_left(grounds.fitted.problem, quantity.unit, part):
+    if after <= error_limit(grounds.fitted.problem, quantity.unit, part):
         return ""
     times = "" if noise is None else f", {after / noise:.2g} times the noise"
     state = "" if known else ", state the 'noise' if the instrument is so coarse"
@@ -410,11 +410,11 @@ def _if_noise(grounds: Judgement, promised: float) -> str:
         promised: Error that is claimed to be left [m].
     """
     quantity = grounds.errors[0]
-    left = quantity.shown[1].rms
+    rms = quantity.shown[1].rms
     unknown = quantity.unit == "m" and _noise(grounds, quantity) is None
-    if not (unknown and left > max(promised, DOUBTFUL * expected_size("m"))):
+    if not (unknown and rms > max(promised, DOUBTFUL * expected_size("m"))):
         return ""
-    size = shown(left, "m", 3)
+    size = shown(rms, "m", 3)
     return f" if the {size} that are left are noise; state it, or repeat measurements"
 
 
@@ -427,10 +427,10 @@ def _noise(grounds: Judgement, quantity: QuantityErrors) -> float | None:
     every = (q.columns for q in layout.quantities if q.name == quantity.name)
     columns = np.r_[next(every, slice(0, 0))]
     pairs = zip(grounds.fitted.noise, layout.of_components, strict=False)
-    own = [n for n, at in pairs if np.isin(layout.column[at[:1]], columns).any()]
-    if not own or not all(n.stated or n.pure is not None for n in own):
+    components = [n for n, at in pairs if np.isin(layout.column[at[:1]], columns).any()]
+    if not components or not all(n.stated or n.pure is not None for n in components):
         return None
-    sizes = [n.given if n.pure is None else n.pure for n in own]
+    sizes = [n.given if n.pure is None else n.pure for n in components]
     size = np.sqrt(len(columns) * np.mean(np.square(sizes)))
     return float(size) or None  # Copies show none.
 
@@ -443,7 +443,7 @@ def _unchecked(grounds: Judgement) -> str:
     prior = fitted.problem.setup.prior
     sure = isinstance(prior, JointPrior) and bool(prior.noise)
     sure |= all(noise.as_stated for noise in fitted.noise)
-    left = sum(v.redundancy * v.values for v in fitted.noise)
+    redundancy = sum(v.redundancy * v.values for v in fitted.noise)
     held = grounds.gains[0].configurations if grounds.gains else 0
     distinct = data.rows(data.weight > 0.0).configurations
     # Exact rows say by one what noisy ones say by many.
@@ -455,8 +455,8 @@ def _unchecked(grounds: Judgement) -> str:
     if values <= fitted.rank:
         reason = f"{values} measured {known} for {fitted.rank} estimated parameters"
         return f"{reason} leave nothing to check the fit with{more}"
-    if not sure and left < REDUNDANT:
-        reason = f"{left:.1f} redundant values are too few to estimate the noise"
+    if not sure and redundancy < REDUNDANT:
+        reason = f"{redundancy:.1f} redundant values are too few to estimate the noise"
         return f"{reason}{more}, or state the standard deviations"
     if held < least[0] or distinct < least[1]:
         reason = f"{held} independent held-out configurations of {distinct} are too few"
@@ -487,10 +487,10 @@ def _as_nominal(fitted: Fit) -> bool:
     """
     plain = replace(fitted.problem, units=np.zeros(0))
     nuisances = int((plain.parameters.free & plain.parameters.nuisance).sum())
-    left = known_count(plain) - nuisances
-    if left < REDUNDANT:
+    dof = known_count(plain) - nuisances
+    if dof < REDUNDANT:
         return False
-    return 2.0 * plain.cost(fitted.before) < chi_square_quantile(left, LOSS_CHANCE)
+    return 2.0 * plain.cost(fitted.before) < chi_square_quantile(dof, LOSS_CHANCE)
 
 
 def _no_gain(grounds: Judgement) -> Iterator[tuple[str, str]]:
@@ -498,8 +498,8 @@ def _no_gain(grounds: Judgement) -> Iterator[tuple[str, str]]:
     yield "untrusted", _unaccounted(grounds, LARGE)
     reason = "the measurements show no error of the robot"
     if grounds.gains:
-        found, held = _gain(grounds, nothing=True)
-        reason += f"{_if_noise(grounds, 0.0)}: {found}, on {held}"
+        gain, held = _gain(grounds, nothing=True)
+        reason += f"{_if_noise(grounds, 0.0)}: {gain}, on {held}"
     chain, workspace = grounds.worst
     if workspace is not None:
         expected = shown(workspace.nominal.position, "m", 3)
@@ -537,22 +537,22 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
     if gain.method == PRESS or not held:
         of_first = (g for g in grounds.gains if g.method == gain.method)
         by = _by(grounds, next((g for g in of_first if g.quantity == name), gain))
-        found = f"{name} errors smaller by {by}"
+        text = f"{name} errors smaller by {by}"
         if nothing:
-            found = f"{name} errors differ by {by} if it is corrected"
+            text = f"{name} errors differ by {by} if it is corrected"
     elif nothing and _certain(grounds, quantity) is not after:
-        found = f"errors differ by {_by(grounds, gain)} if it is corrected"
+        text = f"errors differ by {_by(grounds, gain)} if it is corrected"
     elif nothing:
-        found = f"{name} error {old} rms as it is, {new} corrected"
+        text = f"{name} error {old} rms as it is, {new} corrected"
     else:
-        found = f"{name} error {new} rms instead of {old}"
+        text = f"{name} error {new} rms instead of {old}"
     if not nothing and held and gain.mean > 0.0 and after.rms > before.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
-        found = f"errors smaller by {_by(grounds, gain)}"
+        text = f"errors smaller by {_by(grounds, gain)}"
     noisy = (_by_noise(grounds, quantity) for quantity in grounds.errors)
     if times := "; ".join(filter(None, noisy)):
         where += f" ({times})"
-    return found, where
+    return text, where
 
 
 def _certain(grounds: Judgement, quantity: QuantityErrors) -> Accuracy:
@@ -564,11 +564,11 @@ def _certain(grounds: Judgement, quantity: QuantityErrors) -> Accuracy:
 
 def _by_noise(grounds: Judgement, quantity: QuantityErrors) -> str:
     """Errors by their noise, in words; empty where they are no more than that."""
-    noise, left = _noise(grounds, quantity), _certain(grounds, quantity).rms
-    if not noise or left < NOISY * noise:
+    noise, rms = _noise(grounds, quantity), _certain(grounds, quantity).rms
+    if not noise or rms < NOISY * noise:
         return ""
     name = f"{quantity.name} " * (quantity is not grounds.errors[0])
-    times = f"{name}{left / noise:.2g} times the noise"
+    times = f"{name}{rms / noise:.2g} times the noise"
     return f"{times}, {shown(noise, quantity.unit, 3)}"
 
 

@@ -160,8 +160,8 @@ class CalibratedModel(Brief, Terms):
     @property
     def cameras(self) -> dict[str, CameraSetup]:
         """The cameras by name, with the intrinsics that were found."""
-        stated = ((name, r.stated()) for (_, name), r in self.references.items())
-        return {name: of for name, of in stated if isinstance(of, CameraSetup)}
+        setups = ((name, r.stated()) for (_, name), r in self.references.items())
+        return {name: setup for name, setup in setups if isinstance(setup, CameraSetup)}
 
     def urdf_corrections(self) -> dict[str, pin.SE3]:
         """Right-multiplied corrections of the URDF's joint origins, by joint name."""

@@ -129,8 +129,8 @@ class Comparison(Printed):
         """Whether both describe the errors of one nominal robot in the same way."""
         first, second = self.first, self.second
         learned = first.model.setup.learned, second.model.setup.learned
-        alike = robot_parameters(first) == robot_parameters(second)
-        return self.same_nominal and alike and learned[0] == learned[1]
+        equal = robot_parameters(first) == robot_parameters(second)
+        return self.same_nominal and equal and learned[0] == learned[1]
 
     @property
     def same_rows(self) -> bool:
@@ -145,8 +145,8 @@ class Comparison(Printed):
         Otherwise errors that no parameter describes are part of both, and at other
         configurations they are others.
         """
-        left = [stated_noise(record) for record in (self.first, self.second)]
-        noise = all(size is not None and size <= DESCRIBED for size in left)
+        sizes = [stated_noise(record) for record in (self.first, self.second)]
+        noise = all(size is not None and size <= DESCRIBED for size in sizes)
         return self.same_parameters and not self.same_rows and noise
 
     @property
@@ -190,8 +190,8 @@ def compare(
     chains = partners(first.model, second.model)
     if not chains:
         raise _incomparable(first, second)
-    told = ({error.name for error in record.errors} for record in (first, second))
-    oriented = all(not names.isdisjoint(ORIENTED) for names in told)
+    quantities = ({error.name for error in record.errors} for record in (first, second))
+    oriented = all(not names.isdisjoint(ORIENTED) for names in quantities)
     drifts = {}
     for name, other in chains.items():
         pair = (first, name), (second, other)
@@ -213,7 +213,7 @@ def compare(
         drifts[name] = replace(drift, explained=explained, oriented=oriented)
     same = same_nominal(first.model, second.model)
     here, there = (_known(record) if same else {} for record in (first, second))
-    shared = [key for key in here if key in there and _alike(here[key], there[key])]
+    shared = [key for key in here if key in there and _equal(here[key], there[key])]
     differences = list[Difference]()
     for a, b in ((here[key], there[key]) for key in shared):
         if a.sigma is not None and b.sigma is not None:
@@ -225,10 +225,11 @@ def compare(
     return Comparison(first, second, same, ordered, drifts)
 
 
-def faults(found: Comparison) -> tuple[Finding, ...]:
+def faults(comparison: Comparison) -> tuple[Finding, ...]:
     """Why tips are so far apart, if hardly any robot has such a drift."""
-    models = found.first.model, found.second.model
-    return different_robots(*models, found.same_nominal, found.drift.position.rms)
+    models = comparison.first.model, comparison.second.model
+    size = comparison.drift.position.rms
+    return different_robots(*models, comparison.same_nominal, size)
 
 
 def chained(first: CalibrationResult, second: CalibrationResult) -> bool:
@@ -270,14 +271,14 @@ def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
 def _known(record: CalibrationResult) -> dict[frozenset[str], CoupledGroup]:
     """The parameters and sums of a robot that a calibration knows, by their terms."""
     robot = robot_parameters(record)
-    own = [p for p in record.parameters if p.name in robot and p.sigma is not None]
-    terms = [(p, (Coefficient(p.name, 1.0),)) for p in own]
+    known = [p for p in record.parameters if p.name in robot and p.sigma is not None]
+    terms = [(p, (Coefficient(p.name, 1.0),)) for p in known]
     alone = [CoupledGroup(0, p.name, p.unit, p.value, p.sigma, t) for p, t in terms]
-    every = *alone, *robot_groups(record)
-    return {frozenset(dict(one.terms)): one for one in every}
+    groups = *alone, *robot_groups(record)
+    return {frozenset(dict(group.terms)): group for group in groups}
 
 
-def _alike(a: CoupledGroup, b: CoupledGroup) -> bool:
+def _equal(a: CoupledGroup, b: CoupledGroup) -> bool:
     """Whether both are the same sum of the same terms, whatever their order."""
     mine, theirs = dict(a.terms), dict(b.terms)
     pair = [*mine.values()], [theirs[name] for name in mine]
@@ -301,8 +302,8 @@ def _ends(chain: Chain) -> tuple[str, str, str]:
 def _incomparable(first: CalibrationResult, second: CalibrationResult) -> InputError:
     """Why the tips of two robots have nothing in common."""
     ends = (_ends(record.model.of().chain) for record in (first, second))
-    every = zip(ENDS, *ends, strict=True)
-    what, mine, theirs = next(one for one in every if one[1] != one[2])
+    properties = zip(ENDS, *ends, strict=True)
+    what, mine, theirs = next(p for p in properties if p[1] != p[2])
     known = first.provenance.file or "the first"
     reason = f"cannot be compared with {known}: its {what} {theirs}, there {mine}"
     return InputError(reason, file=second.provenance.file or None)
@@ -319,9 +320,9 @@ def same_nominal(first: CalibratedModel, second: CalibratedModel) -> bool:
     )
 
 
-def _places(of: CalibratedChain) -> Floats:
+def _places(calibrated: CalibratedChain) -> Floats:
     """The axes of a nominal chain, and where its joints and ends are."""
-    chain = of.chain
+    chain = calibrated.chain
     poses = *chain.placements, chain.tip_placement, *chain.ends
     return np.vstack([chain.axes, *(pose.homogeneous[:3].T for pose in poses)])
 
@@ -329,8 +330,8 @@ def _places(of: CalibratedChain) -> Floats:
 def _free(record: CalibrationResult, term: Term) -> list[bool]:
     """Whether anything at base and tool of a part or its instrument was estimated."""
     free = np.array([p.status != "fixed" for p in record.parameters])
-    own = term.parameters[len(term.error.screws) :]
-    ends = [p.outer for p, of in zip(own, free[term.of_instrument], strict=False) if of]
+    instrument = term.parameters[len(term.error.screws) :], free[term.of_instrument]
+    ends = [p.outer for p, estimated in zip(*instrument, strict=False) if estimated]
     frames = (free[index].any() for _, index in frames_of(term))
     pairs = zip(frames, (True, False), strict=True)
     return [bool(frame) or outer in ends for frame, outer in pairs]

@@ -116,20 +116,20 @@ def fleet_row(
         serial_number: Serial number; default that of the setup.
         date: Day of the measurements; default that of the setup.
     """
-    error, about = result.errors[0], result.model.setup.report
+    error, report = result.errors[0], result.model.setup.report
     before, after = error.shown
     known = [a.workspace for a in result.accuracies.values() if a.workspace]
     worst = max(known, key=lambda one: one.calibrated.position, default=None)
     sizes = (worst.nominal, worst.calibrated, worst.bound) if worst else ()
     codes = [f.code for f in result.findings if f.severity != "info"]
-    of = serial_number or about.serial_number, date or about.date or ""
-    judged = result.verdict, result.reason, error.name, error.unit
+    identity = serial_number or report.serial_number, date or report.date or ""
+    verdict = result.verdict, result.reason, error.name, error.unit
     counts = len(result.fitted), result.validation.count
     return FleetRow(
         job,
-        *of,
+        *identity,
         result.model.chains.robot.name,
-        *judged,
+        *verdict,
         *counts,
         before.rms,
         after.rms,
@@ -139,19 +139,19 @@ def fleet_row(
     )
 
 
-def with_drift(row: FleetRow, found: Comparison, previous: str) -> FleetRow:
+def with_drift(row: FleetRow, comparison: Comparison, previous: str) -> FleetRow:
     """A row with the drift from an earlier calibration.
 
     Args:
         row: The row.
-        found: The comparison of the earlier calibration with its own.
+        comparison: The comparison of the earlier calibration with its own.
         previous: Name of the earlier one.
     """
-    size, explained = found.drift.position.rms, math.nan
-    if found.drift.explained is not None:
-        explained = found.drift.explained[0]
-    codes = (*row.findings, *(fault.code for fault in faults(found)))
-    drift = Drift(previous, size, explained, bool(found.drifted))
+    size, explained = comparison.drift.position.rms, math.nan
+    if comparison.drift.explained is not None:
+        explained = comparison.drift.explained[0]
+    codes = (*row.findings, *(fault.code for fault in faults(comparison)))
+    drift = Drift(previous, size, explained, bool(comparison.drifted))
     return replace(row, drift=drift, findings=tuple(dict.fromkeys(codes)))
 
 
@@ -167,13 +167,13 @@ def fleet_columns(rows: Iterable[FleetRow]) -> dict[str, list[object]]:
         >>> list(fleet_columns([FleetRow("a")]))[-3:]
         ['drift_beyond', 'outliers', 'findings']
     """
-    found: dict[str, list[object]] = {}
+    columns: dict[str, list[object]] = {}
     for row in rows:
         for column, value in vars(row).items():
             parts = value._asdict() if hasattr(value, "_asdict") else {"": value}
-            for part, own in parts.items():
-                cell = " ".join(own) if isinstance(own, tuple) else own
-                unknown = isinstance(own, float) and math.isnan(own)
-                cells = found.setdefault(f"{column}_{part}".rstrip("_"), [])
+            for part, item in parts.items():
+                cell = " ".join(item) if isinstance(item, tuple) else item
+                unknown = isinstance(item, float) and math.isnan(item)
+                cells = columns.setdefault(f"{column}_{part}".rstrip("_"), [])
                 cells.append("" if unknown else cell)
-    return found
+    return columns

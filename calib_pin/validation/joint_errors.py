@@ -56,13 +56,13 @@ class JointErrors:
             Positions, shape (N, n), their derivative by the columns, (n, K), and the
             values of these before, (N, K), zero for those of other chains.
         """
-        own = JointColumns.of(chain, self.joints)
-        at = [self.columns.names.index(name) for name in own.names]
+        local = JointColumns.of(chain, self.joints)
+        at = [self.columns.names.index(name) for name in local.names]
         factors = np.zeros((len(chain.joints), len(self.offsets)))
         values = np.zeros((len(q), len(self.offsets)))
-        factors[:, at], values[:, at] = own.factors, own.values(q)
+        factors[:, at], values[:, at] = local.factors, local.values(q)
         corrected = (1.0 + self.gains) * values + self.offsets
-        return corrected @ factors.T + own.offsets, factors, values
+        return corrected @ factors.T + local.offsets, factors, values
 
     def equations(self, fitted: CalibratedChain) -> tuple[Floats, Floats]:
         """Linear equations of further corrections at random configurations.
@@ -106,8 +106,8 @@ def joint_errors(
     free = np.array([*moves, *(joint in gained for joint in columns.joints)])
     x = np.zeros(len(free))
     for _ in range(20):  # A few are enough.
-        found = JointErrors(columns, joints, *np.split(x, 2))
-        parts = zip(*map(found.equations, fitted), strict=True)
+        current = JointErrors(columns, joints, *np.split(x, 2))
+        parts = zip(*map(current.equations, fitted), strict=True)
         A, rhs = (np.concatenate(part) for part in parts)
         step = np.linalg.lstsq(A[:, free], rhs, rcond=None)[0]
         x[free] += step
@@ -159,13 +159,13 @@ def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
     Raises:
         OptionError: If a name or glob of the setup is no joint.
     """
-    stated = setup.encoder_steps.items()
-    return by_joint(stated, joints, "encoder_steps", setup.file or None)
+    steps = setup.encoder_steps.items()
+    return by_joint(steps, joints, "encoder_steps", setup.file or None)
 
 
 def told_reversed(columns: JointColumns) -> dict[str, str]:
     """A sentence by joint that turns back as its column goes on."""
-    found = {}
+    sentences = {}
     for joint, (column, given) in columns.maps.items():
         if (factor := given.sign * given.gear) < 0.0:
             unit, display = DISPLAY["rad" if columns.angular[column] else "m"]
@@ -173,8 +173,8 @@ def told_reversed(columns: JointColumns) -> dict[str, str]:
             zero = f" {display * given.offset:+.6g} {unit}" if given.offset else ""
             more = "".join(f" {by:+g} {name}" for name, by in given.coupled.items())
             inside = f"(reading + offset{more})"
-            found[joint] = f"{joint} is reversed: q = -{times}{inside}{zero}"
-    return found
+            sentences[joint] = f"{joint} is reversed: q = -{times}{inside}{zero}"
+    return sentences
 
 
 def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
@@ -189,7 +189,7 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
     names = {joint: f"{owner(joint)}.joint-offset.q" for joint in joints}
     known = {j: estimates[name] for j, name in names.items() if name in estimates}
     absorbed = {e.of[0]: e.within for e in result.robot_errors if e.within}
-    place, reverses, found = result.covariance.rows.index, told_reversed(columns), []
+    place, reverses, offsets = result.covariance.rows.index, told_reversed(columns), []
     for row, joint, column in zip(weights, columns.joints, columns.names, strict=True):
         if joint not in known:
             continue
@@ -213,5 +213,5 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
             within=absorbed.get(joint, ()),
             reverses=reverses.get(joint, ""),
         )
-        found.append(offset)
-    return tuple(found)
+        offsets.append(offset)
+    return tuple(offsets)

@@ -79,8 +79,8 @@ class ModelErrors:
 
     def at(self, kept: NDArray[np.generic]) -> ModelErrors:
         """Those of some of the measurements, a mask or positions within them."""
-        every = np.arange(len(self.positions))
-        if np.array_equal(every[kept], every):
+        positions = np.arange(len(self.positions))
+        if np.array_equal(positions[kept], positions):
             return self
         return replace(self, **{name: getattr(self, name)[kept] for name in ARRAYS})
 
@@ -130,13 +130,13 @@ def quantity_errors(
     """
     # Of mixed measurements, those held out may all be of another model.
     joined = [ModelErrors.joined(held_out)] if held_out else []
-    parts, found = (fitted, *joined), list[QuantityErrors]()
+    parts, errors = (fitted, *joined), list[QuantityErrors]()
     for quantity in quantities:
         (before, after), *held = (part.accuracy(quantity) for part in parts)
         if before is not None and after is not None:
-            own = before, after, *(held[0] if held else (None, None))
-            found.append(QuantityErrors(quantity.name, quantity.unit, *own))
-    return tuple(found)
+            stages = before, after, *(held[0] if held else (None, None))
+            errors.append(QuantityErrors(quantity.name, quantity.unit, *stages))
+    return tuple(errors)
 
 
 @serial_blas
@@ -189,15 +189,15 @@ def errors_of_registered(
     """
     problem, theta = after.problem, after.theta
     old, new = (error_table(at.problem, at.theta) for at in (before, after))
-    spread, stated = np.full(new.shape, np.nan), problem.setup.distances
-    placed = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
-    known = {name for _, name in model.problem.references} - placed
+    spread, distances = np.full(new.shape, np.nan), problem.setup.distances
+    located = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
+    known = {name for _, name in model.problem.references} - located
     if not fitted:
-        stated = tuple(d for d in stated if known.isdisjoint(d.between))
+        distances = tuple(d for d in distances if known.isdisjoint(d.between))
         estimated = *after.refitted, *after.new
         variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
         spread = problem.layout.table(variance, len(problem.data))
-    lengths = found_distances(before, after, stated, fitted)
+    lengths = found_distances(before, after, distances, fitted)
     return ModelErrors(positions, old, new, spread, lengths, after.located)
 
 
@@ -205,31 +205,31 @@ def located_names(problem: Problem) -> tuple[str, ...]:
     """Names of the stations and reference objects that can be estimated."""
     free = dict(zip(problem.given.names, problem.parameters.free, strict=True))
     terms = problem.terms.values()
-    found = [t for t in terms if any(free[p.name] for p in t.parameters[:FRAME])]
-    words = (" ".join(reversed(t.frames.station.rsplit(".", 1))) for t in found)
+    estimated = [t for t in terms if any(free[p.name] for p in t.parameters[:FRAME])]
+    words = (" ".join(reversed(t.frames.station.rsplit(".", 1))) for t in estimated)
     objects = problem.references.items()
     return (*dict.fromkeys(words), *(name for (_, name), o in objects if o.parameters))
 
 
 def found_distances(
-    before: Registered, after: Registered, stated: Sequence[DistanceSetup], fitted: bool
+    before: Registered, after: Registered, known: Sequence[DistanceSetup], fitted: bool
 ) -> tuple[FoundDistance, ...]:
     """Known distances beside those that the nominal and the fitted robot find.
 
     Args:
         before: The nominal robot.
         after: The fitted one.
-        stated: The distances; those that end elsewhere are left out.
+        known: The distances; those that end elsewhere are left out.
         fitted: Whether they were fitted.
     """
-    nominal, found = (
-        KnownDistances.of(stated, at.problem.references, at.problem.given.names)
+    nominal, calibrated = (
+        KnownDistances.of(known, at.problem.references, at.problem.given.names)
         for at in (before, after)
     )
-    lengths = nominal.lengths(before.theta), found.lengths(after.theta)
+    lengths = nominal.lengths(before.theta), calibrated.lengths(after.theta)
     return tuple(
         FoundDistance(d.between, d.value, d.sigma, float(n), float(f), fitted)
-        for d, n, f in zip(found.stated, *lengths, strict=True)
+        for d, n, f in zip(calibrated.stated, *lengths, strict=True)
     )
 
 
@@ -340,8 +340,8 @@ def at_another_station(
     basis = np.diag(problem.parameters.scales)[:, free]
     plain = replace(problem, setup=replace(problem.setup, distances=()))
     starts = [plain, relocated(plain, theta, station)] if loose else [plain]
-    found = [(least_squares(start, theta, basis), start) for start in starts]
-    best, start = min(found, key=lambda pair: np.nan_to_num(pair[0].cost, nan=np.inf))
+    fits = [(least_squares(start, theta, basis), start) for start in starts]
+    best, start = min(fits, key=lambda pair: np.nan_to_num(pair[0].cost, nan=np.inf))
     return replace(start, setup=problem.setup), best.x
 
 
@@ -354,8 +354,8 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
     """
     values, rank = distinct_values(problem), _used_up(problem, result)
     if rank and values <= rank:
-        said = f"{values} measured values are used up by the {rank} unknowns of base, "
-        return f"{said}tool and instrument; measure more configurations"
+        text = f"{values} measured values are used up by the {rank} unknowns of base, "
+        return f"{text}tool and instrument; measure more configurations"
     return "" if result.status.success else result.status.advice
 
 
@@ -454,24 +454,24 @@ def _predicted_parts(
     names, scales = problem.parameters.names, problem.parameters.scales
     of_fit, new = fitted.problem.parameters.names, list(estimated)
     # What is new there has no covariance: it was estimated from these.
-    own = [k for k, name in enumerate(names) if name in of_fit]
+    shared = [k for k, name in enumerate(names) if name in of_fit]
     moved = np.column_stack([deviations.by_noise, deviations.by_effects])
     factor = np.zeros((len(theta), moved.shape[1]))
-    factor[own] = moved[[of_fit.index(names[k]) for k in own]]
+    factor[shared] = moved[[of_fit.index(names[k]) for k in shared]]
     factor[new] = 0.0
     noises = deviations.noise[fitted_components(problem.layout, fitted.problem.layout)]
-    every = np.arange(len(problem.data))
+    positions = np.arange(len(problem.data))
     # An estimate couples all of them.
-    step = max(len(every), 1) if new else SAMPLE
-    for start in range(0, len(every), step):
-        some = replace(problem, data=problem.data.rows(every[start : start + step]))
+    step = max(len(positions), 1) if new else SAMPLE
+    for start in range(0, len(positions), step):
+        some = replace(problem, data=problem.data.rows(positions[start : start + step]))
         component = some.layout.component
         J = some.linearize_rows(theta)[1][: len(component)]
         uncertain, noise = J @ factor, fitted.unit**2 * noises[component]
         if deviations.systematic is not None:
             # The fit has absorbed a part of what gears and compliance do there.
-            there = deviations.systematic.rows(some, theta)
-            uncertain[:, -there.shape[1] :] -= there
+            absorbed = deviations.systematic.rows(some, theta)
+            uncertain[:, -absorbed.shape[1] :] -= absorbed
         if new:
             K = column_space(J[:, new] * scales[new])
             uncertain = uncertain - K @ (K.T @ uncertain)

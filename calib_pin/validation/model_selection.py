@@ -151,15 +151,14 @@ def select_model(
     # Learning makes up for what is left near; away, what it builds on decides.
     base = judged[simplest(judged, use if use == "near" else "away")]
     for name in learned:
-        kinds = base.candidate.parameters
-        candidates.add(f"+ {name}", kinds, name, extends=(base,))
-    found, q = judged[simplest(judged, use)], measurements.q
+        candidates.add(f"+ {name}", base.candidate.parameters, name, extends=(base,))
+    chosen, q = judged[simplest(judged, use)], measurements.q
     near = zip(*(end(axis=0).tolist() for end in (q.min, q.max)), strict=True)
     ranges = dict(zip(measurements.joints, near, strict=True))
-    every = tuple(one.candidate for one in judged)
-    assert found.model is not None
-    selection = ModelSelection(found.candidate.name, use, ranges, every)
-    return SelectedModel(selection, found.model, found.parts)
+    all_candidates = tuple(one.candidate for one in judged)
+    assert chosen.model is not None
+    selection = ModelSelection(chosen.candidate.name, use, ranges, all_candidates)
+    return SelectedModel(selection, chosen.model, chosen.parts)
 
 
 def helps(sizes: Sequence[Floats], before: Sequence[Floats], use: str) -> bool:
@@ -175,12 +174,12 @@ def helps(sizes: Sequence[Floats], before: Sequence[Floats], use: str) -> bool:
     if use != "near" and len(sizes) < len(before):
         return False  # Nobody knows, away.
     gains = [b - s for b, s in zip(before, sizes, strict=False)]
-    told = [_mean(gain) for gain in gains[PLACES[use]]]
-    better = any(mean > sigma for mean, sigma in told)
-    return not told or (better and all(mean >= -sigma for mean, sigma in told))
+    means = [_mean(gain) for gain in gains[PLACES[use]]]
+    better = any(mean > sigma for mean, sigma in means)
+    return not means or (better and all(mean >= -sigma for mean, sigma in means))
 
 
-def simplest(found: Sequence[Judged], use: str) -> int:
+def simplest(candidates: Sequence[Judged], use: str) -> int:
     """Position of the simplest that helps and is not significantly worse.
 
     Than the best one, near or away. Where no candidate is that in both, of those that
@@ -188,36 +187,36 @@ def simplest(found: Sequence[Judged], use: str) -> int:
     carries over badly does its harm where nobody looks.
 
     Args:
-        found: The candidates, simplest first, at least one of them fitted.
+        candidates: The candidates, simplest first, at least one of them fitted.
         use: One of `USES`.
     """
     # What could be tried near alone is not compared with what others are away.
-    tried = max(len(one.sizes) for one in found)
-    full = [k for k, one in enumerate(found) if len(one.sizes) == tried]
-    sizes = {k: found[k].sizes[PLACES[use]] for k in full}
+    most = max(len(one.sizes) for one in candidates)
+    full = [k for k, one in enumerate(candidates) if len(one.sizes) == most]
+    sizes = {k: candidates[k].sizes[PLACES[use]] for k in full}
     places = range(len(sizes[full[0]]))
 
     def as_good(among: Sequence[int], place: int) -> list[int]:
         """Those that are not significantly worse there than the best of them."""
         best = min(among, key=lambda k: _mean(sizes[k][place])[0])
-        told = {k: _mean(sizes[k][place] - sizes[best][place]) for k in among}
-        return [k for k in among if told[k][0] <= SURE * told[k][1]]
+        excess = {k: _mean(sizes[k][place] - sizes[best][place]) for k in among}
+        return [k for k in among if excess[k][0] <= SURE * excess[k][1]]
 
     # Chance may leave the best one short of helping, and what it is compared with out
     # of reach.
-    helping = [k for k in full if found[k].candidate.helps] or full
+    helping = [k for k in full if candidates[k].candidate.helps] or full
     good = set(helping).intersection(*(as_good(full, place) for place in places))
     if not good:
         good = set(helping)
         for place in reversed(places):
             good = set(as_good(sorted(good), place))
-    every = ((found[k].candidate, k) for k in good)
-    return min((one.learned is not None, one.rank, k) for one, k in every)[2]
+    fitted = ((candidates[k].candidate, k) for k in good)
+    return min((one.learned is not None, one.rank, k) for one, k in fitted)[2]
 
 
-def mean_score(found: Judged, use: str) -> float:
+def mean_score(candidate: Judged, use: str) -> float:
     """Mean of the logarithms of the scores where a candidate is used."""
-    means = [max(_mean(each)[0], 1e-300) for each in found.sizes[PLACES[use]]]
+    means = [max(_mean(each)[0], 1e-300) for each in candidate.sizes[PLACES[use]]]
     return float(np.mean(np.log(means)))
 
 
@@ -247,9 +246,9 @@ def scored(
     with np.errstate(invalid="ignore"):
         totals = np.bincount(label, size[kept], count)
         sizes: Floats = totals / np.bincount(label, minlength=count)
-    told = ((q, errors.accuracy(q)[1]) for q in layout.quantities)
-    found = (QuantityError(q.name, q.unit, a.mean, a.rms) for q, a in told if a)
-    return sizes, HeldOutErrors(tuple(found), *_mean(sizes))
+    pairs = ((q, errors.accuracy(q)[1]) for q in layout.quantities)
+    quantities = (QuantityError(q.name, q.unit, a.mean, a.rms) for q, a in pairs if a)
+    return sizes, HeldOutErrors(tuple(quantities), *_mean(sizes))
 
 
 @dataclass
@@ -284,11 +283,11 @@ class _Candidates:
         self.done += share
         candidate = Candidate(name, parameters, learned)
         try:
-            found = self._judge(candidate, extends, tell)
+            judged = self._judge(candidate, extends, tell)
         except InputError as error:
-            found = Judged(replace(candidate, reason=error.reason))
-        self.judged.append(found)
-        return found
+            judged = Judged(replace(candidate, reason=error.reason))
+        self.judged.append(judged)
+        return judged
 
     def combine(self, base: Judged, kinds: Sequence[str]) -> None:
         """Judge kinds alone, then the neighbors of the best as long as one is better.
@@ -319,18 +318,18 @@ class _Candidates:
                 judge(frozenset(rest))
                 judge(frozenset(rest | {kind}))
             judge(frozenset(TOGETHER).intersection(kinds))
-            found = ((k, one) for k, one in tried.items() if one.candidate.helps)
-            scores = {key: mean_score(one, self.use) for key, one in found}
+            helping = ((k, one) for k, one in tried.items() if one.candidate.helps)
+            scores = {key: mean_score(one, self.use) for key, one in helping}
             best = min(scores, key=scores.__getitem__, default=best)
 
     def _judge(
         self, candidate: Candidate, extends: Iterable[Judged], tell: Progress | None
     ) -> Judged:
         """Fit a candidate to all measurements, and leave parts of them out."""
-        stated = self.chains, self.measurements
+        inputs = self.chains, self.measurements
         setup = replace(self.setup, learned=candidate.learned)
-        setup = with_parameters(*stated, setup, candidate.parameters)
-        model = fit_model(*stated, setup, self.seed, tell)
+        setup = with_parameters(*inputs, setup, candidate.parameters)
+        model = fit_model(*inputs, setup, self.seed, tell)
         measurements = model.weighted(self.measurements)
         grouping, given = Grouping.of(measurements, setup), (model, measurements)
         masks = folds(grouping, model.fit, self.seed)
@@ -338,28 +337,28 @@ class _Candidates:
             count = measurements.configurations
             raise OptionError(f"{count} configurations are too few to hold out a fold")
         near, away = (
-            tuple(cross_validate(*given, some, self.seed, None, self.workers))
-            for some in (masks, regions(grouping, self.seed))
+            tuple(cross_validate(*given, held_out, self.seed, None, self.workers))
+            for held_out in (masks, regions(grouping, self.seed))
         )
         away = tuple(part for part in away if not part.reason and len(part.positions))
         scores = [scored(grouping, model, parts) for parts in (near, away) if parts]
         sizes, (errors, *others) = zip(*scores, strict=True)
         better = all(helps(sizes, below.sizes, self.use) for below in extends)
-        found = vars(errors) | {"away": others[0] if others else None}
-        candidate = replace(candidate, rank=model.fit.rank, helps=better, **found)
+        figures = vars(errors) | {"away": others[0] if others else None}
+        candidate = replace(candidate, rank=model.fit.rank, helps=better, **figures)
         return Judged(candidate, model, near, sizes)
 
 
 def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:
     """Effects that may join the geometry: those for which enough is stated."""
-    held = [block.conditions for block in measurements.blocks]
+    recorded = [block.conditions for block in measurements.blocks]
 
-    def stated(name: str) -> bool:
+    def sufficient(name: str) -> bool:
         needed = needed_conditions((name,))
-        known = all(len(getattr(own, one)) for one in needed for own in held)
+        known = all(len(getattr(c, kind)) for kind in needed for c in recorded)
         return known and (name != MotorRipple.name or bool(setup.gear_ratios))
 
-    return tuple(filter(stated, outside_urdf()))
+    return tuple(filter(sufficient, outside_urdf()))
 
 
 def _require_patterns(

@@ -54,8 +54,8 @@ class Accuracy:
         """Accuracy of the error sizes of measurements, shape (N,)."""
         # No interpolation: where a row cannot be predicted its size is infinite.
         p95 = np.quantile(sizes, 0.95, method="inverted_cdf")
-        found = sizes.mean(), np.sqrt(np.mean(sizes**2)), p95, sizes.max()
-        return Accuracy(*map(float, found))
+        figures = sizes.mean(), np.sqrt(np.mean(sizes**2)), p95, sizes.max()
+        return Accuracy(*map(float, figures))
 
 
 @dataclass(frozen=True)
@@ -79,10 +79,10 @@ class QuantityErrors:
     @property
     def stages(self) -> Mapping[str, tuple[Accuracy, Accuracy]]:
         """Before and after by the measurements: `fitted`, and `validation` if any."""
-        found = {"fitted": (self.before, self.after)}
+        errors = {"fitted": (self.before, self.after)}
         if self.validation_before and self.validation_after:
-            found["validation"] = self.validation_before, self.validation_after
-        return found
+            errors["validation"] = self.validation_before, self.validation_after
+        return errors
 
     @property
     def shown(self) -> tuple[Accuracy, Accuracy]:
@@ -183,31 +183,31 @@ class MeasurementErrors:
         """
         rows, held = self.rows, self.rows.conditions
         names = map(Labels.of, zip(*rows.keys, strict=True))
-        found: dict[str, Sequence[Any]] = {
+        columns: dict[str, Sequence[Any]] = {
             "set": [name] * len(self),
             "file": rows.files,
             "line": rows.lines.tolist(),
             "target": rows.target,
             "payload": rows.payload,
             **{
-                field: own[rows.block_of]
-                for field, own in zip(BlockKey._fields, names, strict=True)
+                field: labels[rows.block_of]
+                for field, labels in zip(BlockKey._fields, names, strict=True)
             },
         }
 
         def add(form: str, names: Iterable[object], values: Floats) -> None:
-            found.update(zip(map(form.format, names), values.T, strict=True))
+            columns.update(zip(map(form.format, names), values.T, strict=True))
 
         width = max(block.values.shape[1] for block in rows.blocks)
         widths = len(rows.joints), width, self.sigma.shape[1]
-        start, values, stated = (np.full((len(self), n), np.nan) for n in widths)
+        start, values, given = (np.full((len(self), n), np.nan) for n in widths)
         for block, part in zip(rows.blocks, rows.slices, strict=True):
             values[part, : block.values.shape[1]] = block.values
             if block.start.size:
                 start[part] = block.start
             if block.sigma is not None:
-                own = ~np.isnan(self.sigma[part.start])
-                stated[part, own] = block.sigma
+                mask = ~np.isnan(self.sigma[part.start])
+                given[part, mask] = block.sigma
         add("joint.{}", rows.joints, rows.q)
         if not np.isnan(start).all():
             add("start.{}", rows.joints, start)
@@ -215,16 +215,16 @@ class MeasurementErrors:
             add("direction.{}", rows.joints, held.direction.astype(float))
         for column in ("temperature", "time"):
             if len(getattr(held, column)):
-                found[column] = getattr(held, column)
+                columns[column] = getattr(held, column)
         add("measured.{}", range(1, width + 1), values)
         add("{}", ("weight", "leverage"), np.array([rows.weight, self.leverage]).T)
         add("tool.{}", AXES, self.points)
         stages = {"before": self.before, "after": self.after, "sigma": self.sigma}
-        if not np.isnan(stated).all():
-            stages["stated"] = stated
+        if not np.isnan(given).all():
+            stages["stated"] = given
         for stage, values in stages.items():
             add(f"{{}}.{stage}", self.components, values)
-        return found
+        return columns
 
     def sizes(self, quantity: Quantity) -> tuple[Floats, Floats]:
         """Sizes of the errors of a quantity before and after, shape (N,) each.
@@ -960,12 +960,12 @@ class Tables(Identification, Breakdown):
         problem = self.model.problem(rows)
         layout, sigma = problem.layout, problem.sigma
         _, J = problem.linearize_rows(self.model.theta)
-        found = np.zeros((len(rows) * layout.width, J.shape[1]))
+        derivative = np.zeros((len(rows) * layout.width, J.shape[1]))
         used = np.isfinite(sigma)
         place = (layout.row * layout.width + layout.column)[used]
-        found[place] = J[: len(sigma)][used] * sigma[used, None]
+        derivative[place] = J[: len(sigma)][used] * sigma[used, None]
         names = [f"{rows.source(k)} {c}" for k in range(len(rows)) for c in components]
-        return NamedArray.of(found, names, [p.name for p in self.parameters])
+        return NamedArray.of(derivative, names, [p.name for p in self.parameters])
 
     def to_frame(self) -> Any:
         """The measurements as a pandas data frame, with the columns of the file.
@@ -1017,14 +1017,14 @@ class Tables(Identification, Breakdown):
             Poses, shape (N, 4, 4), their body twists by the p parameters of its error
             model, (N, 6, p), and the covariance of these, (p, p).
         """
-        own, values = term.of_error, np.array([p.value for p in self.parameters])
-        T, J = term.error.jacobian(q, values[own])
-        return T, J, np.asarray(self.covariance)[np.ix_(own, own)]
+        index, values = term.of_error, np.array([p.value for p in self.parameters])
+        T, J = term.error.jacobian(q, values[index])
+        return T, J, np.asarray(self.covariance)[np.ix_(index, index)]
 
     def figures(self) -> dict[str, Any]:
         """The figures of the report by name, as matplotlib figures."""
-        found: dict[str, Any] = upper("report.figures", "figures", self)
-        return found
+        result: dict[str, Any] = upper("report.figures", "figures", self)
+        return result
 
 
 @dataclass(frozen=True, repr=False)

@@ -2,8 +2,8 @@
 
 An older calibration is the state of a robot: the values of its parameters, with their
 covariance, about the frames in which it stood. It moves to the frames of new
-measurements (`about`), becomes wider by drift and sudden changes, and is then the prior
-of the next calibration, or of a plan for it (`prior`).
+measurements (`rebased`), becomes wider by drift and sudden changes, and is then the
+prior of the next calibration, or of a plan for it (`prior`).
 """
 
 from __future__ import annotations
@@ -165,23 +165,23 @@ class RobotState:
             None if begun is None else begun.still,
             (result.provenance.file, result.provenance.created),
             {
-                chain: (one.measured.unmodeled, one.workspace.unmodeled)
-                for chain, one in result.accuracies.items()
-                if one.measured and one.workspace
+                chain: (accuracy.measured.unmodeled, accuracy.workspace.unmodeled)
+                for chain, accuracy in result.accuracies.items()
+                if accuracy.measured and accuracy.workspace
             },
         )
 
     @property
     def sigmas(self) -> dict[str, float]:
         """The noise by quantity, see `NoiseSize.sigma`."""
-        return {one.quantity: one.sigma for one in self.noise}
+        return {size.quantity: size.sigma for size in self.noise}
 
     @property
     def robot(self) -> NDArray[np.bool_]:
         """The estimated parameters that are errors of the robot, shape (P,)."""
         return self.free & ~self.system.given.nuisance
 
-    def about(
+    def rebased(
         self, system: Terms, robot: NDArray[np.bool_]
     ) -> tuple[RobotState, Mapping[Frame, Indices]]:
         """The state about the references of new measurements.
@@ -199,13 +199,13 @@ class RobotState:
         names, old = system.given.names, self.system.given.names
         values, known, before = np.zeros(len(names)), robot.copy(), _frames(self.system)
         values[robot] = self.values[self.places(system.given, robot)]
-        found = {f: both for f, both in _frames(system).items() if f in before}
-        for frame, (pose, own) in found.items():
+        shared = {f: both for f, both in _frames(system).items() if f in before}
+        for frame, (pose, index) in shared.items():
             moved = pose.actInv(before[frame][0])
-            known[own] = True
+            known[index] = True
             # Positions alone do not tell how a tool is turned, and move it nowhere.
-            values[own] = np.append(moved.translation, so3_log(moved.rotation))
-        frames = {frame: own for frame, (_, own) in found.items()}
+            values[index] = np.append(moved.translation, so3_log(moved.rotation))
+        frames = {frame: index for frame, (_, index) in shared.items()}
         here = [k for k in np.flatnonzero(known).tolist() if names[k] in old]
         there = [old.index(names[k]) for k in here]
         covariance = np.zeros((len(names), len(names)))
@@ -220,7 +220,7 @@ class RobotState:
             OptionError: If one of them was not estimated.
         """
         known = {p.name: k for k, p in enumerate(self.system.given) if self.free[k]}
-        names = [p.name for p, of in zip(parameters, robot, strict=True) if of]
+        names = [p.name for p, free in zip(parameters, robot, strict=True) if free]
         if lacking := [name for name in names if name not in known]:
             reason = f"the older calibration has not estimated {enumerated(lacking)}"
             allowed = "the same 'fixed' in both"
@@ -253,15 +253,15 @@ class RobotState:
 
 def _frames(system: Terms) -> Mapping[Frame, tuple[pin.SE3, Indices]]:
     """Pose and positions of the parameters of every frame."""
-    found: dict[Frame, tuple[pin.SE3, Indices]] = {}
+    frames: dict[Frame, tuple[pin.SE3, Indices]] = {}
     for term in system.terms.values():
         tool = term.error.tool * term.frames.offset.inverse()
         scopes, poses = (term.frames.station, term.frames.tool), (term.error.base, tool)
         indices = (index for _, index in frames_of(term))
-        for kind, scope, *own in zip(FRAMES, scopes, poses, indices, strict=True):
-            name = "" if scope == f"{kind}.frame" else scope.rpartition(".")[0]
-            found.setdefault((kind, name), (own[0], own[1]))
-    return found
+        for end, scope, pose, index in zip(FRAMES, scopes, poses, indices, strict=True):
+            name = "" if scope == f"{end}.frame" else scope.rpartition(".")[0]
+            frames.setdefault((end, name), (pose, index))
+    return frames
 
 
 @dataclass(frozen=True)
@@ -318,18 +318,18 @@ def changes(system: Terms, robot: NDArray[np.bool_]) -> dict[str, Change]:
         system: The robot.
         robot: The errors of the robot among its parameters, shape (P,).
     """
-    found, every = dict[str, Change](), np.eye(len(robot))
-    for one in _offsets(system, robot):
-        found.setdefault(f"offset {one.name}", one)
+    by_name, unit = dict[str, Change](), np.eye(len(robot))
+    for offset in _offsets(system, robot):
+        by_name.setdefault(f"offset {offset.name}", offset)
     for joint in system.chains.joints:
-        own = robot & _of(system, joint)
-        if own.sum() > 1:
-            found[f"placement {joint}"] = Change(joint, "placement", every[:, own])
-    found["robot"] = Change("", "robot", every[:, robot])
-    return found
+        mask = robot & _of_joint(system, joint)
+        if mask.sum() > 1:
+            by_name[f"placement {joint}"] = Change(joint, "placement", unit[:, mask])
+    by_name["robot"] = Change("", "robot", unit[:, robot])
+    return by_name
 
 
-def _of(system: Terms, joint: str) -> NDArray[np.bool_]:
+def _of_joint(system: Terms, joint: str) -> NDArray[np.bool_]:
     """The parameters that have the name of a joint, shape (P,)."""
     owners = [parameter.name.rsplit(".", 2)[0] for parameter in system.given]
     return np.asarray(np.array(owners) == owner(joint))
@@ -343,9 +343,9 @@ def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
         for frame, joint in enumerate(chain.joints, 1):
             # Errors in the next frame, as those of a DH matrix, move with the joint.
             to_frame = {frame: np.eye(6), frame + 1: behind[frame].toActionMatrix()}
-            own, T = robot & _of(system, joint), np.zeros((6, len(robot)))
+            mask, T = robot & _of_joint(system, joint), np.zeros((6, len(robot)))
             for screw, k in zip(term.error.screws, term.of_error, strict=True):
-                if own[k] and screw.frame in to_frame and screw.basis is None:
+                if mask[k] and screw.frame in to_frame and screw.basis is None:
                     twist = to_frame[screw.frame] @ screw.twist
                     T[:, k] += twist * screw.parameter.scale
             motion = chain.motions[frame - 1]
@@ -378,12 +378,12 @@ def robot_evidence(result: CalibrationResult) -> RobotEvidence:
             raise InputError(f"the calibration {reason}", file=file)
     factors = np.array([component.factor for component in noise])
     problem = replace(model.problem(result.fitted.rows), units=factors)
-    told = robot_rows(problem, model.theta, noise)
-    own = [p for p, of in zip(problem.parameters, told.robot, strict=True) if of]
-    names, units = tuple(p.name for p in own), tuple(p.unit for p in own)
-    scales, robot = np.array([p.scale for p in own]), robot_type(model.chains)
+    linear = robot_rows(problem, model.theta, noise)
+    errors = [problem.parameters[k] for k in np.flatnonzero(linear.robot).tolist()]
+    names, units = tuple(p.name for p in errors), tuple(p.unit for p in errors)
+    scales, robot = np.array([p.scale for p in errors]), robot_type(model.chains)
     sizes = {c.quantity: c.estimate for c in noise if c.estimate > 0.0}
-    return RobotEvidence(robot, names, units, scales, told.rows, told.values, sizes)
+    return RobotEvidence(robot, names, units, scales, linear.rows, linear.values, sizes)
 
 
 @serial_blas
@@ -424,8 +424,8 @@ def started(
         raise OptionError(reason, allowed=allowed)
     require_usable(chains, setup, start)
     older = RobotState.of(start, process_noise)
-    stated = replace(setup, prior={}, noise=older.sigmas | dict(setup.noise))
-    problem = make_problem(chains, data.sample(SOME), stated)
+    plain = replace(setup, prior={}, noise=older.sigmas | dict(setup.noise))
+    problem = make_problem(chains, data.sample(SOME), plain)
     robot = problem.parameters.free & ~problem.parameters.nuisance
     # About frames and instrument that suit the older robot.
     theta = np.zeros(len(robot))
@@ -435,9 +435,9 @@ def started(
         reason = f"cannot go on from the older calibration: {reason}"
         allowed = "base and tool that are stated as known"
         raise InputError(reason, file=data.files[0] or None, allowed=allowed)
-    step, prior = Innovations(problem, result.x, older).explained(len(data))
+    step, prior = Innovations(problem, result.x, older).explain(len(data))
     sizes = error_sizes(problem, result.x)
-    errors = tuple((name, unit, Accuracy.of(own)) for name, unit, own in sizes)
+    errors = tuple((name, unit, Accuracy.of(size)) for name, unit, size in sizes)
     steps = () if start.recalibration is None else start.recalibration.steps
     return replace(setup, prior=prior), Recalibration(errors, (*steps, step))
 
@@ -520,24 +520,24 @@ def _drifts(
         return (DriftSize(EXPECTED[0].name, process_noise, np.inf),)
     before = () if begun is None else begun.drifts
     # What a user has stated once, says nothing of the next time.
-    found = {drift.name: drift for drift in before if np.isfinite(drift.worth)}
-    return tuple(found.get(drift.name, drift) for drift in EXPECTED)
+    by_name = {drift.name: drift for drift in before if np.isfinite(drift.worth)}
+    return tuple(by_name.get(drift.name, drift) for drift in EXPECTED)
 
 
 def _noise(
-    begun: RecalibrationStep | None, shown: Sequence[VarianceComponent]
+    begun: RecalibrationStep | None, components: Sequence[VarianceComponent]
 ) -> tuple[NoiseSize, ...]:
     """The noise of all quantities that a calibration and those before it have shown."""
-    found = {} if begun is None else {one.quantity: one for one in begun.noise}
-    for own in shown:
-        name, left = own.quantity.split(" ")[0], own.redundancy * own.values
-        known = found.get(name, NoiseSize(name, 0.0, 0.0))
-        if own.estimate > 0.0 and left > 0.0:
-            worth = known.worth + left
-            square = known.worth * known.sigma**2 + left * own.estimate**2
+    by_name = {} if begun is None else {size.quantity: size for size in begun.noise}
+    for part in components:
+        name, dof = part.quantity.split(" ")[0], part.redundancy * part.values
+        known = by_name.get(name, NoiseSize(name, 0.0, 0.0))
+        if part.estimate > 0.0 and dof > 0.0:
+            worth = known.worth + dof
+            square = known.worth * known.sigma**2 + dof * part.estimate**2
             sigma = float(np.sqrt(square / worth))
-            found[name] = NoiseSize(name, sigma, min(worth, SOME))
-    return tuple(found.values())
+            by_name[name] = NoiseSize(name, sigma, min(worth, SOME))
+    return tuple(by_name.values())
 
 
 class Innovations:
@@ -568,23 +568,23 @@ class Innovations:
         """
         problem, theta = problem.rebased(theta)
         robot = problem.parameters.free & ~problem.parameters.nuisance
-        self.state, frames = older.about(problem, robot)
+        self.state, frames = older.rebased(problem, robot)
         given = list(problem.given)
-        for k in (int(k) for own in frames.values() for k in own):
+        for k in (int(k) for index in frames.values() for k in index):
             scale = expected_size(given[k].unit)
             given[k] = replace(given[k], nuisance=False, scale=scale)
         units = _factors(problem, older.sigmas)
         problem = replace(problem, given=ParameterSet(tuple(given)), units=units)
         self.parameters, scales = problem.parameters, problem.parameters.scales
         known = np.diag(self.state.covariance) > 0.0
-        told, every = robot_rows(problem, theta, ()), np.eye(len(scales))
+        linear, identity = robot_rows(problem, theta, ()), np.eye(len(scales))
         below = np.diag(scales / KNOWN)[~self.parameters.free & known]
-        rows = np.vstack([told.rows @ every[told.robot], below])
-        self.measured = M = np.eye(len(rows))[:, : len(told.values)]
+        rows = np.vstack([linear.rows @ identity[linear.robot], below])
+        self.measured = M = np.eye(len(rows))[:, : len(linear.values)]
         self.sudden = changes(problem, robot)
         self.drifting = drifts(problem, robot, self.sudden.values())
-        for (kind, name), own in frames.items():
-            self.sudden[f"{kind} {name}"] = Change(name, kind, every[:, own])
+        for (kind, name), index in frames.items():
+            self.sudden[f"{kind} {name}"] = Change(name, kind, identity[:, index])
         counts = Counter(change.kind for change in self.sudden.values())
         self.causes = {
             name: Cause(
@@ -595,7 +595,7 @@ class Innovations:
             )
             for name, change in self.sudden.items()
         }
-        groups, along = problem.data.groups(), M @ told.along
+        groups, along = problem.data.groups(), M @ linear.along
         labels, of_value = np.unique(groups).tolist(), groups[problem.layout.row]
         wrong = ((f"measurement {k}", along[:, of_value == k]) for k in labels)
         sizes, chance = SIZES["wrong"], 1.0 / len(labels)
@@ -608,12 +608,12 @@ class Innovations:
             for d in older.drifts
             for limit in [max(most[d.name], d.size)]
         )
-        worth = min(max(sum(one.worth for one in older.noise), 1.0), SOME)
+        worth = min(max(sum(size.worth for size in older.noise), 1.0), SOME)
         causes = *drifting, Cause(NOISE, M, 1.0, worth)
-        values = M @ told.values - W @ self.state.values
+        values = M @ linear.values - W @ self.state.values
         self.first = Explanation(values, V, causes)
 
-    def explained(self, count: int) -> tuple[RecalibrationStep, JointPrior]:
+    def explain(self, count: int) -> tuple[RecalibrationStep, JointPrior]:
         """Drift, noise, sudden changes and wrong measurements that explain it best.
 
         All of a joint or of the robot explains nearly everything, and so does noise:
@@ -629,19 +629,19 @@ class Innovations:
         simple = [c for n, c in self.causes.items() if self.sudden[n].kind in SIMPLE]
         noisier = Cause("noisier", self.measured, sizes=SIZES["noise"])
         families = simple, [*simple, noisier], [*self.causes.values(), noisier]
-        tried = (
+        trials = (
             explained(first, [*family, *self.wrong], SURE, JUMPS) for family in families
         )
-        found, sparse, _ = max(tried, key=lambda one: one[2])
+        best, sparse, _ = max(trials, key=lambda trial: trial[2])
         names = {drift.name for drift in state.drifts}
-        calm, _ = found.without(names).fitted()
+        calm, _ = best.without(names).fitted()
         still = calm.likelihood + first.without(names).expected(calm)
-        still -= found.likelihood + first.expected(found)
+        still -= best.likelihood + first.expected(best)
         believed = still + (CALM if state.still is None else state.still)
         still += state.still or 0.0
-        _, told = found.fitted()
+        _, counts = best.fitted()
         drifted, effects = list[DriftSize](), list[tuple[float, Floats]]()
-        for drift, cause, n in zip(state.drifts, found.causes, told, strict=False):
+        for drift, cause, n in zip(state.drifts, best.causes, counts, strict=False):
             wider = 1.0
             if np.isfinite(drift.worth):
                 worth = min(drift.worth + n, REMEMBERED)
@@ -654,12 +654,12 @@ class Innovations:
             drifted.append(drift)
             effects.append((wider * drift.size, self.drifting[drift.name]))
         if np.isfinite(state.drifts[0].worth) and believed > 0.0:
-            found = calm
+            best = calm
         sudden, jumps = [c for c in sparse if c.name in self.sudden], list[Jump]()
         hit = dict[str, float]()
         for cause in sudden:
-            instead, beside = self._others(found, cause, sudden)
-            jumps.append(self._jump(found, cause, instead, beside))
+            instead, beside = self._others(best, cause, sudden)
+            jumps.append(self._jump(best, cause, instead, beside))
             # A single change tells little of the size that such changes have.
             hit |= dict.fromkeys([cause.name, *instead], max(cause.size, 1.0))
         effects += [(size, self.sudden[name].directions) for name, size in hit.items()]
@@ -667,8 +667,8 @@ class Innovations:
         moved = (c for c in sudden if self.sudden[c.name].kind in FRAMES)
         chi2 = replace(first, causes=(*first.causes, *moved)).square
         # Beside what all have shown, as much more as these show by chance.
-        more = max(found.square / len(first.values), 1.0) ** 0.5
-        more *= next(c.size for c in found.causes if c.name == NOISE)
+        more = max(best.square / len(first.values), 1.0) ** 0.5
+        more *= next(c.size for c in best.causes if c.name == NOISE)
         grown = {name: more * sigma for name, sigma in state.sigmas.items()}
         start, created = state.made
         step = RecalibrationStep(
@@ -685,23 +685,23 @@ class Innovations:
         return step, state.prior(effects, grown)
 
     def _others(
-        self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
+        self, best: Explanation, cause: Cause, sudden: Sequence[Cause]
     ) -> tuple[list[str], list[str]]:
         """Simple changes that may have come about in place of a simple one.
 
         And offsets of joints that would not show beside a frame that has moved.
         """
         instead, beside = list[str](), list[str]()
-        without, E = found.without({cause.name}), cause.effects
-        limit, told = without.misfit(E) + CLOSE, {other.name for other in sudden}
+        reduced, E = best.without({cause.name}), cause.effects
+        limit, named = reduced.misfit(E) + CLOSE, {other.name for other in sudden}
         for name, change in self.sudden.items():
             moved = self.causes[name].effects
             simple = {change.kind, self.sudden[cause.name].kind} <= {*SIMPLE}
             # Nothing that is measured now depends on where a known frame has stood.
-            if name in told or not simple or not (self.measured.T @ moved).any():
+            if name in named or not simple or not (self.measured.T @ moved).any():
                 continue
             rest = moved - E @ np.linalg.lstsq(E, moved, rcond=None)[0]
-            if without.misfit(moved) <= limit:
+            if reduced.misfit(moved) <= limit:
                 instead.append(name)
             # All but a hundredth of it is done by the other one.
             elif np.linalg.norm(rest) < 0.01 * np.linalg.norm(moved):
@@ -709,11 +709,11 @@ class Innovations:
         return instead, beside
 
     def _jump(
-        self, found: Explanation, cause: Cause, instead: list[str], beside: list[str]
+        self, best: Explanation, cause: Cause, instead: list[str], beside: list[str]
     ) -> Jump:
         """A sudden change as the innovations tell it, and what it may be instead."""
         change, parameters = self.sudden[cause.name], self.parameters
-        effects, covariance = found.effects(cause)
+        effects, covariance = best.effects(cause)
         size, sigma, turn = change.size * float(effects[0]), np.nan, 0.0
         if change.kind == "offset":
             sigma = change.size * float(covariance[0, 0]) ** 0.5
@@ -740,9 +740,9 @@ def _factors(problem: Problem, sigmas: Mapping[str, float]) -> Floats:
     What a robot does that no parameter describes is there whatever the instrument
     states.
     """
-    found = np.ones(len(problem.layout.components))
+    factors = np.ones(len(problem.layout.components))
     for k, component in enumerate(problem.layout.components):
-        own = problem.given_sigma[problem.layout.of_components[k]]
-        if len(own) and component.quantity.name in sigmas:
-            found[k] = max(sigmas[component.quantity.name] / rms(own), 1.0)
-    return found
+        sigma = problem.given_sigma[problem.layout.of_components[k]]
+        if len(sigma) and component.quantity.name in sigmas:
+            factors[k] = max(sigmas[component.quantity.name] / rms(sigma), 1.0)
+    return factors

@@ -129,8 +129,8 @@ class Grouping:
                 continue
             # Distinct configurations of every frame among those that are left.
             pairs = np.unique((frame * count + configuration)[kept])
-            left = np.bincount(pairs // count, minlength=len(keys))
-            needed = mask & (left < THREE)[frame]
+            counts = np.bincount(pairs // count, minlength=len(keys))
+            needed = mask & (counts < THREE)[frame]
             mask &= ~np.isin(self.groups, self.groups[needed])
         return mask
 
@@ -150,9 +150,9 @@ def labels(*columns: object) -> NDArray[np.int64]:
     result = np.zeros(1, np.int64)
     for column in columns:
         # One column after the other: to sort rows takes ten times as long.
-        _, own = np.unique(np.asarray(column), return_inverse=True)
-        own = result * (own.max(initial=0) + 1) + own.reshape(-1)
-        result = numbered(own)[1]
+        _, codes = np.unique(np.asarray(column), return_inverse=True)
+        codes = result * (codes.max(initial=0) + 1) + codes.reshape(-1)
+        result = numbered(codes)[1]
     return np.asarray(result)
 
 
@@ -178,16 +178,16 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     fold = np.empty(len(order), np.int64)
     fold[order] = np.arange(len(order)) % count
     parts = (grouping.spared(fold[grouping.groups] == k) for k in range(count))
-    masks = [_few(mask, grouping.groups) for mask in parts if mask.any()]
+    masks = [_thinned(mask, grouping.groups) for mask in parts if mask.any()]
     # Only what is estimated must be seen in every part.
-    sought = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
+    targets = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
     # What priors hold counts among what is known and among what is needed.
     held = len(fitted.problem.further.priors) > 0
     needed = fitted.rank if held else fitted.structure.rank
     aside = int((rows.weight == 0.0).sum())
     for mask in masks:
-        seen = (len(numbered(rows.groups()[one & ~mask])[0]) for one in sought)
-        if any(0 < number < FEWEST for number in seen):
+        counts = (len(numbered(rows.groups()[t & ~mask])[0]) for t in targets)
+        if any(0 < number < FEWEST for number in counts):
             return []
         # Every group that is left is a configuration or more.
         if len(order) - int(mask.sum()) - aside <= needed:
@@ -197,10 +197,10 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     return masks
 
 
-def _few(mask: NDArray[np.bool_], groups: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _thinned(mask: NDArray[np.bool_], groups: NDArray[np.int64]) -> NDArray[np.bool_]:
     """As many groups of a part as tell its errors, evenly spread, shape (N,)."""
-    own, _ = numbered(groups[mask])
-    return mask & np.isin(groups, own[:: max(1, int(mask.sum()) // MOST)])
+    distinct, _ = numbered(groups[mask])
+    return mask & np.isin(groups, distinct[:: max(1, int(mask.sum()) // MOST)])
 
 
 def _estimated(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
@@ -208,17 +208,17 @@ def _estimated(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
 
     From another station it may be another thing, or the same one.
     """
-    found: dict[tuple[str, ...], NDArray[np.bool_]] = {}
+    masks: dict[tuple[str, ...], NDArray[np.bool_]] = {}
     for block, part in zip(rows.blocks, rows.slices, strict=True):
-        model = fitted.problem.terms[block.key]
-        every = model.measurement.references
-        own = [one for one in every if any(p.free for p in one.parameters)]
-        free = {one.name: model.frames.reference(one) for one in own}
+        term = fitted.problem.terms[block.key]
+        references = term.measurement.references
+        estimated = [r for r in references if any(p.free for p in r.parameters)]
+        free = {r.name: term.frames.reference(r) for r in estimated}
         for name in block.target.distinct:
             if halves := [free[half] for half in name.split(AT) if half in free]:
-                mask = found.setdefault((name, *halves), np.zeros(len(rows), bool))
+                mask = masks.setdefault((name, *halves), np.zeros(len(rows), bool))
                 mask[part] |= block.target.where(name)
-    return iter(found.values())
+    return iter(masks.values())
 
 
 def regions(grouping: Grouping, seed: int) -> list[NDArray[np.bool_]]:
@@ -247,8 +247,8 @@ def regions(grouping: Grouping, seed: int) -> list[NDArray[np.bool_]]:
     spared = {mask.tobytes(): mask for mask in map(grouping.spared, masks)}
     # What is fitted without more than half is another calibration (of 37 postures of a
     # TIAGo, 33 are in one cluster).
-    some = [mask for mask in spared.values() if mask.mean() <= 0.5]
-    return [mask for mask in some if len(np.unique(configuration[mask])) >= FEWEST]
+    smaller = [mask for mask in spared.values() if mask.mean() <= 0.5]
+    return [mask for mask in smaller if len(np.unique(configuration[mask])) >= FEWEST]
 
 
 def _clusters(points: Floats, seed: int) -> NDArray[np.int64]:
@@ -310,9 +310,9 @@ def stretches(rows: Observations) -> NDArray[np.int64]:
     length = next(unlike, longest)
     # Four blocks a fold, where the correlation allows it.
     length = max(length, min(count // (4 * FOLDS), 2 * length), 1)
-    of = np.empty(count, np.int64)
-    of[configuration[order]] = _blocks(z, file, length)
-    return of[configuration]
+    stretch = np.empty(count, np.int64)
+    stretch[configuration[order]] = _blocks(z, file, length)
+    return stretch[configuration]
 
 
 def _variogram(z: Floats, file: NDArray[np.int64], lag: int) -> float:
@@ -352,7 +352,7 @@ def places(measurements: Observations, setup: Setup) -> NDArray[np.int64]:
     slash of their names, or a known distance. -1 for other measurements, and for all
     where there are fewer than three places.
     """
-    home, own = dict[str, str](), list[tuple[str, NDArray[np.int64]]]()
+    home, sockets = dict[str, str](), list[tuple[str, NDArray[np.int64]]]()
     for block, part in zip(measurements.blocks, measurements.slices, strict=True):
         if declared(block.model).naming.configurations == 1:
             continue
@@ -362,18 +362,18 @@ def places(measurements: Observations, setup: Setup) -> NDArray[np.int64]:
                 place = socket.rpartition("/")[0]
                 home.setdefault(socket, socket if place == block.station else place)
                 index = np.flatnonzero(block.target.where(target))
-                own.append((socket, part.start + index))
+                sockets.append((socket, part.start + index))
     for distance in setup.distances:
         for station in dict.fromkeys(["", *(key.station for key in measurements.keys)]):
             ends = [f"{station}/{name}".lstrip("/") for name in distance.between]
             first, second = (home.get(end, end) for end in ends)
             home = {s: first if at == second else at for s, at in home.items()}
-    found = np.full(len(measurements), -1)
+    label = np.full(len(measurements), -1)
     number = {place: k for k, place in enumerate(dict.fromkeys(home.values()))}
     if len(number) >= THREE:
-        for socket, index in own:
-            found[index] = number[home[socket]]
-    return found
+        for socket, index in sockets:
+            label[index] = number[home[socket]]
+    return label
 
 
 def split(
@@ -393,25 +393,25 @@ def split(
     """
     if validation is not None and holdout is not None:
         raise OptionError("give validation measurements or a holdout, not both")
-    training, left = fitted_and_held_out(measurements)
+    training, held = fitted_and_held_out(measurements)
     why, method = "no {} is left to fit: all are for validation", "set"
     # Whatever else is held out: what only the column 'set' holds back is never fitted.
-    _require_fitted(training, left, why, column=method)
+    _require_fitted(training, held, why, column=method)
     if validation is not None:
         if len(validation) == 0:
             raise InputError("there are no measurements to validate with")
-        left, method = validation, "file"
+        held, method = validation, "file"
         why = "these cannot be checked: no {} is fitted"
     elif holdout is not None:
         mask = _held_out(training, setup, holdout, seed)
-        training, left, method = training.rows(~mask), training.rows(mask), "holdout"
+        training, held, method = training.rows(~mask), training.rows(mask), "holdout"
         why = "no {} is left to fit: the holdout took all"
-    _require_fitted(training, left, why)
-    return training, left if len(left) else None, method
+    _require_fitted(training, held, why)
+    return training, held if len(held) else None, method
 
 
 def _require_fitted(
-    training: Observations, left: Observations, why: str, column: str | None = None
+    training: Observations, held: Observations, why: str, column: str | None = None
 ) -> None:
     """Refuse measurements to validate with of a kind of which there is none to fit.
 
@@ -419,7 +419,7 @@ def _require_fitted(
 
     Args:
         training: The measurements to fit.
-        left: Those to validate with.
+        held: Those to validate with.
         why: The reason, with braces where the kind belongs.
         column: The column that says so.
 
@@ -427,7 +427,7 @@ def _require_fitted(
         InputError: If there are such.
     """
     fitted = {key._replace(station="") for key in training.keys}
-    for block in left.blocks:
+    for block in held.blocks:
         model, chain, _, tool = block.key
         if len(block) and block.key._replace(station="") not in fitted:
             kind = f"'{model}' measurement"

@@ -101,8 +101,8 @@ class ToolErrors:
     @classmethod
     def of(cls, fit: Fit, term: Term, q: Floats) -> ToolErrors:
         """Those of a chain by a fit; arguments as the attributes."""
-        about = fit.problem.terms[term.key].error
-        error = term.error.with_frames(about.base, about.tool)
+        reference = fit.problem.terms[term.key].error
+        error = term.error.with_frames(reference.base, reference.tool)
         return cls(fit, term, q, *error.jacobian(q, fit.theta[term.of_error]))
 
     def by_noise(self) -> TipAccuracy | None:
@@ -145,25 +145,25 @@ class ToolErrors:
         parameters = fit.problem.parameters
         scales, nuisance = parameters.scales[index], parameters.nuisance[index]
         robot = parameters.free[index] & ~nuisance
-        own = without_frames(J * scales, J)[:, :, robot]
+        J_robot = without_frames(J * scales, J)[:, :, robot]
         effects = np.zeros((*J.shape[:2], 0))
         if fit.effects is not None:
             absorbed = fit.posterior.by_effects[index]
             absorbed = J @ np.where(nuisance[:, None], 0.0, absorbed)
-            there = fit.effects.twists(self.term, self.q)
-            effects = without_frames(absorbed - there, J)
-        mean, own_scales = (fit.theta[index] / scales)[robot], scales[robot, None]
-        likely = (one.by_noise[index[robot]] for one in fit.likely_posteriors)
-        C = np.array([half @ half.T for half in (by / own_scales for by in likely)])
+            twists = fit.effects.twists(self.term, self.q)
+            effects = without_frames(absorbed - twists, J)
+        mean, robot_scales = (fit.theta[index] / scales)[robot], scales[robot, None]
+        likely = (p.by_noise[index[robot]] for p in fit.likely_posteriors)
+        C = np.array([half @ half.T for half in (by / robot_scales for by in likely)])
         pair, parts = [], (slice(0, 3), slice(3, 6))
         for k, unit, before in zip(parts, ("m", "rad"), known, strict=True):
             shown = float(np.sum(effects[:, k] ** 2)) / len(J)
             scatter = max(_scatter(fit, self.term, unit), (before**2 - shown) / 3.0)
-            pair.append(_sizes(mean, own[:, k], effects[:, k], scatter, C, rng))
+            pair.append(_sizes(mean, J_robot[:, k], effects[:, k], scatter, C, rng))
         nominal, calibrated, bound, unmodeled = starmap(
             PoseErrors, zip(*pair, strict=True)
         )
-        better, share = _better(mean, own[:, :3], effects[:, :3], C)
+        better, share = _better(mean, J_robot[:, :3], effects[:, :3], C)
         return ExpectedAccuracy(nominal, calibrated, bound, unmodeled, better, share)
 
 
@@ -189,17 +189,17 @@ def _sizes(
     G = np.einsum("ndi,ndj->ij", J, J, optimize=True) / len(J)
     # In an order that no rounding changes, as each meets draws of its own.
     squares = [np.sort(np.maximum(np.linalg.eigvals(G @ c).real, 0.0)) for c in C]
-    left = float(np.mean([s.sum() for s in squares]))
+    residual = float(np.mean([s.sum() for s in squares]))
     by_effects = np.einsum("ndi,ndj->ij", effects, effects, optimize=True) / len(J)
     lacking = np.maximum(np.linalg.eigvalsh(by_effects), 0.0)
-    every = (np.concatenate([s, lacking]) for s in squares)
-    draws = [s @ rng.chisquare(1.0, (len(s), DRAWS)) for s in every]
+    variances = (np.concatenate([s, lacking]) for s in squares)
+    draws = [s @ rng.chisquare(1.0, (len(s), DRAWS)) for s in variances]
     # At so many configurations, what scatters is about its mean.
     others = float(lacking.sum()) + 3.0 * scatter
     gain = np.sum((J @ mean) ** 2, axis=1).mean()
     bound = np.quantile(np.concatenate(draws), LIKELY) + 3.0 * scatter
-    found = np.sqrt([gain + left + others, left + others, bound, others])
-    return [float(size) for size in found]
+    sizes = np.sqrt([gain + residual + others, residual + others, bound, others])
+    return [float(size) for size in sizes]
 
 
 def _better(mean: Floats, J: Floats, effects: Floats, C: Floats) -> tuple[float, float]:
@@ -227,14 +227,14 @@ def _scatter(fitted: Fit, term: Term, unit: str) -> float:
     noise is neither stated nor repeated, so that nothing tells both apart.
     """
     of_keys = fitted.problem.layout.of_keys.items()
-    own = [of_key for key, of_key in of_keys if key.chain == term.key.chain]
+    components = [of_key for key, of_key in of_keys if key.chain == term.key.chain]
     for k, noise in enumerate(fitted.noise):
-        if noise.unit == unit and any(k in of_key for of_key in own):
-            found = (noise.unmodeled or 0.0) ** 2
+        if noise.unit == unit and any(k in of_key for of_key in components):
+            variance = (noise.unmodeled or 0.0) ** 2
             if fitted.effects is not None:
                 explained = max(1.0 - float(fitted.effects.noise[k]), 0.0)
-                found -= explained * (noise.factor * noise.given) ** 2
-            return max(found, 0.0)
+                variance -= explained * (noise.factor * noise.given) ** 2
+            return max(variance, 0.0)
     return 0.0
 
 

@@ -82,7 +82,7 @@ class State:
         if self.limit is None or math.isnan(self.bound):
             return None
         share = self.limit * self.workspace / self.bound
-        return next((k for k, left in enumerate(self.ahead) if left <= share), None)
+        return next((k for k, error in enumerate(self.ahead) if error <= share), None)
 
     @property
     def reached(self) -> bool:

@@ -96,8 +96,8 @@ class Fitted:
         try:
             problem = make_problem(self.chains, self.rows, self.setup)
             if not known:
-                found, result = register(problem, np.zeros(len(problem.parameters)))
-                if reason := model_errors.registration_reason(found, result):
+                nominal, result = register(problem, np.zeros(len(problem.parameters)))
+                if reason := model_errors.registration_reason(nominal, result):
                     return replace(self, reason=reason)
             model = fit_model(self.chains, self.rows, self.setup, self.seed)
             if early := not model.fit.noise:
@@ -129,12 +129,12 @@ class Fitted:
         elif not states_sigmas(fit.problem.data):
             freedom = sum(part.redundancy * part.values for part in fit.noise)
         try:
-            there = model_errors.registered(self.model.problem, self.model.theta, row)
+            row_fit = model_errors.registered(self.model.problem, self.model.theta, row)
         except CalibPinError:
             return None
-        if there.new or freedom < 1.0:
+        if row_fit.new or freedom < 1.0:
             return None  # Its own place is all it tells.
-        problem, theta = there.problem, there.theta
+        problem, theta = row_fit.problem, row_fit.theta
         values = len(problem.sigma)
         square = model_errors.mahalanobis(fit, problem, theta) / inflation**2
         first = problem.layout.component == problem.layout.component[0]
@@ -187,29 +187,29 @@ class Fitted:
             errors = model_errors.fitted_errors(model, self.rows)
             held_out = check(model, self.rows, self.seed, validate=False)
             examined = examine(self.chains, model, self.seed, seek=seek)
-            found = judge(model, errors, held_out, examined)
+            judgement = judge(model, errors, held_out, examined)
         except CalibPinError as error:
             return replace(known, reason=str(error)), ()
-        told, (_, accuracy) = dict[str, Any](), found.worst
+        state, (_, accuracy) = dict[str, Any](), judgement.worst
         if accuracy is not None:
-            every = [a.measured for a in found.accuracies.values() if a.measured]
+            measured = [a.measured for a in judgement.accuracies.values() if a.measured]
             now = accuracy.calibrated.position
-            told |= {"workspace": now, "bound": accuracy.bound.position}
-            if every:
-                told |= {"near": max(e.calibrated.position for e in every)}
-            told |= {"ahead": tuple(now * left / ahead[0] for left in ahead)}
+            state |= {"workspace": now, "bound": accuracy.bound.position}
+            if measured:
+                state |= {"near": max(e.calibrated.position for e in measured)}
+            state |= {"ahead": tuple(now * size / ahead[0] for size in ahead)}
         fit = model.fit
-        told["unknown"] = tuple(
+        state["unknown"] = tuple(
             f"{error.kind} of {' + '.join(error.of)}"
             for error in robot_errors(fit.problem, fit.structure, fit)
             if error.status == "weak"
         )
-        verdict, reason = found.verdict
-        return replace(known, verdict=verdict, reason=reason, **told), found.findings
+        state["verdict"], state["reason"] = judgement.verdict
+        return replace(known, **state), judgement.findings
 
 
 def _wide(problem: Problem) -> Floats:
     """Wide priors on the errors of the robot that have none of their own, (P,)."""
-    of = problem.parameters
-    alone = of.free & ~of.nuisance & np.isinf(of.priors)
-    return np.where(alone, WIDE * of.scales, np.inf)
+    parameters = problem.parameters
+    alone = parameters.free & ~parameters.nuisance & np.isinf(parameters.priors)
+    return np.where(alone, WIDE * parameters.scales, np.inf)

@@ -49,24 +49,24 @@ class Proposal:
         q: Joint positions, shape (n,) [rad, m].
         joints: Names of these.
         cells: Columns of the measurement file that bring the robot there.
-        left: Number of configurations of the plan that are left.
+        remaining: Number of configurations of the plan that are left.
     """
 
     q: Floats
     joints: tuple[str, ...]
     cells: dict[str, str]
-    left: int = 0
+    remaining: int = 0
 
     @property
     def text(self) -> str:
         """One line."""
         where = ", ".join(f"{name} {value}" for name, value in self.cells.items())
-        return f"next: {where}" + (f" ({self.left} planned)" if self.left else "")
+        return f"next: {where}" + f" ({self.remaining} planned)" * (self.remaining > 0)
 
     def document(self) -> dict[str, Any]:
         """The proposal as plain data."""
         q = dict(zip(self.joints, self.q.tolist(), strict=True))
-        return {"joints": q, "cells": self.cells, "left": self.left}
+        return {"joints": q, "cells": self.cells, "left": self.remaining}
 
 
 @dataclass
@@ -102,7 +102,7 @@ class Proposals:
         """The configurations of the plan; none without one."""
         if self.plan is None:
             return np.zeros((0, len(chains.joints))), []
-        return _read(read_table(self.plan, columns=setup.columns), chains, setup)
+        return _rows(read_table(self.plan, columns=setup.columns), chains, setup)
 
     def _collisions(self, chains: Chains, setup: Setup) -> Collisions | None:
         folders = self.package_dirs
@@ -122,25 +122,25 @@ class Proposals:
             CalibPinError: If a file cannot be used, or no configuration is allowed.
         """
         q, targets = self._planned(fitted.chains, fitted.setup)
-        left, first = _left((q, targets), (every.q, every.target)), None
-        if left:
-            first = self._shown(fitted, q[left[0]], targets[left[0]], len(left))
+        rest, first = _unmeasured((q, targets), (every.q, every.target)), None
+        if rest:
+            first = self._proposal(fitted, q[rest[0]], targets[rest[0]], len(rest))
         if fitted.model is None:
             return first, ()
         try:
             search, names = self._search(fitted)
             table = None
-            if left:
-                aimed = [targets[k] for k in left]
+            if rest:
+                aimed = [targets[k] for k in rest]
                 aim = [names.index(name) if name in names else 0 for name in aimed]
-                table = search.rows.rows(q[left], np.array(aim))
+                table = search.rows.rows(q[rest], np.array(aim))
             selection = search.selection(table=table)
             errors = [selection.value]
             for k in range(min(MORE, selection.left)):
-                selection.add(k if left else selection.best_to_add()[0])
+                selection.add(k if rest else selection.best_to_add()[0])
                 errors.append(selection.value)
             if first is None:
-                first = self._shown(fitted, *self._best(search, names, every), 0)
+                first = self._proposal(fitted, *self._best(search, names, every), 0)
         except (OptionError, np.linalg.LinAlgError):
             return first, ()
         return first, tuple(errors)
@@ -150,13 +150,13 @@ class Proposals:
     ) -> tuple[Floats, str]:
         """The best one of those that were planned together and are left, if any."""
         q, aim = self._together or (np.zeros((0, 0)), np.zeros(0, np.intp))
-        left = _left((q, [names[k] for k in aim]), (every.q, every.target))
-        if not left:
-            found = search.run("auto")
-            q, aim = self._together = found.q, found.aim
-            left = [*range(len(q))]
-        table = search.rows.rows(q[left], aim[left])
-        best = left[search.selection(table=table).best_to_add()[0]]
+        rest = _unmeasured((q, [names[k] for k in aim]), (every.q, every.target))
+        if not rest:
+            plan = search.run("auto")
+            q, aim = self._together = plan.q, plan.aim
+            rest = [*range(len(q))]
+        table = search.rows.rows(q[rest], aim[rest])
+        best = rest[search.selection(table=table).best_to_add()[0]]
         return q[best], names[int(aim[best])]
 
     def _search(self, fitted: Fitted) -> tuple[Search, list[str]]:
@@ -166,10 +166,10 @@ class Proposals:
         require_plannable(keys)
         noise = {} if fitted.early else {n.quantity: n for n in model.fit.noise}
         # What rows state weighs them; what is planned then is measured as they are.
-        stated = states_sigmas(fitted.rows)
-        sizes = {k: n.given if stated else n.estimate for k, n in noise.items()}
-        found = {k.partition(" (")[0]: size for k, size in sizes.items() if size > 0.0}
-        setup = replace(fitted.setup, noise={**fitted.setup.noise, **found})
+        given = states_sigmas(fitted.rows)
+        sizes = {k: n.given if given else n.estimate for k, n in noise.items()}
+        sigmas = {k.partition(" (")[0]: size for k, size in sizes.items() if size > 0.0}
+        setup = replace(fitted.setup, noise={**fitted.setup.noise, **sigmas})
         setup, none = replace(setup, learned=None), np.zeros(0)
         problem = replace(fitted.informed, setup=setup, units=none)
         aims = Aims.of(problem, keys)
@@ -193,7 +193,7 @@ class Proposals:
         )
         return search, [aim.target for aim in aims.each]
 
-    def _shown(self, fitted: Fitted, q: Floats, target: str, left: int) -> Proposal:
+    def _proposal(self, fitted: Fitted, q: Floats, target: str, count: int) -> Proposal:
         """A configuration in the names, units and signs of the measurement file."""
         chains, joints = fitted.chains, fitted.setup.joints
         if self._degrees is None and self.file is not None:  # As its header stays.
@@ -209,7 +209,7 @@ class Proposals:
             name: cell if name == "target" else f"{float(cell):.{3 if degrees else 4}f}"
             for name, cell in zip(header, row, strict=True)
         }
-        return Proposal(q, chains.joints, cells, left)
+        return Proposal(q, chains.joints, cells, count)
 
 
 def remaining(plan: Table, rows: Table, chains: Chains, setup: Setup) -> list[int]:
@@ -218,21 +218,21 @@ def remaining(plan: Table, rows: Table, chains: Chains, setup: Setup) -> list[in
     Raises:
         InputError: If one of them has not the joints.
     """
-    return _left(_read(plan, chains, setup), _read(rows, chains, setup))
+    return _unmeasured(_rows(plan, chains, setup), _rows(rows, chains, setup))
 
 
-def _read(table: Table, chains: Chains, setup: Setup) -> Planned:
+def _rows(table: Table, chains: Chains, setup: Setup) -> Planned:
     """Configurations, shape (N, n) [rad, m], and their targets."""
-    named, own = own_columns(table, chains, setup.joints)
-    return read_positions(named, chains, own), table.labels("target")
+    named, joint_columns = own_columns(table, chains, setup.joints)
+    return read_positions(named, chains, joint_columns), table.labels("target")
 
 
-def _left(plan: Planned, rows: Planned) -> list[int]:
+def _unmeasured(plan: Planned, rows: Planned) -> list[int]:
     """Positions of planned configurations that no row has; each row has one."""
-    left = [*range(len(plan[0]))]
-    for at, own in zip(*rows, strict=True):
-        for k in left:
-            if np.abs(plan[0][k] - at).max() < NEAR and plan[1][k] in ("", own):
-                left.remove(k)
+    rest = [*range(len(plan[0]))]
+    for q, target in zip(*rows, strict=True):
+        for k in rest:
+            if np.abs(plan[0][k] - q).max() < NEAR and plan[1][k] in ("", target):
+                rest.remove(k)
                 break
-    return left
+    return rest

@@ -77,10 +77,10 @@ class Watch:
         self.proposals = proposals
         self._seed, self._searched, self._reviewed = seed, 0, 2 * FEW
         self._stamp: tuple[Any, ...] | None = None
-        self._told, self._reached, self._found = "", False, set[str]()
+        self._problem, self._reached, self._reported = "", False, set[str]()
         self._unplanned = ""
         self._known, self._aside = dict[Key, str](), set[Key]()
-        self._gone = list[str]()
+        self._removed = list[str]()
         self._fitted: Fitted | None = None
         self.fit: FittedModel | None = None
         self.state: State | None = None
@@ -109,30 +109,30 @@ class Watch:
             setup = replace(setup, reading=ReadingSetup())
             chains, (rows,) = fitting(chains, setup, fitted_and_held_out(rows)[0])
             job = Fitted(chains, rows, setup, self._seed)
-            found = {key: rows.source(k) for k, key in enumerate(_keys(rows))}
-            gone = [place for key, place in self._known.items() if key not in found]
-            if new and gone != self._gone:
-                self._gone = gone
+            places = {key: rows.source(k) for k, key in enumerate(_keys(rows))}
+            gone = [place for key, place in self._known.items() if key not in places]
+            if new and gone != self._removed:
+                self._removed = gone
                 return  # A file that is written anew begins with nothing.
-            self._stamp, self._told, self._gone = stamp, "", []
-            yield from self._changed(job, found, gone)
+            self._stamp, self._problem, self._removed = stamp, "", []
+            yield from self._changed(job, places, gone)
         except (CalibPinError, np.linalg.LinAlgError) as error:
             if new and self._stamp != stamp:
                 return  # It may be half written.
-            self._stamp, told = stamp, one_line(str(error))
-            if told != self._told:
-                self._told = told
-                yield Event("problem" if self._known else "waiting", told)
+            self._stamp, text = stamp, one_line(str(error))
+            if text != self._problem:
+                self._problem = text
+                yield Event("problem" if self._known else "waiting", text)
 
     def _changed(
-        self, job: Fitted, found: dict[Key, str], gone: Sequence[str]
+        self, job: Fitted, places: dict[Key, str], gone: Sequence[str]
     ) -> Iterator[Event]:
         """Tell of rows that came and went, then of the job."""
-        rows, keys = job.rows, [*found]
+        rows, keys = job.rows, [*places]
         self._aside &= {*keys}
         used = np.array([key in self._known and key not in self._aside for key in keys])
         new = [k for k in rows.in_order.tolist() if keys[k] not in self._known]
-        self._known = found
+        self._known = places
         if gone:
             what = gone[0] if len(gone) == 1 else f"{len(gone)} rows"
             text = f"{what}: removed or corrected, no longer used as before"
@@ -162,28 +162,29 @@ class Watch:
     def _fit(self, job: Fitted, used: Booleans, *, robust: bool = False) -> Fitted:
         """Fit the rows that are used, now and then robustly."""
         known = self._fitted is not None and self._fitted.model is not None
-        found = replace(job, rows=job.rows.rows(used))
+        fitted = replace(job, rows=job.rows.rows(used))
         robust |= bool(used.sum() >= AGAIN * self._reviewed)
         if robust:
             self._reviewed = max(int(used.sum()), 2 * FEW)
-        found = found.fit(known, robust) if used.any() else found
-        self.fit, self._places = found.model, np.flatnonzero(used)
-        return found
+        fitted = fitted.fit(known, robust) if used.any() else fitted
+        self.fit, self._places = fitted.model, np.flatnonzero(used)
+        return fitted
 
-    def _row(self, place: str, found: Deviation | None, again: bool) -> Event:
+    def _row(self, place: str, deviation: Deviation | None, again: bool) -> Event:
         """Tell of a new row."""
         numbers: dict[str, Any] = {"place": place, "wrong": again}
         if again:
             text = f"{place}: the same numbers as in a row before; was it measured?"
             return Event("row", text, numbers)
-        if found is None:
+        if deviation is None:
             reason = "not known yet" if self._fitted is None else self._fitted.reason
             return Event("row", f"{place}: {reason}", numbers)
-        size, sigma = (sized(x, found.unit) for x in found[:2])
+        size, sigma = (sized(x, deviation.unit) for x in deviation[:2])
         text = f"{place}: {size} from where it is expected ({sigma})"
-        if found.wrong:
+        if deviation.wrong:
             text += "; set aside: is the target seated? is the robot still?"
-        return Event("row", text, numbers | found._asdict() | {"wrong": found.wrong})
+        numbers |= deviation._asdict() | {"wrong": deviation.wrong}
+        return Event("row", text, numbers)
 
     def _reconsidered(self, rows: Observations, keys: Sequence[Key]) -> Iterator[Event]:
         """Tell of rows that agree now, and of those that the fit has set aside."""
@@ -192,8 +193,8 @@ class Watch:
             return
         aside = [k for k, key in enumerate(keys) if key in self._aside and not key[2]]
         for unit in _units(rows, aside):
-            found = fitted.deviation(rows.rows(np.array(unit)))
-            if found is not None and not found.wrong:
+            deviation = fitted.deviation(rows.rows(np.array(unit)))
+            if deviation is not None and not deviation.wrong:
                 self._aside -= {keys[k] for k in unit}
                 place = rows.source(unit[0])
                 text = f"{place}: agrees with the others now; used again"
@@ -220,18 +221,18 @@ class Watch:
         try:
             self.next, ahead = self.proposals.ahead(fitted, rows)
         except CalibPinError as error:  # What is known of the rows stands.
-            self.next, ahead, told = None, (), one_line(str(error))
-            if told != self._unplanned:
-                yield Event("problem", told)
-            self._unplanned = told
+            self.next, ahead, text = None, (), one_line(str(error))
+            if text != self._unplanned:
+                yield Event("problem", text)
+            self._unplanned = text
         if fitted.model is None:
             yield Event("waiting", f"{counted(count, 'row')}: {fitted.reason}")
         else:
             limit = self._limit or fitted.setup.limit.position
             known = State(count, len(self._aside), limit=limit)
-            self.state, found = fitted.assess(known, ahead, not doubtful)
+            self.state, findings = fitted.assess(known, ahead, not doubtful)
             if not doubtful:
-                yield from self._causes(found)
+                yield from self._causes(findings)
             yield Event("state", self.state.text, self.state.document())
         if self.next is not None:
             yield Event("next", self.next.text, self.next.document())
@@ -239,15 +240,15 @@ class Watch:
             self._reached = True
             yield Event("reached", self.state.conclusion)
 
-    def _causes(self, found: Iterable[Finding]) -> Iterator[Event]:
+    def _causes(self, findings: Iterable[Finding]) -> Iterator[Event]:
         """Tell of findings, each once as long as it stands."""
-        by_code = {one.code: one for one in found if one.severity == "error"}
-        for code, one in by_code.items():
-            if code not in self._found:
-                text = "; ".join(filter(None, (one.message, one.remedy)))
-                numbers = {"code": code, "setup": one.setup}
+        by_code = {f.code: f for f in findings if f.severity == "error"}
+        for code, finding in by_code.items():
+            if code not in self._reported:
+                text = "; ".join(filter(None, (finding.message, finding.remedy)))
+                numbers = {"code": code, "setup": finding.setup}
                 yield Event("finding", text, numbers)
-        self._found = {*by_code}
+        self._reported = {*by_code}
 
 
 def _stamp(files: Sequence[Path]) -> tuple[tuple[Any, ...], bool]:
@@ -255,11 +256,11 @@ def _stamp(files: Sequence[Path]) -> tuple[tuple[Any, ...], bool]:
     stamp, unfinished = list[Any](), False
     for file in files:
         try:
-            found = file.stat()
+            status = file.stat()
             with file.open("rb") as stream:
-                stream.seek(max(found.st_size - 1, 0))
+                stream.seek(max(status.st_size - 1, 0))
                 unfinished |= stream.read() not in (b"\n", b"\r")
-            stamp.append((found.st_mtime_ns, found.st_size))
+            stamp.append((status.st_mtime_ns, status.st_size))
         except OSError:
             stamp.append(None)  # It is not there.
     return tuple(stamp), unfinished
@@ -267,25 +268,25 @@ def _stamp(files: Sequence[Path]) -> tuple[tuple[Any, ...], bool]:
 
 def _keys(rows: Observations) -> list[Key]:
     """The content of every row, in the order of the rows; equal ones are counted."""
-    found, seen = list[Key](), Counter[tuple[str, bytes]]()
+    keys, seen = list[Key](), Counter[tuple[str, bytes]]()
     for block, place in zip(rows.blocks, rows.slices, strict=True):
         parts = [block.q, block.values, block.sigma, block.conditions.time]
         numbers = [p.reshape(len(block), -1) for p in parts if p is not None and p.size]
         names = zip(np.hstack(numbers), block.target, rows.files[place], strict=True)
         for cells, target, file in names:
             same = file, cells.tobytes() + "/".join((*block.key, target)).encode()
-            found.append((*same, seen[same]))
+            keys.append((*same, seen[same]))
             seen[same] += 1
-    return found
+    return keys
 
 
 def _units(rows: Observations, new: Iterable[int]) -> list[list[int]]:
     """Rows that are judged together: those of an image, others one by one."""
-    found: dict[tuple[int, int], list[int]] = {}
+    units: dict[tuple[int, int], list[int]] = {}
     groups = rows.groups()
     for k in new:
         block = int(rows.block_of[k])
         together = declared(rows.blocks[block].model).at_once
         unit = int(groups[k]) if together else -k - 1
-        found.setdefault((block, unit), []).append(k)
-    return [*found.values()]
+        units.setdefault((block, unit), []).append(k)
+    return [*units.values()]

@@ -207,13 +207,13 @@ def test_the_next_configuration_is_that_of_the_plan_then_a_new_one(
     plan.write_text("\n".join([header, *cells]) + "\n")
     job.proposing(plan)
     job.look(8)
-    assert job.watch.next is not None and job.watch.next.left == 3
+    assert job.watch.next is not None and job.watch.next.remaining == 3
     np.testing.assert_allclose(job.watch.next.q, job.rows.q[8])
     job.look([*range(8), 9])
-    assert job.watch.next.left == 2
+    assert job.watch.next.remaining == 2
     np.testing.assert_allclose(job.watch.next.q, job.rows.q[8])
     job.look(11)
-    assert job.watch.next.left == 0
+    assert job.watch.next.remaining == 0
     q = job.watch.next.q
     assert ((chains.lower <= q) & (q <= chains.upper)).all()
 

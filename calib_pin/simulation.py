@@ -114,8 +114,8 @@ def simulate(
         >>> problem = nominal_problem(chain, "position", calib_pin.Setup())
         >>> rng = np.random.default_rng(1)
         >>> theta = calib_pin.draw_errors(problem.parameters, rng)
-        >>> found = calib_pin.simulate(problem, theta, rng, count=20, noise=1e-5)
-        >>> found.only.values.shape
+        >>> rows = calib_pin.simulate(problem, theta, rng, count=20, noise=1e-5)
+        >>> rows.only.values.shape
         (20, 3)
     """
     theta = as_array("theta", [theta], 1, len(problem.parameters))[0]
@@ -133,28 +133,28 @@ def simulate(
     if (q is None) == (count is None):
         raise OptionError("give either configurations or their count")
     strict = len(keys) == 1 or bool(len(target) or places)
-    of = _of_blocks(keys, places, 0 if q is None else len(q))
-    found = []
-    for number, one in enumerate(keys):
-        declared = problem.terms[one].measurement.declaration
+    masks = _of_blocks(keys, places, 0 if q is None else len(q))
+    blocks = []
+    for number, block in enumerate(keys):
+        declared = problem.terms[block].measurement.declaration
         every = per_configuration and declared.at_once
         if q is None:
             assert count is not None
             share = len(range(number, count, len(keys)))
-            at = _drawn(problem, theta, one, share, every, rng)
+            at = _drawn(problem, theta, block, share, every, rng)
         else:
-            own, held = q[of[one]], conditions.rows(of[one])
-            if not len(own):
+            q_block, held = q[masks[block]], conditions.rows(masks[block])
+            if not len(q_block):
                 continue
-            looked = Labels.of(target)[of[one]] if len(target) else None
-            if looked is None:
-                looked = Labels.of(
-                    _in_turn(nominal.named_targets(problem, one), len(own))
+            targets = Labels.of(target)[masks[block]] if len(target) else None
+            if targets is None:
+                targets = Labels.of(
+                    _in_turn(nominal.named_targets(problem, block), len(q_block))
                 )
             if not len(held.payload):
-                names = Labels.of(_carried(problem, one, len(own), every))
+                names = Labels.of(_carried(problem, block, len(q_block), every))
                 held = replace(held, payload=names)
-            at = nominal.asked(problem, one, own, looked, held)
+            at = nominal.asked(problem, block, q_block, targets, held)
             if not every:
                 at = _measurable(problem, theta, at, strict)
         if every:
@@ -164,8 +164,8 @@ def simulate(
         elif "direction" in needed_conditions(problem.setup.parameters):
             # What makes a difference is told with the measurements.
             at = replace(at, conditions=replace(at.conditions, source="columns"))
-        found.append(_measured(problem, theta, at, rng, noise, repeats))
-    return Observations.of(*found)
+        blocks.append(_measured(problem, theta, at, rng, noise, repeats))
+    return Observations.of(*blocks)
 
 
 def _of_blocks(
@@ -176,15 +176,15 @@ def _of_blocks(
     Raises:
         InputError: If one is of no block.
     """
-    of = {key: np.ones(count, bool) for key in keys}
+    masks = {key: np.ones(count, bool) for key in keys}
     for kind, labels in places.items():
-        for key, own in of.items():
-            own &= labels.where(getattr(key, kind))
-    left = ~np.any([*of.values()], axis=0)
-    if left.any():
-        reason = f"configuration {int(left.argmax()) + 1} is of no block of the setup"
+        for key, mask in masks.items():
+            mask &= labels.where(getattr(key, kind))
+    orphan = ~np.any([*masks.values()], axis=0)
+    if orphan.any():
+        reason = f"configuration {int(orphan.argmax()) + 1} is of no block of the setup"
         raise InputError(reason, allowed="; ".join(map(str, keys)))
-    return of
+    return masks
 
 
 def exact_problem(

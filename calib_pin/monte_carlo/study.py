@@ -141,10 +141,10 @@ def _sizes(parameters: ParameterSet, asked: MonteCarloSetup) -> Floats:
     moved = parameters.free & ~parameters.nuisance
     sizes = np.where(moved, parameters.scales, 0.0)
     for pattern, size in asked.errors.items():
-        if not (found := matching(pattern, parameters.names)):
+        if not (index := matching(pattern, parameters.names)):
             like = nearest(pattern, parameters.names)
             raise OptionError(f"no parameter matches '{pattern}'{like}")
-        sizes[found] = np.where(moved[found], size, 0.0)
+        sizes[index] = np.where(moved[index], size, 0.0)
     return sizes
 
 
@@ -214,9 +214,9 @@ def _compared(
     calibrated = term.error.poses(q, term.values(model.theta)[0])
     before, _ = apart(A, absorbed(A, nominal))
     names = ("position", "orientation")
-    found = dict(zip(names, apart(A, absorbed(A, calibrated)), strict=True))
-    sizes: dict[str, Any] = {name: rms(size) for name, size in found.items()}
-    for name, size in found.items():
+    deviations = dict(zip(names, apart(A, absorbed(A, calibrated)), strict=True))
+    sizes: dict[str, Any] = {name: rms(size) for name, size in deviations.items()}
+    for name, size in deviations.items():
         sizes[f"{name}_share"] = float(np.quantile(size, SHARE))
     expected = bound = np.nan
     if fitted.noise:

@@ -248,7 +248,7 @@ def _result(
         ),
         **vars(assessment.breakdown(model, errors, judgement.accuracies)),
         covariance=NamedArray.of(fitted.covariance, names, names),
-        fitted=_measured(
+        fitted=_measurement_errors(
             model,
             model.weighted(training),
             errors,
@@ -256,7 +256,7 @@ def _result(
         ),
         held_out=None
         if checked is None
-        else _measured(model, held_out.measurements, checked),
+        else _measurement_errors(model, held_out.measurements, checked),
         rejected=model.rejected,
         distances=errors.distances + (checked.distances if checked else ()),
         findings=judgement.findings,
@@ -328,7 +328,7 @@ def _urdf(
     )
 
 
-def _measured(
+def _measurement_errors(
     model: FittedModel,
     measurements: Observations,
     errors: model_errors.ModelErrors,

@@ -133,15 +133,15 @@ def simulate(
     if (q is None) == (count is None):
         raise OptionError("give either configurations or their count")
     strict = len(keys) == 1 or bool(len(target) or places)
-    masks = _of_blocks(keys, places, 0 if q is None else len(q))
+    masks = _block_masks(keys, places, 0 if q is None else len(q))
     blocks = []
     for number, block in enumerate(keys):
         declared = problem.terms[block].measurement.declaration
-        every = per_configuration and declared.at_once
+        at_once = per_configuration and declared.at_once
         if q is None:
             assert count is not None
             share = len(range(number, count, len(keys)))
-            at = _drawn(problem, theta, block, share, every, rng)
+            at = _random_rows(problem, theta, block, share, at_once, rng)
         else:
             q_block, held = q[masks[block]], conditions.rows(masks[block])
             if not len(q_block):
@@ -152,23 +152,23 @@ def simulate(
                     _in_turn(nominal.named_targets(problem, block), len(q_block))
                 )
             if not len(held.payload):
-                names = Labels.of(_carried(problem, block, len(q_block), every))
+                names = Labels.of(_payloads(problem, block, len(q_block), at_once))
                 held = replace(held, payload=names)
             at = nominal.asked(problem, block, q_block, targets, held)
-            if not every:
+            if not at_once:
                 at = _measurable(problem, theta, at, strict)
-        if every:
+        if at_once:
             at = _everything_seen(problem, theta, at, strict)
         if declared.relative:
-            at = _relative(at)
+            at = _without_starts(at)
         elif "direction" in needed_conditions(problem.setup.parameters):
             # What makes a difference is told with the measurements.
             at = replace(at, conditions=replace(at.conditions, source="columns"))
-        blocks.append(_measured(problem, theta, at, rng, noise, repeats))
+        blocks.append(_noisy_rows(problem, theta, at, rng, noise, repeats))
     return Observations.of(*blocks)
 
 
-def _of_blocks(
+def _block_masks(
     keys: Sequence[BlockKey], places: Mapping[str, Labels], count: int
 ) -> dict[BlockKey, Booleans]:
     """Which of some configurations each block measures, shape (count,).
@@ -218,7 +218,7 @@ def exact_at(problem: Problem, theta: Floats, *at: Measurements) -> Problem:
         theta: Parameter values, shape (P,).
         at: Measurements of each block.
     """
-    exact = [_exact(problem, theta, one) for one in at]
+    exact = [_exact(problem, theta, block) for block in at]
     return replace(problem, data=Observations.of(*exact))
 
 
@@ -235,7 +235,7 @@ def _exact(problem: Problem, theta: Floats, at: Measurements) -> Measurements:
     )
 
 
-def _measured(
+def _noisy_rows(
     problem: Problem,
     theta: Floats,
     at: Measurements,
@@ -268,12 +268,12 @@ def _measured(
     return replace(rows, values=values, sigma=sigmas)
 
 
-def _drawn(
+def _random_rows(
     problem: Problem,
     theta: Floats,
     key: BlockKey,
     count: int,
-    every: bool,
+    at_once: bool,
     rng: np.random.Generator,
 ) -> Measurements:
     """Random configurations of a block, those of starts of relative distances added.
@@ -283,11 +283,11 @@ def _drawn(
         theta: Parameter values, shape (P,).
         key: The block.
         count: Number of configurations that count.
-        every: Whether all targets are measured at each.
+        at_once: Whether all targets are measured at each.
         rng: Random generator.
     """
     if not problem.terms[key].measurement.declaration.relative:
-        carried = _carried(problem, key, count, every)
+        carried = _payloads(problem, key, count, at_once)
         return nominal.observable_configurations(
             problem, key, theta, count, rng, carried
         )
@@ -301,11 +301,11 @@ def _in_turn(names: Sequence[str], count: int) -> tuple[str, ...]:
     return tuple(islice(cycle(names), count))
 
 
-def _carried(
-    problem: Problem, key: BlockKey, count: int, every: bool
+def _payloads(
+    problem: Problem, key: BlockKey, count: int, at_once: bool
 ) -> tuple[str, ...]:
     """The payloads in turn, so that each meets every target, length `count`."""
-    if not every:
+    if not at_once:
         return nominal.payloads_in_turn(problem, key, count)
     return _in_turn(problem.data.payload.distinct or ("",), count)
 
@@ -319,7 +319,7 @@ def _legs(target: Sequence[str], size: int) -> tuple[str, ...]:
     )
 
 
-def _relative(at: Measurements) -> Measurements:
+def _without_starts(at: Measurements) -> Measurements:
     """Configurations without those that others start from, the first of each name.
 
     The payload at the start stays to the end.
@@ -371,8 +371,8 @@ def _everything_seen(
     codes = np.tile(np.arange(len(names)), len(at.q))
     each = replace(each, target=Labels(names, codes))
     seen = problem.observable(theta, each)
-    some = np.asarray(seen.reshape(-1, len(names)).any(axis=1))
-    _require_seen(problem, at.key, some, strict)
+    visible = np.asarray(seen.reshape(-1, len(names)).any(axis=1))
+    _require_seen(problem, at.key, visible, strict)
     return each.rows(seen)
 
 

@@ -161,10 +161,10 @@ class Fitted:
     def _case(self) -> Case | None:
         return Case.of(self.model.fit, self.chains) if self.model else None
 
-    def causes(self, every: Observations, others: Others) -> tuple[Finding, ...]:
+    def causes(self, all_rows: Observations, others: Others) -> tuple[Finding, ...]:
         """Why no robot explains the rows, those among them that were set aside."""
         try:
-            return find(Case.of_robot(self.chains, every, self.setup, others)).causes
+            return find(Case.of_robot(self.chains, all_rows, self.setup, others)).causes
         except CalibPinError:
             return ()
 

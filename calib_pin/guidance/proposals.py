@@ -111,7 +111,7 @@ class Proposals:
         )
 
     def ahead(
-        self, fitted: Fitted, every: Observations
+        self, fitted: Fitted, all_rows: Observations
     ) -> tuple[Proposal | None, tuple[float, ...]]:
         """The next configuration, and the error of the tool point after more of them.
 
@@ -122,7 +122,7 @@ class Proposals:
             CalibPinError: If a file cannot be used, or no configuration is allowed.
         """
         q, targets = self._planned(fitted.chains, fitted.setup)
-        rest, first = _unmeasured((q, targets), (every.q, every.target)), None
+        rest, first = _unmeasured((q, targets), (all_rows.q, all_rows.target)), None
         if rest:
             first = self._proposal(fitted, q[rest[0]], targets[rest[0]], len(rest))
         if fitted.model is None:
@@ -140,17 +140,17 @@ class Proposals:
                 selection.add(k if rest else selection.best_to_add()[0])
                 errors.append(selection.value)
             if first is None:
-                first = self._proposal(fitted, *self._best(search, names, every), 0)
+                first = self._proposal(fitted, *self._best(search, names, all_rows), 0)
         except (OptionError, np.linalg.LinAlgError):
             return first, ()
         return first, tuple(errors)
 
     def _best(
-        self, search: Search, names: list[str], every: Observations
+        self, search: Search, names: list[str], all_rows: Observations
     ) -> tuple[Floats, str]:
         """The best one of those that were planned together and are left, if any."""
         q, aim = self._together or (np.zeros((0, 0)), np.zeros(0, np.intp))
-        rest = _unmeasured((q, [names[k] for k in aim]), (every.q, every.target))
+        rest = _unmeasured((q, [names[k] for k in aim]), (all_rows.q, all_rows.target))
         if not rest:
             plan = search.run("auto")
             q, aim = self._together = plan.q, plan.aim

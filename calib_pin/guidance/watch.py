@@ -100,7 +100,7 @@ class Watch:
         stamp, unfinished = _stamp(self._files)
         if stamp == self._stamp:
             return
-        newest = max((one[0] for one in stamp if one), default=0)
+        newest = max((entry[0] for entry in stamp if entry), default=0)
         new = not last and time.time() - 1e-9 * newest < SETTLED
         if new and unfinished:
             return  # A half-written line waits.
@@ -115,7 +115,7 @@ class Watch:
                 self._removed = gone
                 return  # A file that is written anew begins with nothing.
             self._stamp, self._problem, self._removed = stamp, "", []
-            yield from self._changed(job, places, gone)
+            yield from self._update(job, places, gone)
         except (CalibPinError, np.linalg.LinAlgError) as error:
             if new and self._stamp != stamp:
                 return  # It may be half written.
@@ -124,7 +124,7 @@ class Watch:
                 self._problem = text
                 yield Event("problem" if self._known else "waiting", text)
 
-    def _changed(
+    def _update(
         self, job: Fitted, places: dict[Key, str], gone: Sequence[str]
     ) -> Iterator[Event]:
         """Tell of rows that came and went, then of the job."""
@@ -156,8 +156,8 @@ class Watch:
             self._aside = {key for key in keys if key[2]}
             used = np.array([not key[2] for key in keys])
             self._fitted = self._fit(job, used, robust=True)
-        yield from self._reconsidered(rows, keys)
-        yield from self._guided(rows)
+        yield from self._reconsider(rows, keys)
+        yield from self._guide(rows)
 
     def _fit(self, job: Fitted, used: Booleans, *, robust: bool = False) -> Fitted:
         """Fit the rows that are used, now and then robustly."""
@@ -186,7 +186,7 @@ class Watch:
         numbers |= deviation._asdict() | {"wrong": deviation.wrong}
         return Event("row", text, numbers)
 
-    def _reconsidered(self, rows: Observations, keys: Sequence[Key]) -> Iterator[Event]:
+    def _reconsider(self, rows: Observations, keys: Sequence[Key]) -> Iterator[Event]:
         """Tell of rows that agree now, and of those that the fit has set aside."""
         fitted = self._fitted
         if fitted is None or fitted.lost:
@@ -207,7 +207,7 @@ class Watch:
                 text = f"{outlier.place}: does not fit the other rows; set aside"
                 yield Event("row", text, {"place": outlier.place, "wrong": True})
 
-    def _guided(self, rows: Observations) -> Iterator[Event]:
+    def _guide(self, rows: Observations) -> Iterator[Event]:
         """Tell the state, and where to go."""
         fitted, count = self._fitted, len(rows)
         assert fitted is not None
@@ -286,7 +286,7 @@ def _units(rows: Observations, new: Iterable[int]) -> list[list[int]]:
     groups = rows.groups()
     for k in new:
         block = int(rows.block_of[k])
-        together = declared(rows.blocks[block].model).at_once
-        unit = int(groups[k]) if together else -k - 1
+        at_once = declared(rows.blocks[block].model).at_once
+        unit = int(groups[k]) if at_once else -k - 1
         units.setdefault((block, unit), []).append(k)
     return [*units.values()]

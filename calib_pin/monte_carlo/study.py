@@ -165,17 +165,17 @@ def try_robot(study: Study, robot: int) -> tuple[Trial, ...]:
     for count in study.counts:
         trial, rng = Trial(robot, count), study.stream(robot, PREDICTED, count)
         try:
-            model = _fitted(study, theta, robot, count)
+            model = _calibrated(study, theta, robot, count)
         except InputError as error:
             trials.append(replace(trial, reason=str(error)))
             continue
         terms = model.problem.by_chain.values()
-        each = [_compared(study, theta, model, term, rng, trial) for term in terms]
-        trials.append(max(each, key=lambda one: one.position))
+        each = [_with_errors(study, theta, model, term, rng, trial) for term in terms]
+        trials.append(max(each, key=lambda t: t.position))
     return tuple(trials)
 
 
-def _fitted(study: Study, theta: Floats, robot: int, count: int) -> FittedModel:
+def _calibrated(study: Study, theta: Floats, robot: int, count: int) -> FittedModel:
     """The calibration of a robot."""
     q = None if study.plan is None else study.plan[:count]
     rows = simulate(
@@ -193,7 +193,7 @@ def _fitted(study: Study, theta: Floats, robot: int, count: int) -> FittedModel:
     return fit_model(study.chains, Observations(blocks), study.setup, study.seed)
 
 
-def _compared(
+def _with_errors(
     study: Study,
     theta: Floats,
     model: FittedModel,

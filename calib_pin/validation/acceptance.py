@@ -247,7 +247,7 @@ def acceptance(
             accuracy = _mean_length(positional, effects[:3], frames.dof, rng)
         positions = accuracy, means[:3], repeatability(positional, rng)
         angled = turns, tuple(map(_three_sigma, errors.T[3:]))
-        vAP = _directions(positional, before[visits[k]])
+        vAP = _variation(positional, before[visits[k]])
         poses.append(PoseTest(int(numbers[k]), len(errors), *positions, *angled, vAP))
     commanded = attained - deviations[:, :3]
     for k, m in combinations(tested_poses, 2):
@@ -312,7 +312,7 @@ def _bound(
     if dof == 0:
         return UNTESTABLE, f"{text}; from {count // 3 + 1} poses on AP has a bound"
     d = np.concatenate([errors.mean(axis=0) for errors in deviations])
-    noise = np.column_stack([_of_mean(errors, rng) for errors in deviations])
+    noise = np.column_stack([_mean_errors(errors, rng) for errors in deviations])
     length = _length(d - U @ (U.T @ d), noise - noise @ U @ U.T)
     low, rms = length.low / len(motions) ** 0.5, length.value * (3.0 / dof) ** 0.5
     text += f"; AP is at least {shown(low, 'm', 3)}, and {shown(rms, 'm', 3)} rms if "
@@ -320,12 +320,12 @@ def _bound(
     return Interval(np.nan, low, np.inf), text
 
 
-def _directions(deviations: Floats, before: Indices) -> float | None:
+def _variation(deviations: Floats, before: Indices) -> float | None:
     """Largest distance of the means of approaches from different poses."""
     origins, counts = np.unique(before, return_counts=True)
     means = [deviations[before == o].mean(axis=0) for o in origins[counts >= LEAST]]
-    apart = [float(np.linalg.norm(a - b)) for a, b in combinations(means, 2)]
-    return max(apart, default=None)
+    distances = [float(np.linalg.norm(a - b)) for a, b in combinations(means, 2)]
+    return max(distances, default=None)
 
 
 def _drift(deviations: Sequence[Floats]) -> tuple[float, float] | None:
@@ -341,8 +341,8 @@ def _drift(deviations: Sequence[Floats]) -> tuple[float, float] | None:
 def _sizes(deviations: Floats) -> tuple[float, float]:
     """AP and RP of the visits of a pose, shape (n, 3)."""
     m = deviations.mean(axis=0)
-    away = np.linalg.norm(deviations - m, axis=1)
-    return float(np.linalg.norm(m)), float(away.mean() + 3.0 * away.std(ddof=1))
+    radii = np.linalg.norm(deviations - m, axis=1)
+    return float(np.linalg.norm(m)), float(radii.mean() + 3.0 * radii.std(ddof=1))
 
 
 def student(dof: float) -> float:
@@ -379,17 +379,17 @@ def _mean_length(
     The scatter of the mean has Student's distribution, with the covariance of the
     visits, and so have the effects of frames, (3, r), by what tells their size.
     """
-    noise = _of_mean(deviations, rng)
+    noise = _mean_errors(deviations, rng)
     if effects.size:
         common = rng.standard_normal((DRAWS, effects.shape[1])) @ effects.T
         noise += common / _chi(dof, rng)
     return _length(deviations.mean(axis=0), noise)
 
 
-def _of_mean(deviations: Floats, rng: np.random.Generator) -> Floats:
+def _mean_errors(deviations: Floats, rng: np.random.Generator) -> Floats:
     """Simulated errors of the mean of visits, shape (DRAWS, 3)."""
     n = len(deviations)
-    return np.asarray(_scatter(np.cov(deviations.T) / n, DRAWS, rng) / _chi(n - 1, rng))
+    return np.asarray(_normal(np.cov(deviations.T) / n, DRAWS, rng) / _chi(n - 1, rng))
 
 
 def _chi(dof: float, rng: np.random.Generator) -> Floats:
@@ -398,7 +398,7 @@ def _chi(dof: float, rng: np.random.Generator) -> Floats:
     return np.sqrt(rng.chisquare(dof, (DRAWS, 1)) / dof)
 
 
-def _scatter(C: Floats, shape: int | tuple[int, int], rng: np.random.Generator) -> Any:
+def _normal(C: Floats, shape: int | tuple[int, int], rng: np.random.Generator) -> Any:
     """Normal deviations of a covariance (3, 3) that may be singular, (*shape, 3)."""
     return rng.multivariate_normal(np.zeros(3), C, shape, "ignore", method="eigh")
 
@@ -415,7 +415,7 @@ def _length(m: Floats, noise: Floats) -> Interval:
     # A larger error than what was found leaves open whether there is any length.
     least = np.where(squares < length**2, true, 0.0)
     ends = (0.5 - 0.5 * LEVEL, least), (0.5 + 0.5 * LEVEL, np.maximum(true, 0.0))
-    low, high = (np.quantile(of, part, method="inverted_cdf") for part, of in ends)
+    low, high = (np.quantile(e, part, method="inverted_cdf") for part, e in ends)
     return Interval(length, float(low), float(high))
 
 
@@ -425,24 +425,24 @@ def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
     if not RP > 0.0:
         return Interval(0.0, 0.0, 0.0)
     C = np.cov(deviations.T)
-    lengths = np.linalg.norm(_scatter(C, 20 * DRAWS, rng), axis=1)
+    lengths = np.linalg.norm(_normal(C, 20 * DRAWS, rng), axis=1)
     true = float(lengths.mean() + 3.0 * lengths.std())
-    tests = _scatter(C, (DRAWS, n), rng)
-    away = np.linalg.norm(tests - tests.mean(axis=1, keepdims=True), axis=2)
-    ratios = (away.mean(axis=1) + 3.0 * away.std(axis=1, ddof=1)) / true
+    tests = _normal(C, (DRAWS, n), rng)
+    radii = np.linalg.norm(tests - tests.mean(axis=1, keepdims=True), axis=2)
+    ratios = (radii.mean(axis=1) + 3.0 * radii.std(axis=1, ddof=1)) / true
     low, high = np.quantile(ratios, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
     return Interval(RP, RP / float(high), RP / float(low))
 
 
 def limits(limit: LimitSetup) -> dict[str, tuple[float, str]]:
     """The limits that are stated, and their units, by quantity."""
-    every = {
+    values = {
         "AP": (limit.position, "m"),
         "RP": (limit.repeatability, "m"),
         "AD": (limit.distance, "m"),
         "orientation": (limit.orientation, "rad"),
     }
-    return {name: (most, unit) for name, (most, unit) in every.items() if most}
+    return {name: (most, unit) for name, (most, unit) in values.items() if most}
 
 
 def judged(
@@ -601,7 +601,7 @@ def _frames(
         if not alone or not np.isfinite(fit.known).all():
             problem, solution = register(fit.problem, fit.theta)
             nuisance = problem.parameters.free & problem.parameters.nuisance
-            fit = _fitted(problem, solution.x, nuisance, alone)
+            fit = _frame_fit(problem, solution.x, nuisance, alone)
             origin = f"base and tool {source}"
         return {"robot": fit}, "" if fit.dof else f"{what} {source}", origin, doubts
     models = {"nominal": robot.reference, NOW: robot.model}
@@ -726,7 +726,7 @@ def _at_station(
     term = problem.terms[rows.only.key]
     base = term.index[:FRAME]
     moved = model_errors.at_another_station(problem, theta, term.frames.station, base)
-    return _fitted(*moved, np.isin(np.arange(len(theta)), base), alone)
+    return _frame_fit(*moved, np.isin(np.arange(len(theta)), base), alone)
 
 
 def _derivatives(problem: Problem, theta: Floats) -> Floats:
@@ -736,7 +736,7 @@ def _derivatives(problem: Problem, theta: Floats) -> Floats:
     return np.asarray(J.reshape(len(problem.data), -1, len(theta)))
 
 
-def _fitted(
+def _frame_fit(
     problem: Problem, theta: Floats, free: NDArray[np.bool_], alone: bool
 ) -> FrameFit:
     """Free parameters that were fitted to measurements, and how surely.

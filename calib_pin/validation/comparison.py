@@ -196,7 +196,7 @@ def compare(
     for name, other in chains.items():
         pair = (first, name), (second, other)
         known = [
-            _free(record, term)
+            _free_ends(record, term)
             for record, chain in pair
             for term in record.model.terms.values()
             if term.key.chain == chain
@@ -212,10 +212,10 @@ def compare(
             explained = position, orientation
         drifts[name] = replace(drift, explained=explained, oriented=oriented)
     same = same_nominal(first.model, second.model)
-    here, there = (_known(record) if same else {} for record in (first, second))
-    shared = [key for key in here if key in there and _equal(here[key], there[key])]
+    mine, theirs = (_known_sums(record) if same else {} for record in (first, second))
+    shared = [key for key in mine if key in theirs and _equal(mine[key], theirs[key])]
     differences = list[Difference]()
-    for a, b in ((here[key], there[key]) for key in shared):
+    for a, b in ((mine[key], theirs[key]) for key in shared):
         if a.sigma is not None and b.sigma is not None:
             sigma = max(math.hypot(a.sigma, b.sigma), SAME)
             terms = a.terms if len(a.terms) > 1 else ()
@@ -268,7 +268,7 @@ def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
     return tuple(g for g in result.groups if {term[0] for term in g.terms} <= known)
 
 
-def _known(record: CalibrationResult) -> dict[frozenset[str], CoupledGroup]:
+def _known_sums(record: CalibrationResult) -> dict[frozenset[str], CoupledGroup]:
     """The parameters and sums of a robot that a calibration knows, by their terms."""
     robot = robot_parameters(record)
     known = [p for p in record.parameters if p.name in robot and p.sigma is not None]
@@ -315,19 +315,19 @@ def same_nominal(first: CalibratedModel, second: CalibratedModel) -> bool:
         return True
     # Joint corrections depend on the masses as well.
     return (first.geometric and second.geometric) and all(
-        np.abs(_places(first.of(a)) - _places(second.of(b))).max() <= SAME
+        np.abs(_geometry(first.of(a)) - _geometry(second.of(b))).max() <= SAME
         for a, b in partners(first, second).items()
     )
 
 
-def _places(calibrated: CalibratedChain) -> Floats:
+def _geometry(calibrated: CalibratedChain) -> Floats:
     """The axes of a nominal chain, and where its joints and ends are."""
     chain = calibrated.chain
     poses = *chain.placements, chain.tip_placement, *chain.ends
     return np.vstack([chain.axes, *(pose.homogeneous[:3].T for pose in poses)])
 
 
-def _free(record: CalibrationResult, term: Term) -> list[bool]:
+def _free_ends(record: CalibrationResult, term: Term) -> list[bool]:
     """Whether anything at base and tool of a part or its instrument was estimated."""
     free = np.array([p.status != "fixed" for p in record.parameters])
     instrument = term.parameters[len(term.error.screws) :], free[term.of_instrument]

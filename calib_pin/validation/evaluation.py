@@ -173,7 +173,7 @@ def _unregistered(
         for (name, unit, was), (_, _, now) in zip(*tables, strict=True)
     ]
     # Of several instruments one may have moved.
-    name, unit, before, after = max(sizes, key=lambda one: one[2] / max(one[3], 1e-300))
+    name, unit, before, after = max(sizes, key=lambda row: row[2] / max(row[3], 1e-300))
     if again.reason or not after < MOVED * before:
         return
     # Whatever stands where, what few measurements have told about it is not left.

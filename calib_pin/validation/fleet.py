@@ -119,7 +119,7 @@ def fleet_row(
     error, report = result.errors[0], result.model.setup.report
     before, after = error.shown
     known = [a.workspace for a in result.accuracies.values() if a.workspace]
-    worst = max(known, key=lambda one: one.calibrated.position, default=None)
+    worst = max(known, key=lambda accuracy: accuracy.calibrated.position, default=None)
     sizes = (worst.nominal, worst.calibrated, worst.bound) if worst else ()
     codes = [f.code for f in result.findings if f.severity != "info"]
     identity = serial_number or report.serial_number, date or report.date or ""

@@ -135,14 +135,14 @@ def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
     problem, label = robot.problem, labels[robot.problem.layout.row]
     count = len(label)
     whitened, variance = robot.fun[:count].copy(), np.ones(count)
-    for at in by_size(label):
-        U, squares = spectrum(robot.columns[at])
+    for index in by_size(label):
+        U, squares = spectrum(robot.columns[index])
         remainder = 1.0 - squares
         known = remainder > 1e-9  # Below, the others do not predict it: rounding.
         gain = np.where(known, 1.0 / np.where(known, remainder, 1.0), 0.0) - 1.0
-        along = gain * np.einsum("gms,gm->gs", U, whitened[at])
-        whitened[at] += np.einsum("gms,gs->gm", U, along)
-        variance[at] += np.einsum("gms,gs->gm", U**2, gain)
+        along = gain * np.einsum("gms,gm->gs", U, whitened[index])
+        whitened[index] += np.einsum("gms,gs->gm", U, along)
+        variance[index] += np.einsum("gms,gs->gm", U**2, gain)
     with np.errstate(invalid="ignore"):  # Of those that are set aside.
         return whitened * problem.sigma, variance * problem.sigma**2
 
@@ -231,9 +231,9 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
         step is all there is to make.
     """
     problem, F, fun = robot.problem, robot.factor, robot.fun
-    some = replace(problem, data=problem.data.rows(mask))
-    r, jac = some.linearize(robot.theta)
-    count = len(r) - len(some.further)
+    group = replace(problem, data=problem.data.rows(mask))
+    r, jac = group.linearize(robot.theta)
+    count = len(r) - len(group.further)
     B = jac[:count] @ F
     # N_g = 1 - B^T B in the columns of F.
     values, Q = np.linalg.eigh(np.eye(B.shape[1]) - B.T @ B)
@@ -247,7 +247,7 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
         theta = theta - F @ (inner @ step)
         if problem.many:
             break
-        fun, r = problem.residual(theta), some.residual(theta)
+        fun, r = problem.residual(theta), group.residual(theta)
     else:
         return None
     least, most = problem.parameters.bounds
@@ -318,14 +318,14 @@ def gains(
     tests = []
     quantities = (ALL, slice(None)), *((q.name, q.columns) for q in layout.quantities)
     for name, columns in quantities:
-        here = present[:, columns]
-        rows, scale = here.any(axis=1), whole if name == ALL else 1.0
+        mask = present[:, columns]
+        rows, scale = mask.any(axis=1), whole if name == ALL else 1.0
         if not rows.any():
             continue
         errors = ((e / scale)[rows, columns] for e in (joined.before, joined.after))
-        masked = (np.where(here[rows], e, 0.0) for e in errors)
+        masked = (np.where(mask[rows], e, 0.0) for e in errors)
         old, new = (np.linalg.norm(e, axis=1) for e in masked)
-        square, predicted = (float(np.sum(s[:, columns][here])) for s in squares)
+        square, predicted = (float(np.sum(s[:, columns][mask])) for s in squares)
         # Where it predicts nothing, all values were needed to fit.
         ratio = float(np.sqrt(square / predicted)) if predicted > 0.0 else float("nan")
         tests.append(Gain(method, name, *paired(old, new, label[rows]), ratio))
@@ -421,15 +421,15 @@ def check(
         masks = folds(grouping, fitted, seed)
         parts = tuple(cross_validate(model, training, masks, seed, progress, workers))
     # A fit that fails without its fold says nothing about the robot.
-    kept = tuple(part for part in parts if not part.reason)
-    counted = [part.positions[training.weight[part.positions] > 0.0] for part in kept]
+    usable = tuple(part for part in parts if not part.reason)
+    counted = [part.positions[training.weight[part.positions] > 0.0] for part in usable]
     held = np.concatenate([np.zeros(0, np.intp), *counted])
     if training.rows(held).configurations < FEWEST_HELD_OUT:
-        kept = ()
-    name = grouping.validation_name(len(kept))
-    tests = gains(name, problem, kept, grouping.clusters) + pressed
+        usable = ()
+    name = grouping.validation_name(len(usable))
+    tests = gains(name, problem, usable, grouping.clusters) + pressed
     skipped = tuple(part.reason for part in parts if part.reason)
-    return HeldOut(training, kept, name, tests, skipped=skipped)
+    return HeldOut(training, usable, name, tests, skipped=skipped)
 
 
 def cross_validate(
@@ -470,11 +470,11 @@ def _refit_errors(
     """Errors of a part of the measurements, of shape (N,), by a fit of the others."""
     (whole, measurements, seed), fit = shared, shared[0].fit
     # Measurements that the fit of all has rejected stay rejected.
-    some = measurements.rows(~mask & (measurements.weight > 0.0))
+    others = measurements.rows(~mask & (measurements.weight > 0.0))
     layout = fit.problem.layout
     try:
         # Where all of them taught nothing, some teach no more.
-        known = fit.problem.chains, some, whole.problem.setup
+        known = fit.problem.chains, others, whole.problem.setup
         model = fit_model(*known, seed, effects_of=fit)
         if model.problem.layout.quantities != layout.quantities:
             raise InputError("all others of an instrument are set aside")

@@ -47,9 +47,9 @@ class JointErrors:
 
     def poses(self, chain: Chain, q: Floats) -> Floats:
         """Tip poses of a nominal chain that takes them, (N, n) -> (N, 4, 4)."""
-        return chain.poses(self._moved(chain, q)[0])
+        return chain.poses(self._corrected(chain, q)[0])
 
-    def _moved(self, chain: Chain, q: Floats) -> tuple[Floats, Floats, Floats]:
+    def _corrected(self, chain: Chain, q: Floats) -> tuple[Floats, Floats, Floats]:
         """Corrected joint positions of a chain, and its part in all columns.
 
         Returns:
@@ -71,7 +71,7 @@ class JointErrors:
             Derivative by offsets and gains, shape (6 N, 2 K), and right side, (6 N,).
         """
         chain, q = fitted.chain, configurations(fitted.chain)
-        moved, factors, values = self._moved(chain, q)
+        moved, factors, values = self._corrected(chain, q)
         T, J = chain.jacobian(moved)
         J = J @ factors
         target = in_base(fitted, q) @ fitted.tool.inverse().homogeneous
@@ -171,8 +171,8 @@ def told_reversed(columns: JointColumns) -> dict[str, str]:
             unit, display = DISPLAY["rad" if columns.angular[column] else "m"]
             times = "" if factor == -1.0 else f"{-factor:g} "
             zero = f" {display * given.offset:+.6g} {unit}" if given.offset else ""
-            more = "".join(f" {by:+g} {name}" for name, by in given.coupled.items())
-            inside = f"(reading + offset{more})"
+            terms = "".join(f" {by:+g} {name}" for name, by in given.coupled.items())
+            inside = f"(reading + offset{terms})"
             sentences[joint] = f"{joint} is reversed: q = -{times}{inside}{zero}"
     return sentences
 

@@ -424,10 +424,10 @@ def _noise(grounds: Judgement, quantity: QuantityErrors) -> float | None:
     That among repetitions, else what is stated.
     """
     layout = grounds.fitted.problem.layout
-    every = (q.columns for q in layout.quantities if q.name == quantity.name)
-    columns = np.r_[next(every, slice(0, 0))]
+    slices = (q.columns for q in layout.quantities if q.name == quantity.name)
+    columns = np.r_[next(slices, slice(0, 0))]
     pairs = zip(grounds.fitted.noise, layout.of_components, strict=False)
-    components = [n for n, at in pairs if np.isin(layout.column[at[:1]], columns).any()]
+    components = [n for n, k in pairs if np.isin(layout.column[k[:1]], columns).any()]
     if not components or not all(n.stated or n.pure is not None for n in components):
         return None
     sizes = [n.given if n.pure is None else n.pure for n in components]
@@ -448,19 +448,19 @@ def _unchecked(grounds: Judgement) -> str:
     distinct = data.rows(data.weight > 0.0).configurations
     # Exact rows say by one what noisy ones say by many.
     least = (FEWEST_HELD_OUT, CONFIGURATIONS) if fitted.noise else (1, 1)
-    more = "; measure more configurations"
+    remedy = "; measure more configurations"
     if values < needed:
         reason = f"{values} measured {known} cannot determine {needed} identifiable"
-        return f"{reason} parameters{more} or estimate fewer parameters"
+        return f"{reason} parameters{remedy} or estimate fewer parameters"
     if values <= fitted.rank:
         reason = f"{values} measured {known} for {fitted.rank} estimated parameters"
-        return f"{reason} leave nothing to check the fit with{more}"
+        return f"{reason} leave nothing to check the fit with{remedy}"
     if not sure and redundancy < REDUNDANT:
         reason = f"{redundancy:.1f} redundant values are too few to estimate the noise"
-        return f"{reason}{more}, or state the standard deviations"
+        return f"{reason}{remedy}, or state the standard deviations"
     if held < least[0] or distinct < least[1]:
         reason = f"{held} independent held-out configurations of {distinct} are too few"
-        return f"{reason} to check the fit with{more}"
+        return f"{reason} to check the fit with{remedy}"
     return ""
 
 

@@ -77,20 +77,20 @@ class ModelErrors:
         positions, before, after, variance = map(np.concatenate, arrays)
         return ModelErrors(positions, before, after, variance, distances, tuple(names))
 
-    def at(self, kept: NDArray[np.generic]) -> ModelErrors:
+    def at(self, index: NDArray[np.generic]) -> ModelErrors:
         """Those of some of the measurements, a mask or positions within them."""
         positions = np.arange(len(self.positions))
-        if np.array_equal(positions[kept], positions):
+        if np.array_equal(positions[index], positions):
             return self
-        return replace(self, **{name: getattr(self, name)[kept] for name in ARRAYS})
+        return replace(self, **{name: getattr(self, name)[index] for name in ARRAYS})
 
-    def replaced(self, kept: NDArray[np.intp], by: ModelErrors) -> ModelErrors:
+    def replaced(self, index: NDArray[np.intp], by: ModelErrors) -> ModelErrors:
         """The same with those of some measurements, at positions within them, anew."""
-        anew = {distance.between: distance for distance in by.distances}
+        by_ends = {distance.between: distance for distance in by.distances}
         arrays = {name: getattr(self, name).copy() for name in ARRAYS}
         for name, values in arrays.items():
-            values[kept] = getattr(by, name)
-        distances = tuple(anew.get(d.between, d) for d in self.distances)
+            values[index] = getattr(by, name)
+        distances = tuple(by_ends.get(d.between, d) for d in self.distances)
         return replace(self, distances=distances, **arrays)
 
     def accuracy(self, quantity: Quantity) -> Pair:
@@ -117,8 +117,8 @@ class ModelErrors:
             weight: Weight of all measurements that the positions belong to, shape
                 (N',).
         """
-        kept = weight[self.positions] > 0.0
-        return self.at(kept) if kept.any() else self
+        mask = weight[self.positions] > 0.0
+        return self.at(mask) if mask.any() else self
 
 
 def quantity_errors(
@@ -165,8 +165,8 @@ def fitted_errors(model: FittedModel, training: Observations) -> ModelErrors:
         model: The fitted model.
         training: The measurements, those that the fit has set aside included.
     """
-    every = np.arange(len(training))
-    return errors_of_registered(model, *both(model, training), every, fitted=True)
+    positions = np.arange(len(training))
+    return errors_of_registered(model, *both(model, training), positions, fitted=True)
 
 
 def errors_of_registered(
@@ -464,13 +464,13 @@ def _predicted_parts(
     # An estimate couples all of them.
     step = max(len(positions), 1) if new else SAMPLE
     for start in range(0, len(positions), step):
-        some = replace(problem, data=problem.data.rows(positions[start : start + step]))
-        component = some.layout.component
-        J = some.linearize_rows(theta)[1][: len(component)]
+        part = replace(problem, data=problem.data.rows(positions[start : start + step]))
+        component = part.layout.component
+        J = part.linearize_rows(theta)[1][: len(component)]
         uncertain, noise = J @ factor, fitted.unit**2 * noises[component]
         if deviations.systematic is not None:
             # The fit has absorbed a part of what gears and compliance do there.
-            absorbed = deviations.systematic.rows(some, theta)
+            absorbed = deviations.systematic.rows(part, theta)
             uncertain[:, -absorbed.shape[1] :] -= absorbed
         if new:
             K = column_space(J[:, new] * scales[new])

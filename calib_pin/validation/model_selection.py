@@ -136,7 +136,7 @@ def select_model(
             candidate, or the measurements do not even suffice to judge the first one.
     """
     require_known("use", use, USES)
-    beyond, others = _further(measurements, setup), (OFFSETS, *outside_urdf())
+    beyond, others = _further_effects(measurements, setup), (OFFSETS, *outside_urdf())
     geometric = tuple(p for p in setup.parameters if p not in others)
     geometric = geometric or Setup.parameters
     _require_patterns(chains, measurements, setup, (OFFSETS, *geometric, *beyond))
@@ -155,7 +155,7 @@ def select_model(
     chosen, q = judged[simplest(judged, use)], measurements.q
     near = zip(*(end(axis=0).tolist() for end in (q.min, q.max)), strict=True)
     ranges = dict(zip(measurements.joints, near, strict=True))
-    all_candidates = tuple(one.candidate for one in judged)
+    all_candidates = tuple(entry.candidate for entry in judged)
     assert chosen.model is not None
     selection = ModelSelection(chosen.candidate.name, use, ranges, all_candidates)
     return SelectedModel(selection, chosen.model, chosen.parts)
@@ -191,8 +191,8 @@ def simplest(candidates: Sequence[Judged], use: str) -> int:
         use: One of `USES`.
     """
     # What could be tried near alone is not compared with what others are away.
-    most = max(len(one.sizes) for one in candidates)
-    full = [k for k, one in enumerate(candidates) if len(one.sizes) == most]
+    most = max(len(c.sizes) for c in candidates)
+    full = [k for k, c in enumerate(candidates) if len(c.sizes) == most]
     sizes = {k: candidates[k].sizes[PLACES[use]] for k in full}
     places = range(len(sizes[full[0]]))
 
@@ -211,7 +211,7 @@ def simplest(candidates: Sequence[Judged], use: str) -> int:
         for place in reversed(places):
             good = set(as_good(sorted(good), place))
     fitted = ((candidates[k].candidate, k) for k in good)
-    return min((one.learned is not None, one.rank, k) for one, k in fitted)[2]
+    return min((c.learned is not None, c.rank, k) for c, k in fitted)[2]
 
 
 def mean_score(candidate: Judged, use: str) -> float:
@@ -240,11 +240,11 @@ def scored(
     sigma = replace(model.problem, data=rows).given_sigma
     sigma = layout.table(sigma, len(rows))[errors.positions]
     size = np.sqrt(np.nanmean((errors.after / sigma) ** 2, axis=1))
-    kept = rows.weight[errors.positions] > 0.0
+    counted = rows.weight[errors.positions] > 0.0
     label, count = grouping.clusters, int(grouping.clusters.max(initial=-1)) + 1
-    label = label[errors.positions][kept]
+    label = label[errors.positions][counted]
     with np.errstate(invalid="ignore"):
-        totals = np.bincount(label, size[kept], count)
+        totals = np.bincount(label, size[counted], count)
         sizes: Floats = totals / np.bincount(label, minlength=count)
     pairs = ((q, errors.accuracy(q)[1]) for q in layout.quantities)
     quantities = (QuantityError(q.name, q.unit, a.mean, a.rms) for q, a in pairs if a)
@@ -305,9 +305,9 @@ class _Candidates:
                 return
             ordered = tuple(kind for kind in kinds if kind in added)
             fewer = (tried.get(added - {kind}) for kind in ordered)
-            below = [base, *(one for one in fewer if one)]
-            every = (*base.candidate.parameters, *ordered)
-            tried[added] = self.add(f"+ {' + '.join(ordered)}", every, extends=below)
+            below = [base, *(c for c in fewer if c)]
+            names = (*base.candidate.parameters, *ordered)
+            tried[added] = self.add(f"+ {' + '.join(ordered)}", names, extends=below)
 
         current, best = None, frozenset[str]()
         while current != best:
@@ -318,8 +318,8 @@ class _Candidates:
                 judge(frozenset(rest))
                 judge(frozenset(rest | {kind}))
             judge(frozenset(TOGETHER).intersection(kinds))
-            helping = ((k, one) for k, one in tried.items() if one.candidate.helps)
-            scores = {key: mean_score(one, self.use) for key, one in helping}
+            helping = ((k, c) for k, c in tried.items() if c.candidate.helps)
+            scores = {key: mean_score(c, self.use) for key, c in helping}
             best = min(scores, key=scores.__getitem__, default=best)
 
     def _judge(
@@ -349,7 +349,7 @@ class _Candidates:
         return Judged(candidate, model, near, sizes)
 
 
-def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:
+def _further_effects(measurements: Observations, setup: Setup) -> tuple[str, ...]:
     """Effects that may join the geometry: those for which enough is stated."""
     recorded = [block.conditions for block in measurements.blocks]
 

@@ -206,10 +206,10 @@ class RobotState:
             # Positions alone do not tell how a tool is turned, and move it nowhere.
             values[index] = np.append(moved.translation, so3_log(moved.rotation))
         frames = {frame: index for frame, (_, index) in shared.items()}
-        here = [k for k in np.flatnonzero(known).tolist() if names[k] in old]
-        there = [old.index(names[k]) for k in here]
+        targets = [k for k in np.flatnonzero(known).tolist() if names[k] in old]
+        sources = [old.index(names[k]) for k in targets]
         covariance = np.zeros((len(names), len(names)))
-        covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
+        covariance[np.ix_(targets, targets)] = self.covariance[np.ix_(sources, sources)]
         state = replace(self, system=system, values=values, free=known)
         return replace(state, covariance=covariance), frames
 
@@ -306,9 +306,9 @@ def drifts(
     """
     scales = [p.scale if p.unit in ("m", "rad") else LENGTH_SCALE for p in system.given]
     offsets = [c.directions / c.size for c in sudden if c.kind == "offset"]
-    alone = np.hstack([np.zeros((len(robot), 0)), *offsets])
+    by_joint = np.hstack([np.zeros((len(robot), 0)), *offsets])
     geometry = np.diag(1.0 / np.array(scales))[:, robot]
-    return {"geometry": geometry, "joint offsets": alone}
+    return {"geometry": geometry, "joint offsets": by_joint}
 
 
 def changes(system: Terms, robot: NDArray[np.bool_]) -> dict[str, Change]:
@@ -322,14 +322,14 @@ def changes(system: Terms, robot: NDArray[np.bool_]) -> dict[str, Change]:
     for offset in _offsets(system, robot):
         by_name.setdefault(f"offset {offset.name}", offset)
     for joint in system.chains.joints:
-        mask = robot & _of_joint(system, joint)
+        mask = robot & _joint_mask(system, joint)
         if mask.sum() > 1:
             by_name[f"placement {joint}"] = Change(joint, "placement", unit[:, mask])
     by_name["robot"] = Change("", "robot", unit[:, robot])
     return by_name
 
 
-def _of_joint(system: Terms, joint: str) -> NDArray[np.bool_]:
+def _joint_mask(system: Terms, joint: str) -> NDArray[np.bool_]:
     """The parameters that have the name of a joint, shape (P,)."""
     owners = [parameter.name.rsplit(".", 2)[0] for parameter in system.given]
     return np.asarray(np.array(owners) == owner(joint))
@@ -343,7 +343,7 @@ def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
         for frame, joint in enumerate(chain.joints, 1):
             # Errors in the next frame, as those of a DH matrix, move with the joint.
             to_frame = {frame: np.eye(6), frame + 1: behind[frame].toActionMatrix()}
-            mask, T = robot & _of_joint(system, joint), np.zeros((6, len(robot)))
+            mask, T = robot & _joint_mask(system, joint), np.zeros((6, len(robot)))
             for screw, k in zip(term.error.screws, term.of_error, strict=True):
                 if mask[k] and screw.frame in to_frame and screw.basis is None:
                     twist = to_frame[screw.frame] @ screw.twist
@@ -482,7 +482,7 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
         difference = "its chain goes from {} to {}".format(*min(new - ends or new))
     serials = older.report.serial_number, setup.report.serial_number
     whose = "of serial number '{}', these measurements are of '{}'".format(*serials)
-    known, given = (", ".join(one.parameters) for one in (older, setup))
+    known, given = (", ".join(s.parameters) for s in (older, setup))
     unsure = not np.isfinite(start.covariance).all() or not start.statistics.noise
     for refused, reason in (
         (difference, f"is not of this robot: {difference}"),
@@ -667,9 +667,9 @@ class Innovations:
         moved = (c for c in sudden if self.sudden[c.name].kind in FRAMES)
         chi2 = replace(first, causes=(*first.causes, *moved)).square
         # Beside what all have shown, as much more as these show by chance.
-        more = max(best.square / len(first.values), 1.0) ** 0.5
-        more *= next(c.size for c in best.causes if c.name == NOISE)
-        grown = {name: more * sigma for name, sigma in state.sigmas.items()}
+        inflation = max(best.square / len(first.values), 1.0) ** 0.5
+        inflation *= next(c.size for c in best.causes if c.name == NOISE)
+        noise = {name: inflation * sigma for name, sigma in state.sigmas.items()}
         start, created = state.made
         step = RecalibrationStep(
             start,
@@ -682,7 +682,7 @@ class Innovations:
             jumps=tuple(jumps),
             still=float(still),
         )
-        return step, state.prior(effects, grown)
+        return step, state.prior(effects, noise)
 
     def _others(
         self, best: Explanation, cause: Cause, sudden: Sequence[Cause]

@@ -124,11 +124,11 @@ class Grouping:
         count = int(configuration.max(initial=-1)) + 1
         ends = [(own_name(k, keys, k.station), own_name(k, keys, k.tool)) for k in keys]
         for names in (*zip(*ends, strict=True), [key.chain for key in keys]):
-            frame, kept = labels(names)[data.block_of], ~mask & (data.weight > 0.0)
+            frame, fitted = labels(names)[data.block_of], ~mask & (data.weight > 0.0)
             if not frame.any():
                 continue
             # Distinct configurations of every frame among those that are left.
-            pairs = np.unique((frame * count + configuration)[kept])
+            pairs = np.unique((frame * count + configuration)[fitted])
             counts = np.bincount(pairs // count, minlength=len(keys))
             needed = mask & (counts < THREE)[frame]
             mask &= ~np.isin(self.groups, self.groups[needed])
@@ -180,7 +180,7 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     parts = (grouping.spared(fold[grouping.groups] == k) for k in range(count))
     masks = [_thinned(mask, grouping.groups) for mask in parts if mask.any()]
     # Only what is estimated must be seen in every part.
-    targets = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
+    targets = [seen & (grouping.places < 0) for seen in _target_masks(fitted, rows)]
     # What priors hold counts among what is known and among what is needed.
     held = len(fitted.problem.further.priors) > 0
     needed = fitted.rank if held else fitted.structure.rank
@@ -203,7 +203,7 @@ def _thinned(mask: NDArray[np.bool_], groups: NDArray[np.int64]) -> NDArray[np.b
     return mask & np.isin(groups, distinct[:: max(1, int(mask.sum()) // MOST)])
 
 
-def _estimated(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
+def _target_masks(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
     """Masks of the N measurements of each target that has something to estimate, (N,).
 
     From another station it may be another thing, or the same one.
@@ -320,8 +320,8 @@ def _variogram(z: Floats, file: NDArray[np.int64], lag: int) -> float:
     inside = file[lag:] == file[:-lag]
     if not inside.any():
         return 1.0
-    apart = z[lag:] - z[:-lag]
-    squares = np.einsum("ni,ni->n", apart, apart)[inside]
+    steps = z[lag:] - z[:-lag]
+    squares = np.einsum("ni,ni->n", steps, steps)[inside]
     # Of two independent configurations: twice the variance, which is 1 per joint.
     return float(squares.mean() / (2.0 * z.shape[1]))
 
@@ -367,7 +367,7 @@ def places(measurements: Observations, setup: Setup) -> NDArray[np.int64]:
         for station in dict.fromkeys(["", *(key.station for key in measurements.keys)]):
             ends = [f"{station}/{name}".lstrip("/") for name in distance.between]
             first, second = (home.get(end, end) for end in ends)
-            home = {s: first if at == second else at for s, at in home.items()}
+            home = {s: first if p == second else p for s, p in home.items()}
     label = np.full(len(measurements), -1)
     number = {place: k for k, place in enumerate(dict.fromkeys(home.values()))}
     if len(number) >= THREE:

@@ -71,8 +71,8 @@ def tool_accuracy(
         # Of an image, whose rows follow one another, one stands for the configuration.
         rows = Observations(blocks)
         again = np.append(False, (rows.q[1:] == rows.q[:-1]).all(axis=1))
-        kept = rows.rows(~again).sample(MEASURED).q[:, term.columns]
-        measured = ToolErrors.of(expecting, term, kept).expected(rng, known[0])
+        q = rows.rows(~again).sample(MEASURED).q[:, term.columns]
+        measured = ToolErrors.of(expecting, term, q).expected(rng, known[0])
     everywhere = ToolErrors.of(expecting, term, spread).expected(rng, known[1])
     return ToolAccuracy(tip, measured, everywhere)
 
@@ -157,8 +157,8 @@ class ToolErrors:
         C = np.array([half @ half.T for half in (by / robot_scales for by in likely)])
         pair, parts = [], (slice(0, 3), slice(3, 6))
         for k, unit, before in zip(parts, ("m", "rad"), known, strict=True):
-            shown = float(np.sum(effects[:, k] ** 2)) / len(J)
-            scatter = max(_scatter(fit, self.term, unit), (before**2 - shown) / 3.0)
+            square = float(np.sum(effects[:, k] ** 2)) / len(J)
+            scatter = max(_scatter(fit, self.term, unit), (before**2 - square) / 3.0)
             pair.append(_sizes(mean, J_robot[:, k], effects[:, k], scatter, C, rng))
         nominal, calibrated, bound, unmodeled = starmap(
             PoseErrors, zip(*pair, strict=True)
@@ -210,7 +210,7 @@ def _better(mean: Floats, J: Floats, effects: Floats, C: Floats) -> tuple[float,
     C)` with all C equally likely, effects `g ~ N(0, I)`.
     """
     moved = J @ mean
-    slopes = (np.einsum("nd,ndi->ni", moved, of) for of in (J, effects))
+    slopes = (np.einsum("nd,ndi->ni", moved, A) for A in (J, effects))
     parts = np.sum(moved**2, axis=1), *slopes
     # The last one is the whole.
     gain, along, beside = (np.concatenate([p, p.mean(axis=0)[None]]) for p in parts)

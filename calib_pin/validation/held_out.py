@@ -168,7 +168,7 @@ def left_out(
         return result
     robots, solutions = Linear.of(fit), dict[int, tuple[Rest, Rest]]()
     for k, mask in enumerate(masks):
-        before, after = (without(robot, mask) for robot in robots)
+        before, after = (solution_without(robot, mask) for robot in robots)
         if before is not None and after is not None:
             solutions[k] = before, after
     corrections = dict[int, LearnedCorrection]()
@@ -217,7 +217,7 @@ class Rest(NamedTuple):
     inner: Floats
 
 
-def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
+def solution_without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     """A solution without some measurements.
 
     Args:
@@ -328,11 +328,11 @@ def gains(
         square, predicted = (float(np.sum(s[:, columns][mask])) for s in squares)
         # Where it predicts nothing, all values were needed to fit.
         ratio = float(np.sqrt(square / predicted)) if predicted > 0.0 else float("nan")
-        tests.append(Gain(method, name, *paired(old, new, label[rows]), ratio))
+        tests.append(Gain(method, name, *paired_test(old, new, label[rows]), ratio))
     return tuple(tests)
 
 
-def paired(
+def paired_test(
     before: Floats, after: Floats, label: NDArray[np.int64]
 ) -> tuple[int, float, float, float, float]:
     """Number, mean and deviation of gains, and the chances that it is none, or no loss.

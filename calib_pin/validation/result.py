@@ -996,15 +996,15 @@ class Tables(Identification, Breakdown):
         Raises:
             OptionError: If q has another shape.
         """
-        there, term = self.model.of(chain), self.reference.of_chain(chain)
-        q = as_array("q", q, "N", len(there.chain.joints))
+        calibrated, term = self.model.of(chain), self.reference.of_chain(chain)
+        q = as_array("q", q, "N", len(calibrated.chain.joints))
         T, J, C = self.linearized(term, q)
         J = np.kron(np.eye(2), T[:, :3, :3]) @ J
         C = J @ C @ J.transpose(0, 2, 1)
         expected = self.accuracies[term.key.chain].workspace
         if expected is not None:
             C += np.diag(np.repeat(np.square(expected.unmodeled) / 3.0, 3))
-        return Prediction(there.poses(q), C)
+        return Prediction(calibrated.poses(q), C)
 
     def linearized(self, term: Term, q: Floats) -> tuple[Floats, Floats, Floats]:
         """Tool poses of a part, and the errors that they depend on.

@@ -293,27 +293,27 @@ def summary(findings: Sequence[Finding]) -> str:
     return "; ".join(filter(None, (*messages, *remedies)))
 
 
-def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
+def _rules(judgement: Judgement) -> Iterator[tuple[str, str]]:
     """Verdicts in the order in which they are tried, with the reason for each.
 
     A reason is empty where a verdict does not hold; the first that does is given.
     """
-    for reason in _distrust(grounds):
+    for reason in _distrust(judgement):
         yield "untrusted", reason
     # The errors may be chance, and the nominal robot as good as it should be.
-    chance, unchecked = _chance(grounds) > GAIN_CHANCE, _unchecked(grounds)
-    if unchecked and chance and _as_nominal(grounds.fitted):
-        yield from _no_gain(grounds)
+    chance, unchecked = _chance(judgement) > GAIN_CHANCE, _unchecked(judgement)
+    if unchecked and chance and _as_nominal(judgement.fitted):
+        yield from _no_gain(judgement)
     yield "unchecked", unchecked
-    first = grounds.gains[0]
+    first = judgement.gains[0]
     # Where parts are left out little may be left; PRESS leaves out one each.
-    chances = [g.better for g in grounds.gains if g.quantity == first.quantity]
+    chances = [g.better for g in judgement.gains if g.quantity == first.quantity]
     better = first.mean > 0.0 and min(chances) < GAIN_CHANCE
     if chance and not better:
-        yield from _no_gain(grounds)
-    yield "untrusted", _disproved(grounds)
-    gain, held = _gain(grounds)
-    chain, workspace = grounds.worst
+        yield from _no_gain(judgement)
+    yield "untrusted", _disproved(judgement)
+    gain, held = _gain(judgement)
+    chain, workspace = judgement.worst
     if workspace is None:
         # Exact rows leave no doubt.
         yield "good", f"{gain} on {held}"
@@ -327,68 +327,67 @@ def _rules(grounds: Judgement) -> Iterator[tuple[str, str]]:
     expected = f"over the workspace{chain} {expected}"
     unsure = f"the corrected robot is better where it was measured, but {expected}, "
     unsure += f"better with a probability of only {100.0 * workspace.better:.0f} %; "
-    unsure += _advice(grounds, "measure configurations that differ more")
+    unsure += _advice(judgement, "measure configurations that differ more")
     if better and workspace.better < LIKELY and nominal <= min(bound, usual):
         # As good as robots are, and perhaps no better where it was not measured.
         yield "no-gain", unsure
     if workspace.better >= SURE:
         if better:
-            condition = _if_noise(grounds, calibrated)
+            condition = _if_noise(judgement, calibrated)
             yield "good", f"{gain} on {held}; {expected}{condition}"
         if calibrated < 0.5 * nominal:
             reason = f"{held} do not confirm the correction: {gain}"
             yield "unchecked", f"{reason}; measure more configurations"
     if chance or not better:
-        yield from _no_gain(grounds)
+        yield from _no_gain(judgement)
     yield "untrusted", unsure
 
 
-def _distrust(grounds: Judgement) -> Iterator[str]:
+def _distrust(judgement: Judgement) -> Iterator[str]:
     """The reasons to distrust a fit whatever a check says, empty ones among them."""
-    fitted, status = grounds.fitted, grounds.fitted.result.status
+    fitted, status = judgement.fitted, judgement.fitted.result.status
     advice = KNOWN_LENGTH[bool(fitted.problem.setup.distances)]
-    unknown = unexplained(fitted, grounds.remaining)
-    yield summary(grounds.causes)
+    unknown = unexplained(fitted, judgement.remaining)
+    yield summary(judgement.causes)
     # Errors that nothing explains hide the scale as well.
     yield "" if unknown or fitted.structure.scaled else f"{SCALE}; {advice}"
     yield "" if status.success else status.advice
-    yield summary([f for f in grounds.findings if f.severity == "error"][:1])
-    if grounds.aside > BREAKDOWN:
-        yield (
-            f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
-            f"{100.0 * BREAKDOWN:.0f} % they cannot be told from the others; {CHECK}"
-        )
+    yield summary([f for f in judgement.findings if f.severity == "error"][:1])
+    if judgement.aside > BREAKDOWN:
+        part = f"{100.0 * judgement.aside:.0f} % of the configurations are outliers"
+        most = f"{100.0 * BREAKDOWN:.0f} %"
+        yield f"{part}; beyond {most} they cannot be told from the others; {CHECK}"
     yield f"{unknown}; {CHECK}" if unknown else ""
-    yield _unaccounted(grounds, COARSE)
+    yield _unaccounted(judgement, COARSE)
 
 
-def _unaccounted(grounds: Judgement, coarse: float) -> str:
+def _unaccounted(judgement: Judgement, coarse: float) -> str:
     """Errors left that neither noise nor the robot explains; empty without such.
 
     Args:
-        grounds: What is judged.
+        judgement: What is judged.
         coarse: Errors, by the reach, that noise may leave where nobody knows it.
     """
-    quantities = (q for q in grounds.remaining if q.unit in ("m", "px"))
-    reasons = (_inexplicable(grounds, q, coarse) for q in quantities)
+    quantities = (q for q in judgement.remaining if q.unit in ("m", "px"))
+    reasons = (_inexplicable(judgement, q, coarse) for q in quantities)
     return next(filter(None, reasons), "")
 
 
-def _inexplicable(grounds: Judgement, quantity: QuantityErrors, coarse: float) -> str:
+def _inexplicable(judgement: Judgement, quantity: QuantityErrors, coarse: float) -> str:
     """The same of one quantity."""
     before, after = (sizes.rms for sizes in quantity.shown)
-    noise = _noise(grounds, quantity)
+    noise = _noise(judgement, quantity)
     # Half of the nominal robot's errors may be left.
     if after <= max(0.5 * before, NOISY * (noise or 0.0)):
         return ""
     # Whatever finds the corners of a board finds them well.
     known = noise is not None or quantity.unit == "px"
     part = LARGE if known else coarse
-    if after <= error_limit(grounds.fitted.problem, quantity.unit, part):
+    if after <= error_limit(judgement.fitted.problem, quantity.unit, part):
         return ""
     times = "" if noise is None else f", {after / noise:.2g} times the noise"
     state = "" if known else ", state the 'noise' if the instrument is so coarse"
-    advice = _advice(grounds, f"measure at rest{state}, and {CHECK}")
+    advice = _advice(judgement, f"measure at rest{state}, and {CHECK}")
     first, last = (shown(errors, quantity.unit, 3) for errors in (before, after))
     return (
         f"{quantity.name} errors of {last} rms remain (nominal robot: {first}){times}: "
@@ -396,37 +395,37 @@ def _inexplicable(grounds: Judgement, quantity: QuantityErrors, coarse: float) -
     )
 
 
-def _advice(grounds: Judgement, otherwise: str) -> str:
+def _advice(judgement: Judgement, otherwise: str) -> str:
     """Causes that the model lacks, and how to estimate them, if that is known."""
-    lacks = (f for f in grounds.findings if f.code in LACKS)
+    lacks = (f for f in judgement.findings if f.code in LACKS)
     return next((f"{f.message}; {f.remedy}" for f in lacks), otherwise)
 
 
-def _if_noise(grounds: Judgement, promised: float) -> str:
+def _if_noise(judgement: Judgement, promised: float) -> str:
     """The condition of a claim, where more is left and nobody knows the noise.
 
     Args:
-        grounds: What is judged.
+        judgement: What is judged.
         promised: Error that is claimed to be left [m].
     """
-    quantity = grounds.errors[0]
+    quantity = judgement.errors[0]
     rms = quantity.shown[1].rms
-    unknown = quantity.unit == "m" and _noise(grounds, quantity) is None
+    unknown = quantity.unit == "m" and _noise(judgement, quantity) is None
     if not (unknown and rms > max(promised, DOUBTFUL * expected_size("m"))):
         return ""
     size = shown(rms, "m", 3)
     return f" if the {size} that are left are noise; state it, or repeat measurements"
 
 
-def _noise(grounds: Judgement, quantity: QuantityErrors) -> float | None:
+def _noise(judgement: Judgement, quantity: QuantityErrors) -> float | None:
     """Noise of a quantity as its errors are shown, rms; None where nothing tells it.
 
     That among repetitions, else what is stated.
     """
-    layout = grounds.fitted.problem.layout
+    layout = judgement.fitted.problem.layout
     slices = (q.columns for q in layout.quantities if q.name == quantity.name)
     columns = np.r_[next(slices, slice(0, 0))]
-    pairs = zip(grounds.fitted.noise, layout.of_components, strict=False)
+    pairs = zip(judgement.fitted.noise, layout.of_components, strict=False)
     components = [n for n, k in pairs if np.isin(layout.column[k[:1]], columns).any()]
     if not components or not all(n.stated or n.pure is not None for n in components):
         return None
@@ -435,16 +434,16 @@ def _noise(grounds: Judgement, quantity: QuantityErrors) -> float | None:
     return float(size) or None  # Copies show none.
 
 
-def _unchecked(grounds: Judgement) -> str:
+def _unchecked(judgement: Judgement) -> str:
     """The reason why there is no check; empty where there is one."""
-    fitted, data = grounds.fitted, grounds.fitted.problem.data
+    fitted, data = judgement.fitted, judgement.fitted.problem.data
     values, needed = known_values(fitted.problem), fitted.structure.rank
     known = "values and priors" if len(fitted.problem.further.priors) else "values"
     prior = fitted.problem.setup.prior
     sure = isinstance(prior, JointPrior) and bool(prior.noise)
     sure |= all(noise.as_stated for noise in fitted.noise)
     redundancy = sum(v.redundancy * v.values for v in fitted.noise)
-    held = grounds.gains[0].configurations if grounds.gains else 0
+    held = judgement.gains[0].configurations if judgement.gains else 0
     distinct = data.rows(data.weight > 0.0).configurations
     # Exact rows say by one what noisy ones say by many.
     least = (FEWEST_HELD_OUT, CONFIGURATIONS) if fitted.noise else (1, 1)
@@ -464,18 +463,18 @@ def _unchecked(grounds: Judgement) -> str:
     return ""
 
 
-def _disproved(grounds: Judgement) -> str:
+def _disproved(judgement: Judgement) -> str:
     """The objection of held-out measurements to the fit; empty where there is none."""
     # A quantity says more than all of them together, which have no unit.
-    for gain in sorted(grounds.gains, key=lambda gain: gain.quantity == ALL):
+    for gain in sorted(judgement.gains, key=lambda gain: gain.quantity == ALL):
         if gain.worse < LOSS_CHANCE:
             return (
                 "on held-out measurements the corrected robot is worse than the "
                 f"nominal one: {gain.quantity} errors larger by "
-                f"{_by(grounds, gain, -1.0)}"
+                f"{_by(judgement, gain, -1.0)}"
             )
-    if grounds.misjudged:
-        larger = f"{grounds.gains[0].ratio:.1f} times as large as the fit predicts"
+    if judgement.misjudged:
+        larger = f"{judgement.gains[0].ratio:.1f} times as large as the fit predicts"
         return f"errors on held-out measurements are {larger}"
     return ""
 
@@ -493,41 +492,41 @@ def _as_nominal(fitted: Fit) -> bool:
     return 2.0 * plain.cost(fitted.before) < chi_square_quantile(dof, LOSS_CHANCE)
 
 
-def _no_gain(grounds: Judgement) -> Iterator[tuple[str, str]]:
+def _no_gain(judgement: Judgement) -> Iterator[tuple[str, str]]:
     """`no-gain`, unless more is left than noise and a robot explain."""
-    yield "untrusted", _unaccounted(grounds, LARGE)
+    yield "untrusted", _unaccounted(judgement, LARGE)
     reason = "the measurements show no error of the robot"
-    if grounds.gains:
-        gain, held = _gain(grounds, nothing=True)
-        reason += f"{_if_noise(grounds, 0.0)}: {gain}, on {held}"
-    chain, workspace = grounds.worst
+    if judgement.gains:
+        gain, held = _gain(judgement, nothing=True)
+        reason += f"{_if_noise(judgement, 0.0)}: {gain}, on {held}"
+    chain, workspace = judgement.worst
     if workspace is not None:
         expected = shown(workspace.nominal.position, "m", 3)
         reason += f"; over the workspace{chain} {expected} are expected as it is"
     yield "no-gain", reason
 
 
-def _chance(grounds: Judgement) -> float:
+def _chance(judgement: Judgement) -> float:
     """Probability of so large errors by chance if the robot were as nominal."""
-    fitted, evidence = grounds.fitted, grounds.fitted.evidence
+    fitted, evidence = judgement.fitted, judgement.fitted.evidence
     if evidence is None or evidence.count == 0:
         # Exact rows leave no doubt, but for rounding, if they are checked.
-        gains = [abs(gain.mean) for gain in grounds.gains]
+        gains = [abs(gain.mean) for gain in judgement.gains]
         return float(max(gains, default=np.inf) < 1e-6)
     return f_tail(evidence.square / evidence.count, evidence.count, max(fitted.dof, 1))
 
 
-def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
+def _gain(judgement: Judgement, nothing: bool = False) -> tuple[str, str]:
     """Errors of the first quantity before and after, and where they are of.
 
     Where the test leaves out one configuration each (PRESS), errors of measurements
     that were fitted say nothing, and their mean difference is told.
 
     Args:
-        grounds: What is judged.
+        judgement: What is judged.
         nothing: Whether nothing is gained.
     """
-    gain, quantity = grounds.gains[0], grounds.errors[0]
+    gain, quantity = judgement.gains[0], judgement.errors[0]
     name, (before, after) = quantity.name, quantity.shown
     where = f"{gain.configurations} independent held-out configurations"
     if gain.method == PRESS:
@@ -535,45 +534,45 @@ def _gain(grounds: Judgement, nothing: bool = False) -> tuple[str, str]:
     old, new = (shown(sizes.rms, quantity.unit, 3) for sizes in (before, after))
     held = after is quantity.validation_after
     if gain.method == PRESS or not held:
-        of_first = (g for g in grounds.gains if g.method == gain.method)
-        by = _by(grounds, next((g for g in of_first if g.quantity == name), gain))
+        of_first = (g for g in judgement.gains if g.method == gain.method)
+        by = _by(judgement, next((g for g in of_first if g.quantity == name), gain))
         text = f"{name} errors smaller by {by}"
         if nothing:
             text = f"{name} errors differ by {by} if it is corrected"
-    elif nothing and _certain(grounds, quantity) is not after:
-        text = f"errors differ by {_by(grounds, gain)} if it is corrected"
+    elif nothing and _certain(judgement, quantity) is not after:
+        text = f"errors differ by {_by(judgement, gain)} if it is corrected"
     elif nothing:
         text = f"{name} error {old} rms as it is, {new} corrected"
     else:
         text = f"{name} error {new} rms instead of {old}"
     if not nothing and held and gain.mean > 0.0 and after.rms > before.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
-        text = f"errors smaller by {_by(grounds, gain)}"
-    noisy = (_by_noise(grounds, quantity) for quantity in grounds.errors)
+        text = f"errors smaller by {_by(judgement, gain)}"
+    noisy = (_by_noise(judgement, quantity) for quantity in judgement.errors)
     if times := "; ".join(filter(None, noisy)):
         where += f" ({times})"
     return text, where
 
 
-def _certain(grounds: Judgement, quantity: QuantityErrors) -> Accuracy:
+def _certain(judgement: Judgement, quantity: QuantityErrors) -> Accuracy:
     """The errors that are shown, but for those that too few others predict."""
     after = quantity.shown[1]
-    far = after.rms > NOISY * quantity.after.rms and not grounds.misjudged
+    far = after.rms > NOISY * quantity.after.rms and not judgement.misjudged
     return quantity.after if far else after
 
 
-def _by_noise(grounds: Judgement, quantity: QuantityErrors) -> str:
+def _by_noise(judgement: Judgement, quantity: QuantityErrors) -> str:
     """Errors by their noise, in words; empty where they are no more than that."""
-    noise, rms = _noise(grounds, quantity), _certain(grounds, quantity).rms
+    noise, rms = _noise(judgement, quantity), _certain(judgement, quantity).rms
     if not noise or rms < NOISY * noise:
         return ""
-    name = f"{quantity.name} " * (quantity is not grounds.errors[0])
+    name = f"{quantity.name} " * (quantity is not judgement.errors[0])
     times = f"{name}{rms / noise:.2g} times the noise"
     return f"{times}, {shown(noise, quantity.unit, 3)}"
 
 
-def _by(grounds: Judgement, gain: Gain, sign: float = 1.0) -> str:
+def _by(judgement: Judgement, gain: Gain, sign: float = 1.0) -> str:
     """A gain with its standard error, or a loss, in the unit of its quantity."""
-    units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
+    units = {quantity.name: DISPLAY[quantity.unit] for quantity in judgement.errors}
     unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))
     return f"{sign * factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"

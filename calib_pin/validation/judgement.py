@@ -103,6 +103,9 @@ UNCERTAIN = 1.4
 region leaves open is a few directions, and half of the true errors are farther from
 what is expected."""
 
+PRINTED = 0.001
+"""Part of the size of a board whose cost the verdict tells; calipers are as good."""
+
 SURE = 0.9
 """Probability that the corrected robot is better over the workspace for `good`.
 
@@ -333,7 +336,7 @@ def _rules(judgement: Judgement) -> Iterator[tuple[str, str]]:
         yield "no-gain", unsure
     if workspace.better >= SURE:
         if better:
-            condition = _if_noise(judgement, calibrated)
+            condition = _if_noise(judgement, calibrated) + _if_board(judgement)
             yield "good", f"{gain} on {held}; {expected}{condition}"
         if calibrated < 0.5 * nominal:
             reason = f"{held} do not confirm the correction: {gain}"
@@ -415,6 +418,23 @@ def _if_noise(judgement: Judgement, promised: float) -> str:
         return ""
     size = shown(rms, "m", 3)
     return f" if the {size} that are left are noise; state it, or repeat measurements"
+
+
+def _if_board(judgement: Judgement) -> str:
+    """What a wrong size of the board adds to a claim that it alone gives the scale.
+
+    The errors of a small robot hide a board that was printed a percent too large.
+    """
+    problem = judgement.fitted.problem
+    tips = [accuracy.tip for accuracy in judgement.accuracies.values()]
+    robot = [p for p in problem.parameters if p.free and not p.nuisance]
+    rest = problem.data.models != ("camera",) or problem.setup.distances
+    if rest or not any(p.unit == "m" for p in robot):
+        return ""
+    points = [tip.points for tip in tips if tip is not None]
+    spread = max((float(np.linalg.norm(np.std(p, axis=0))) for p in points), default=0)
+    size = shown(PRINTED * spread, "m", 2)
+    return f"; {100.0 * PRINTED:g} % of error in the size of the board is up to {size}"
 
 
 def _noise(judgement: Judgement, quantity: QuantityErrors) -> float | None:

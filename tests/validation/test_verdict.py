@@ -259,3 +259,25 @@ def test_the_worst_chain_is_named() -> None:
     assert found.worst == (" of the chain 'right'", unsure.workspace)
     alone = replace(found, accuracies={"": sure})
     assert alone.worst == ("", sure.workspace)
+
+
+def test_a_promise_of_images_tells_what_a_wrong_board_costs(unsought) -> None:
+    """A board that is too large leaves the same errors, and a robot that is larger."""
+    job = tracked(2, model="camera", least=100, noise=0.05, multiple=3.0)
+    rows = job.measured(stream(2, 1))
+    promise = calib_pin.calibrate(job.chain, rows, job.setup)
+    assert promise.verdict == "good", promise.reason
+    told, _, size = promise.reason.partition("; 0.1 % of error in the size of the ")
+    number, unit = size.split()[-2:]
+    assert told and unit == "mm"
+    larger = {
+        n: replace(p, xyz=tuple(1.001 * np.array(p.xyz)))
+        for n, p in job.setup.targets.items()
+    }
+    other = calib_pin.calibrate(job.chain, rows, replace(job.setup, targets=larger))
+    q = job.chain.random_configurations(100, stream(2, 2))
+    tools = [r.model.of().poses(q)[:, :3, 3] for r in (promise, other)]
+    moved = np.std(tools[0] - tools[1], axis=0)
+    assert 0.5 < np.linalg.norm(moved) / (1e-3 * float(number)) < 1.05
+    offsets = replace(job.setup, parameters=("joint-offset",))
+    assert "of the board" not in calib_pin.calibrate(job.chain, rows, offsets).reason

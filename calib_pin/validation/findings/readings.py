@@ -24,6 +24,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats, from_quaternion, to_quaternion
 from calib_pin.measurement_models import declared
+from calib_pin.measurement_models.camera_start import pose_of_points
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
 from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.measurement_models.readings import (
@@ -44,6 +45,7 @@ from calib_pin.observations import (
     Booleans,
     Frame,
     Indices,
+    Labels,
     Measurements,
     Observations,
     apart,
@@ -624,6 +626,8 @@ def target_names(case: Case) -> Iterator[Alternative]:
     names, board = case.data.target.distinct, case.setup.board
     if board is not None and board.type in TAGS:
         yield from _corners_of_tags(names)
+    if board is not None and board.type in ("chessboard", "circles"):
+        yield from _half_turned(case, np.array([p.xyz for p in board.points.values()]))
     if board is not None and "0" not in names and all(map(str.isdigit, names)):
         words = "the numbers of the targets begin with 1, and those of the board with 0"
         change = partial(_renamed, names={name: str(int(name) - 1) for name in names})
@@ -647,6 +651,60 @@ def _corners_of_tags(names: Iterable[str]) -> Iterator[Alternative]:
         change = partial(_renamed, names=renamed)
         fault = Alternative("targets-exchanged", words, "target", change=change)
         yield replace(fault, advice="name them so")
+
+
+def _half_turned(case: Case, board: Floats) -> Iterator[Alternative]:
+    """Points of a board, (J, 3), that some images count from its other end."""
+    data, last = case.data, len(board) - 1
+    corners = {str(k): str(last - k) for k in range(len(board))}
+    known = corners.keys() >= {*data.target.distinct}
+    if len(data.blocks) != 1 or len(data) > NEIGHBORS or not known:
+        return
+
+    def upright(data: Observations) -> Observations:
+        (block,), turned = data.blocks, _turned_images(case, data, board)
+        pairs = zip(block.target, turned.tolist(), strict=True)
+        names = [corners[name] if other else name for name, other in pairs]
+        return Observations((replace(block, target=Labels.of(names)),))
+
+    rows = np.flatnonzero(_turned_images(case, data, board))
+    first = np.sort(rows[np.unique(data.groups()[rows], return_index=True)[1]]).tolist()
+    words = f"the board looks the same turned by half a turn, as {len(first)} of "
+    words += f"{data.configurations} images show it"
+    where = enumerated(places_of(data, first))
+    advice = f"count the corners of the images at lines {where} from the other end, or "
+    advice += "take a board that looks different turned"
+    if first:
+        fault = Alternative("targets-exchanged", words, "target", change=upright)
+        yield replace(fault, gross=True, advice=advice)
+
+
+def _turned_images(case: Case, data: Observations, board: Floats) -> Booleans:
+    """The rows of images of a board, (J, 3), that the robot says are turned, (N,).
+
+    Between two images camera and board turn by the angle of the robot, wherever both
+    are fixed. Which images belong together is the first eigenvector of how much better
+    these angles agree (Singer, "Angular synchronization", 2011).
+    """
+    (block,), images, term = data.blocks, data.groups(), case.fit.problem.only
+    rays = Camera.from_setup(case.setup).rays(block.values)
+    points = board[np.array([*map(int, block.target)])]
+    seen = {g: images == g for g in np.unique(images).tolist()}
+    poses = {g: pose_of_points(points[k], rays[k]) for g, k in seen.items()}
+    found = {g: T[:3, :3] for g, T in poses.items() if T is not None}
+    if len(found) < FEWEST:
+        return np.zeros(len(data), bool)
+    q = np.array([block.q[seen[g]][0, term.columns] for g in found])
+    robot = term.error.chain.poses(q)[:, :3, :3].reshape(-1, 9)
+    R = np.array([*found.values()])
+    of_board, turned = R.reshape(-1, 9), (R * [-1.0, -1.0, 1.0]).reshape(-1, 9)
+    pairs = (robot, robot), (of_board, of_board), (turned, of_board)
+    cosines = [np.clip((one @ two.T - 1.0) / 2.0, -1.0, 1.0) for one, two in pairs]
+    by_robot, plain, other = map(np.arccos, cosines)
+    agree = np.abs(other - by_robot) - np.abs(plain - by_robot)
+    along = np.linalg.eigh(agree)[1][:, -1]
+    few = np.array([*found])[along * along.sum() < 0.0]
+    return np.asarray(np.isin(images, few))
 
 
 def _renamed(data: Observations, names: Mapping[str, str]) -> Observations:

@@ -43,6 +43,7 @@ from calib_pin.validation.findings.alternatives import (
     Family,
     explain,
     findings_of,
+    read_with,
 )
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.readings import (
@@ -253,6 +254,25 @@ def test_corners_of_tags_that_are_counted_counterclockwise() -> None:
     found = explain(Case.of_none(chains, rows, setup), (target_names,))
     assert found is not None and found.after < 0.2 * found.before
     assert "not counted clockwise" in found.faults[0].words
+
+
+@pytest.mark.parametrize(
+    ("mount", "away", "square"), [("world", 4.0, 0.2), ("hand", 1.8, 0.05)]
+)
+def test_images_of_a_board_that_looks_the_same_turned(mount, away, square) -> None:
+    """As it is found where the camera rolls; up to a third would be outliers."""
+    board = BoardSetup("chessboard", 5, 3, square)
+    chains, rows, setup = imaged(mount, away, board.points)
+    turned = np.arange(len(rows)) // 8 * 7 % 10 < 4
+    pairs = zip(rows.target, turned.tolist(), strict=True)
+    named = tuple(str(7 - int(name)) if other else name for name, other in pairs)
+    wrong = Observations.of(replace(rows.only, target=named))
+    case = Case.of_none(chains, wrong, replace(setup, targets={}, board=board))
+    found = explain(case, (target_names,))
+    assert found is not None
+    (fault,) = found.faults
+    assert read_with(wrong, [fault]).target == rows.target
+    assert "as 12 of 30 images" in fault.words and "the other end" in fault.advice
 
 
 def of_camera(

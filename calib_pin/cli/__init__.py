@@ -42,9 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from typer.exceptions import TyperException
 
     from calib_pin.cli.application import application
-    from calib_pin.cli.printing import complaint, taken_notices, tell_notices
+    from calib_pin.cli.printing import complaint, pop_notices, tell_notices
 
-    taken_notices()
+    pop_notices()
     given = list(sys.argv[1:] if arguments is None else arguments)
     words = [word for word in given if word != "--debug"]
     try:

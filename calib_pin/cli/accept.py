@@ -47,7 +47,7 @@ def accept(asked: Accept) -> int:
     with printing.progress_bar(quiet=asked.quiet) as bar:
         measured, rows = files.open_rows(asked, rows_in, chains, used, bar=bar)
         with stated_in(str(rows_in[0])):
-            found = acceptance.tested(
+            outcome = acceptance.tested(
                 calibrated or measured,
                 rows,
                 used,
@@ -57,16 +57,16 @@ def accept(asked: Accept) -> int:
             )
     for doubt in doubts:
         printing.notice(doubt)
-    tests = found.tests
-    blocks = [*acceptance_text.acceptance_report(tests, limit, found.about)]
+    tests = outcome.tests
+    blocks = [*acceptance_text.acceptance_report(tests, limit, outcome.about)]
     contents = {}
     if made:
         figure = next(figures.drawn("acceptance", tests, limit))
-        about = dated(entries), found.about
+        about = dated(entries), outcome.about
         cover = acceptance_cover(tests, limit, chains.robot, *about, figure=figure)
         data = (
             json_text.encode(acceptance_document(tests, limit)),
-            measurements.encode_table(found.table(), [found.about]),
+            measurements.encode_table(outcome.table(), [outcome.about]),
             html.acceptance_page(cover, blocks),
             *(pdf_report(cover, blocks) for _ in made[3:]),
         )
@@ -94,17 +94,17 @@ def _named(
             for line, name in zip(table.lines.tolist(), labels, strict=True):
                 if name:
                     texts[column][table.file, line] = name
-    found = {}
+    numbering = {}
     for column, given in texts.items():
         parts = {name: NUMBERED.fullmatch(name) for name in given.values()}
         words = {part and part[1].strip().casefold() for part in parts.values()}
         numbers = {name: int(part[2]) for name, part in parts.items() if part}
         if None in words or len(words) > 1:
             numbers = {name: number for number, name in enumerate(parts, 1)}
-            told = (f"{number} is '{name}'" for name, number in numbers.items())
-            printing.notice(f"{column} {enumerated(told)}")
-        found[column] = {place: numbers[name] for place, name in given.items()}
-    return found
+            pairs = (f"{number} is '{name}'" for name, number in numbers.items())
+            printing.notice(f"{column} {enumerated(pairs)}")
+        numbering[column] = {place: numbers[name] for place, name in given.items()}
+    return numbering
 
 
 def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> Json:

@@ -31,9 +31,9 @@ def app(asked: App) -> int:
 
     def page(client: Any, tab: str) -> Callable[[], None]:
         if tab not in jobs:
-            own, to = Path(folder, str(len(jobs))), f"/{tab}/{{}}?token={window.token}"
-            own.mkdir()
-            jobs[tab] = Job(own, start, to, worker.submit)
+            home, to = Path(folder, str(len(jobs))), f"/{tab}/{{}}?token={window.token}"
+            home.mkdir()
+            jobs[tab] = Job(home, start, to, worker.submit)
         return Page(client, client.camera, jobs[tab].sections).tick
 
     # One worker: jobs share remarks, the working folder and the processors.

@@ -65,13 +65,13 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Words like `name:=value`, wherever they stand, belong to the robot."""
         parts = ((word, *word.partition(":=")) for word in args)
-        own = [word for word, name, mark, _ in parts if mark and name.isidentifier()]
-        rest = super().parse_args(ctx, [word for word in args if word not in own])
-        if own and "robot" not in ctx.params:
-            reason = f"{own[0]} is an argument of a robot, and this command takes none"
-            raise OptionError(reason)
-        if own:
-            ctx.params["robot"] = " ".join([ctx.params["robot"], *own])
+        xacro = [word for word, name, mark, _ in parts if mark and name.isidentifier()]
+        rest = super().parse_args(ctx, [word for word in args if word not in xacro])
+        if xacro and "robot" not in ctx.params:
+            reason = "is an argument of a robot, and this command takes none"
+            raise OptionError(f"{xacro[0]} {reason}")
+        if xacro:
+            ctx.params["robot"] = " ".join([ctx.params["robot"], *xacro])
         return rest
 
     def format_options(self, ctx: Any, formatter: Any) -> None:

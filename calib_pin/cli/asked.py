@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 import calib_pin.cli.options as options
-from calib_pin.cli.options import SEED, Request, Told, known
+from calib_pin.cli.options import SEED, Request, Spec, known
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,10 +33,10 @@ class Init(options.Answer, options.OfStations):
         board: Board of a camera, as for 'detect'.
     """
 
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
-    output: Annotated[Path | None, Told("YAML", "Output")] = None
-    distance: Annotated[str | None, Told("LENGTH", "Robot")] = None
-    board: Annotated[str | None, Told("SPEC", "Robot")] = None
+    measurements: Annotated[list[Path], Spec("MEASUREMENTS...", "")]
+    output: Annotated[Path | None, Spec("YAML", "Output")] = None
+    distance: Annotated[str | None, Spec("LENGTH", "Robot")] = None
+    board: Annotated[str | None, Spec("SPEC", "Robot")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ class Calibrate(
         output: Folder for the results; without it they are only printed.
     """
 
-    output: Annotated[Path | None, options.Told("DIR", "Output")] = None
+    output: Annotated[Path | None, options.Spec("DIR", "Output")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,14 +88,14 @@ class Watch(options.QuietAnswer, options.Shown, Request):
         once: Look once, and end without a result.
     """
 
-    output: Annotated[Path | None, Told("DIR", "Output")] = None
-    plan: Annotated[Path | None, Told("CSV", "Watch")] = None
-    type: Annotated[bool, Told("", "Watch", needs="plan", excludes=("json",))] = False
-    board: Annotated[str | None, Told("SPEC", "Watch")] = None
-    joints: Annotated[Path | None, Told("CSV", "Watch", needs="board")] = None
-    limit: Annotated[float | None, Told("S", "Watch", (1e-6, 1))] = None
-    srdf: Annotated[Path | None, Told("FILE", "Watch")] = None
-    once: Annotated[bool, Told("", "Watch", excludes=("output", "type"))] = False
+    output: Annotated[Path | None, Spec("DIR", "Output")] = None
+    plan: Annotated[Path | None, Spec("CSV", "Watch")] = None
+    type: Annotated[bool, Spec("", "Watch", needs="plan", excludes=("json",))] = False
+    board: Annotated[str | None, Spec("SPEC", "Watch")] = None
+    joints: Annotated[Path | None, Spec("CSV", "Watch", needs="board")] = None
+    limit: Annotated[float | None, Spec("S", "Watch", (1e-6, 1))] = None
+    srdf: Annotated[Path | None, Spec("FILE", "Watch")] = None
+    once: Annotated[bool, Spec("", "Watch", excludes=("output", "type"))] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,8 +113,8 @@ class Identify(
         seed: Random seed.
     """
 
-    measurements: Annotated[list[Path] | None, Told("[MEASUREMENTS...]", "")] = None
-    seed: Annotated[int, Told("N", parse=SEED)] = 0
+    measurements: Annotated[list[Path] | None, Spec("[MEASUREMENTS...]", "")] = None
+    seed: Annotated[int, Spec("N", parse=SEED)] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,8 +133,8 @@ class Evaluate(
             measurements.
     """
 
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
-    register: Annotated[bool, Told()] = False
+    measurements: Annotated[list[Path], Spec("MEASUREMENTS...", "")]
+    register: Annotated[bool, Spec()] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,9 +157,9 @@ class Accept(options.QuietAnswer, options.OfCalibration):
         register: Fit the station of a calibration anew, never its tool.
     """
 
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
-    output: Annotated[Path | None, Told("DIR", "Output")] = None
-    register: Annotated[bool, Told("", "Robot")] = False
+    measurements: Annotated[list[Path], Spec("MEASUREMENTS...", "")]
+    output: Annotated[Path | None, Spec("DIR", "Output")] = None
+    register: Annotated[bool, Spec("", "Robot")] = False
 
 
 MANY = (1, 1e6)
@@ -188,14 +188,14 @@ class Simulate(options.Answer, options.OfParameters):
         truth: Write the robot with its true errors.
     """
 
-    output: Annotated[Path, Told("CSV", "Output")]
-    count: Annotated[int | None, Told("N", "Simulation", MANY)] = None
-    configurations: Annotated[Path | None, Told("CSV", "Simulation")] = None
-    errors: Annotated[Path | None, Told("YAML", "Simulation")] = None
-    seed: Annotated[int, Told("N", "Simulation", SEED)] = 0
-    noise: Annotated[float | None, Told("S", "Simulation", (0, 1))] = None
-    repeats: Annotated[int, Told("K", "Simulation", MANY)] = 1
-    truth: Annotated[Path | None, Told("URDF", "Output")] = None
+    output: Annotated[Path, Spec("CSV", "Output")]
+    count: Annotated[int | None, Spec("N", "Simulation", MANY)] = None
+    configurations: Annotated[Path | None, Spec("CSV", "Simulation")] = None
+    errors: Annotated[Path | None, Spec("YAML", "Simulation")] = None
+    seed: Annotated[int, Spec("N", "Simulation", SEED)] = 0
+    noise: Annotated[float | None, Spec("S", "Simulation", (0, 1))] = None
+    repeats: Annotated[int, Spec("K", "Simulation", MANY)] = 1
+    truth: Annotated[Path | None, Spec("URDF", "Output")] = None
 
 
 MOUNT = known("mount", "", "hand", "world")
@@ -234,15 +234,15 @@ class Detect(options.QuietAnswer):
         draw: Write the board to print (charuco and tags) at its size; no images then.
     """
 
-    images: Annotated[list[Path] | None, Told("IMAGES...", "")] = None
-    output: Annotated[Path | None, Told("CSV", "Output")] = None
-    board: Annotated[str | None, Told("SPEC", "Images", excludes=("setup",))] = None
-    setup: Annotated[Path | None, Told("FILE", "Images")] = None
-    joints: Annotated[Path | None, Told("CSV", "Images")] = None
-    times: Annotated[Path | None, Told("CSV", "Images", needs="joints")] = None
-    mount: Annotated[str, Told("WHERE", "Images", MOUNT)] = "hand"
-    setup_output: Annotated[Path | None, Told("FILE", "Output")] = None
-    draw: Annotated[Path | None, Told("PNG", "Output", excludes=IMAGED)] = None
+    images: Annotated[list[Path] | None, Spec("IMAGES...", "")] = None
+    output: Annotated[Path | None, Spec("CSV", "Output")] = None
+    board: Annotated[str | None, Spec("SPEC", "Images", excludes=("setup",))] = None
+    setup: Annotated[Path | None, Spec("FILE", "Images")] = None
+    joints: Annotated[Path | None, Spec("CSV", "Images")] = None
+    times: Annotated[Path | None, Spec("CSV", "Images", needs="joints")] = None
+    mount: Annotated[str, Spec("WHERE", "Images", MOUNT)] = "hand"
+    setup_output: Annotated[Path | None, Spec("FILE", "Output")] = None
+    draw: Annotated[Path | None, Spec("PNG", "Output", excludes=IMAGED)] = None
 
 
 SECONDS = (1e-3, 60)
@@ -273,15 +273,15 @@ class Join(options.QuietAnswer):
         keep: Keep every reading, instead of one mean for each standstill.
     """
 
-    log: Annotated[Path, Told("JOINTS", "")]
-    measurements: Annotated[Path, Told("MEASUREMENTS", "")]
-    output: Annotated[Path, Told("CSV", "Output")]
-    setup: Annotated[Path | None, Told("FILE", "Logs")] = None
-    settle: Annotated[float, Told("S", "Logs", SECONDS)] = 0.5
-    tolerance: Annotated[float, Told("S", "Logs", SECONDS)] = 0.5
-    topic: Annotated[str | None, Told("NAME", "Logs")] = None
-    joint_topic: Annotated[str | None, Told("NAME", "Logs")] = None
-    keep: Annotated[bool, Told("", "Logs")] = False
+    log: Annotated[Path, Spec("JOINTS", "")]
+    measurements: Annotated[Path, Spec("MEASUREMENTS", "")]
+    output: Annotated[Path, Spec("CSV", "Output")]
+    setup: Annotated[Path | None, Spec("FILE", "Logs")] = None
+    settle: Annotated[float, Spec("S", "Logs", SECONDS)] = 0.5
+    tolerance: Annotated[float, Spec("S", "Logs", SECONDS)] = 0.5
+    topic: Annotated[str | None, Spec("NAME", "Logs")] = None
+    joint_topic: Annotated[str | None, Spec("NAME", "Logs")] = None
+    keep: Annotated[bool, Spec("", "Logs")] = False
 
 
 CRITERION = known("criterion", "planning.plan:CRITERION_NAMES")
@@ -331,21 +331,21 @@ class Plan(
         output: File of configurations to write.
     """
 
-    count: Annotated[int | None, Told("N", "Plan", (1, 1000))] = None
-    add: Annotated[bool, Told("", "Plan", needs="to")] = False
-    to: Annotated[list[Path] | None, Told("CSV", "Plan", needs="add")] = None
-    criterion: Annotated[str, Told("NAME", "Plan", CRITERION)] = "prediction"
-    method: Annotated[str, Told("NAME", "Plan", METHOD)] = "auto"
-    candidates: Annotated[int, Told("N", "Plan", (1, 1e5))] = 1000
-    seed: Annotated[int, Told("N", "Plan", SEED)] = 0
-    start: Annotated[Path | None, Told("CALIBRATION", "Plan")] = None
-    tests: Annotated[Path | None, Told("CSV", "Plan")] = None
-    accept: Annotated[bool, Told("", "Plan", excludes=SELECTED)] = False
-    cycles: Annotated[int, Told("N", "Plan", (3, 1000), needs="accept")] = 30
-    srdf: Annotated[Path | None, Told("FILE", "Constraints")] = None
-    clearance: Annotated[float, Told("S", "Constraints", (0, 1))] = 0.01
-    ignore_collisions: Annotated[bool, Told("", "Constraints", excludes=SOLID)] = False
-    output: Annotated[Path, Told("CSV", "Output")]
+    count: Annotated[int | None, Spec("N", "Plan", (1, 1000))] = None
+    add: Annotated[bool, Spec("", "Plan", needs="to")] = False
+    to: Annotated[list[Path] | None, Spec("CSV", "Plan", needs="add")] = None
+    criterion: Annotated[str, Spec("NAME", "Plan", CRITERION)] = "prediction"
+    method: Annotated[str, Spec("NAME", "Plan", METHOD)] = "auto"
+    candidates: Annotated[int, Spec("N", "Plan", (1, 1e5))] = 1000
+    seed: Annotated[int, Spec("N", "Plan", SEED)] = 0
+    start: Annotated[Path | None, Spec("CALIBRATION", "Plan")] = None
+    tests: Annotated[Path | None, Spec("CSV", "Plan")] = None
+    accept: Annotated[bool, Spec("", "Plan", excludes=SELECTED)] = False
+    cycles: Annotated[int, Spec("N", "Plan", (3, 1000), needs="accept")] = 30
+    srdf: Annotated[Path | None, Spec("FILE", "Constraints")] = None
+    clearance: Annotated[float, Spec("S", "Constraints", (0, 1))] = 0.01
+    ignore_collisions: Annotated[bool, Spec("", "Constraints", excludes=SOLID)] = False
+    output: Annotated[Path, Spec("CSV", "Output")]
 
 
 FRAMES, POINTS = ("measuring", "base"), ("tool", "tip")
@@ -387,18 +387,18 @@ class Compensate(options.QuietAnswer, options.InDegrees, options.OfChain):
             programs (default 0.25, or the file's own times), in CSV a column 'time'.
     """
 
-    calibration: Annotated[Path, Told("calibration.json", "")]
-    targets: Annotated[Path, Told("TARGETS", "")]
-    output: Annotated[Path, Told("CSV", "Output")]
-    setup: Annotated[Path | None, Told("FILE", "Robot")] = None
-    frame: Annotated[str | None, Told("NAME", "Targets", FRAME)] = None
-    point: Annotated[str | None, Told("NAME", "Targets", POINT)] = None
-    payload: Annotated[str | None, Told("NAME", "Targets")] = None
-    station: Annotated[str | None, Told("NAME", "Targets")] = None
-    tool: Annotated[str | None, Told("NAME", "Targets")] = None
-    position: Annotated[bool, Told("", "Targets")] = False
-    format: Annotated[str, Told("NAME", "Output", PROGRAM)] = "csv"
-    speed: Annotated[float | None, Told("PART", "Output", (1e-3, 1))] = None
+    calibration: Annotated[Path, Spec("calibration.json", "")]
+    targets: Annotated[Path, Spec("TARGETS", "")]
+    output: Annotated[Path, Spec("CSV", "Output")]
+    setup: Annotated[Path | None, Spec("FILE", "Robot")] = None
+    frame: Annotated[str | None, Spec("NAME", "Targets", FRAME)] = None
+    point: Annotated[str | None, Spec("NAME", "Targets", POINT)] = None
+    payload: Annotated[str | None, Spec("NAME", "Targets")] = None
+    station: Annotated[str | None, Spec("NAME", "Targets")] = None
+    tool: Annotated[str | None, Spec("NAME", "Targets")] = None
+    position: Annotated[bool, Spec("", "Targets")] = False
+    format: Annotated[str, Spec("NAME", "Output", PROGRAM)] = "csv"
+    speed: Annotated[float | None, Spec("PART", "Output", (1e-3, 1))] = None
 
 
 FORMAT = known("format", "io.exchange:FORMATS")
@@ -419,10 +419,10 @@ class Export(options.QuietAnswer, options.OfChain):
             ur-kinematics, xarm-kinematics and lerobot, possible for ros2-control.
     """
 
-    calibration: Annotated[Path, Told("DIR|CALIBRATION", "")]
-    format: Annotated[str, Told("NAME", "Output", FORMAT)]
-    output: Annotated[Path, Told("FILE", "Output")]
-    template: Annotated[Path | None, Told("FILE", "Output")] = None
+    calibration: Annotated[Path, Spec("DIR|CALIBRATION", "")]
+    format: Annotated[str, Spec("NAME", "Output", FORMAT)]
+    output: Annotated[Path, Spec("FILE", "Output")]
+    template: Annotated[Path | None, Spec("FILE", "Output")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -446,14 +446,14 @@ class Fleet(options.QuietAnswer, options.Shared):
         no_pages: No report.html in the folders; 'calib-pin report' writes it later.
     """
 
-    table: Annotated[Path | None, Told("JOBS", "")] = None
+    table: Annotated[Path | None, Spec("JOBS", "")] = None
     monte_carlo: Annotated[
-        Path | None, Told("SETUP", "Study", excludes=("table", "no_pages"))
+        Path | None, Spec("SETUP", "Study", excludes=("table", "no_pages"))
     ] = None
-    seed: Annotated[int, Told("N", "Study", SEED, needs="monte_carlo")] = 0
-    output: Annotated[Path, Told("DIR", "Output")]
-    resume: Annotated[bool, Told("", "Output")] = False
-    no_pages: Annotated[bool, Told("", "Output")] = False
+    seed: Annotated[int, Spec("N", "Study", SEED, needs="monte_carlo")] = 0
+    output: Annotated[Path, Spec("DIR", "Output")]
+    resume: Annotated[bool, Spec("", "Output")] = False
+    no_pages: Annotated[bool, Spec("", "Output")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -472,9 +472,9 @@ class Compare:
         seed: Random seed of the configurations that are compared.
     """
 
-    first: Annotated[Path, Told("A.json", "")]
-    second: Annotated[Path, Told("B.json", "")]
-    seed: Annotated[int, Told("N", "Workspace", SEED)] = 0
+    first: Annotated[Path, Spec("A.json", "")]
+    second: Annotated[Path, Spec("B.json", "")]
+    seed: Annotated[int, Spec("N", "Workspace", SEED)] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -494,9 +494,9 @@ class Report(options.QuietAnswer, options.Pictured, options.OfPackages):
         pdf: Write a PDF for a customer as well.
     """
 
-    calibration: Annotated[Path, Told("DIR|CALIBRATION", "")]
-    output: Annotated[Path | None, Told("PAGE", "Output")] = None
-    pdf: Annotated[Path | None, Told("FILE", "Output")] = None
+    calibration: Annotated[Path, Spec("DIR|CALIBRATION", "")]
+    output: Annotated[Path | None, Spec("PAGE", "Output")] = None
+    pdf: Annotated[Path | None, Spec("FILE", "Output")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -507,7 +507,7 @@ class Windowed:
         port: Port on this machine; 0 for any free port.
     """
 
-    port: Annotated[int, Told("N", "Window", (0, 65535))] = 8080
+    port: Annotated[int, Spec("N", "Window", (0, 65535))] = 8080
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -524,8 +524,8 @@ class View(Windowed, options.OfStations, options.OfChain, options.OfCalibration)
         plan: Configurations to go through.
     """
 
-    measurements: Annotated[list[Path] | None, Told("[MEASUREMENTS...]", "")] = None
-    plan: Annotated[Path | None, Told("CSV", "Window")] = None
+    measurements: Annotated[list[Path] | None, Spec("[MEASUREMENTS...]", "")] = None
+    plan: Annotated[Path | None, Spec("CSV", "Window")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -551,8 +551,8 @@ class Robots(options.Answer):
         output: Folder for its URDF and example files.
     """
 
-    name: Annotated[str | None, Told("[NAME]", "")] = None
-    output: Annotated[Path | None, Told("DIR", "Output")] = None
+    name: Annotated[str | None, Spec("[NAME]", "")] = None
+    output: Annotated[Path | None, Spec("DIR", "Output")] = None
 
 
 COMMANDS: Mapping[str, type] = {

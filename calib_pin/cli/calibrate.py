@@ -36,38 +36,38 @@ def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
     """Do what `Calibrate` asks for."""
     pictures, folder = results.figure_files(asked), asked.output
     with printing.progress_bar(quiet=asked.quiet) as bar:
-        given = opened(asked, folder, pictures, force=asked.force, bar=bar)
+        inputs = open_inputs(asked, folder, pictures, force=asked.force, bar=bar)
         with options.asked_workers(asked.workers, asked.cluster) as several:
             words = ("calib-pin", *words)
-            result, contents = calibrated(given, words, bar=bar, workers=several)
+            result, contents = calibrated(inputs, words, bar=bar, workers=several)
     if folder is None:
         writing = write_files(contents, force=asked.force)
     else:
         writing = results.write_results(result, folder, contents, force=asked.force)
-    told = not (asked.quiet or asked.json)
+    verbose = not (asked.quiet or asked.json)
     # Nothing is written if nothing can be said, as to a full disk.
     with writing:
         if asked.json:
             written = None if folder is None else contents[folder / DOCUMENT]
             document = written or encode(calibration_document(result))
             printing.say(document.decode())
-        elif told:
+        elif verbose:
             report = [*text.report(result, details=asked.details)]
             if not asked.details:
                 more = f"{folder / REPORT}, or --details" if folder else "--details"
                 report.append(blocks.Line(f"Statistics and all parameters: {more}"))
             printing.show(report)
-    if told:
+    if verbose:
         robot = result.model.chains.robot
         files = [] if folder is None else results.result_files(folder, robot)
         wrote = [f"wrote {path}" for path in files if path in contents]
-        wrote += results.told_figures(contents, pictures)
+        wrote += results.figure_notes(contents, pictures)
         printing.say_written(wrote)
-    return asked.ended(result.verdict, result.reason, told=told)
+    return asked.ended(result.verdict, result.reason, reported=verbose)
 
 
 @dataclass(frozen=True)
-class Opened:
+class Inputs:
     """The input of a calibration, read and checked.
 
     Attributes:
@@ -91,14 +91,14 @@ class Opened:
     older: CalibrationResult | None
 
 
-def opened(
+def open_inputs(
     request: options.Request,
     output: Path | None,
     pictures: Sequence[Path] = (),
     *,
     force: bool = False,
     bar: printing.Bar | None = None,
-) -> Opened:
+) -> Inputs:
     """Read the input of a calibration, and check where its results would go.
 
     Raises:
@@ -107,19 +107,19 @@ def opened(
     """
     rows_in = request.measurements
     further = [] if request.validation is None else [request.validation]
-    older, stated = files_of.open_older(
-        request.start, files_of.stated_setup(request), used=[*rows_in, *further]
+    older, setup = files_of.open_older(
+        request.start, files_of.setup_for(request), used=[*rows_in, *further]
     )
-    chains = files_of.open_chains(request, stated)
+    chains = files_of.open_chains(request, setup)
     # None of them may be written.
     started = [] if request.start is None else [document_file(request.start)]
     inputs = [request.robot, request.setup, *started, *rows_in, *further]
     results.check_results(output, pictures, chains.robot, inputs, force)
     files_of.require_distinct([*rows_in, *further])
-    chains, rows = files_of.open_rows(request, rows_in, chains, stated, bar=bar)
+    chains, rows = files_of.open_rows(request, rows_in, chains, setup, bar=bar)
     unseen = None
     if further:
-        same = replace(stated, model="+".join(rows.models))
+        same = replace(setup, model="+".join(rows.models))
         sockets = map(place_of, rows.target.distinct)
         _, unseen = files_of.open_rows(
             request, further, chains, same, quiet=True, sockets=sockets
@@ -128,11 +128,11 @@ def opened(
         option = "--validation" if further else "--holdout"
         reason = "the measurements that 'set' marks for validation are not used with"
         printing.notice(f"{reason} {option}")
-    return Opened(request, stated, chains, rows, unseen, output, pictures, older)
+    return Inputs(request, setup, chains, rows, unseen, output, pictures, older)
 
 
 def calibrated(
-    opened: Opened,
+    inputs: Inputs,
     words: Sequence[str] = (),
     *,
     page: bool = True,
@@ -142,31 +142,31 @@ def calibrated(
     """Calibrate, and compose all files and figures of the result, by their paths.
 
     Args:
-        opened: The input.
+        inputs: The input.
         words: The command line, for the provenance; default that of `calibrate`.
         page: Whether there is a `report.html` among the files.
         bar: Told the progress.
         workers: Who fits the folds and candidates.
     """
-    request, folder, setup = opened.request, opened.output, opened.setup
+    request, folder, setup = inputs.request, inputs.output, inputs.setup
     start = time.perf_counter()
     given = options.same(request, calibration.calibrate) | {
         "setup": setup,
-        "validation": opened.validation,
-        "measurements": opened.measurements,
-        "start": opened.older,
+        "validation": inputs.validation,
+        "measurements": inputs.measurements,
+        "start": inputs.older,
         "ladder": request.model_ladder or request.use is not None,
         "use": request.use or USES[0],
         "workers": workers,
     }
-    others = partial(other_robots, opened.chains, setup)
-    result = calibration.calibrate(opened.chains, **given, progress=bar, others=others)
+    others = partial(other_robots, inputs.chains, setup)
+    result = calibration.calibrate(inputs.chains, **given, progress=bar, others=others)
     seconds = time.perf_counter() - start
     result = with_suggestions(result)
     drawn = []
-    if opened.pictures or (page and folder is not None):
+    if inputs.pictures or (page and folder is not None):
         drawn = draw_calibration(result, bar, request.package_dir)
-    contents = results.figure_contents(drawn, opened.pictures)
+    contents = results.figure_contents(drawn, inputs.pictures)
     if folder is not None:
         created = datetime.now(UTC).isoformat(timespec="seconds")
         command = tuple(words) or request.words(folder)

@@ -17,8 +17,8 @@ def compare(asked: Compare) -> int:
     both = document_file(asked.first), document_file(asked.second)
     files.require_distinct(both)
     A, B = map(read_result, both)
-    found = run(A, B, seed=asked.seed)
-    show(comparison_report(found))
+    comparison = run(A, B, seed=asked.seed)
+    show(comparison_report(comparison))
     trusted = {A.verdict, B.verdict} <= set(TRUSTED)
-    different = any(fault.severity == "error" for fault in faults(found))
+    different = any(fault.severity == "error" for fault in faults(comparison))
     return 0 if trusted and not different else 2

@@ -54,7 +54,7 @@ class Commanded(NamedTuple):
     Attributes:
         chain: The nominal chain.
         targets: The targets.
-        found: Their commands.
+        commands: Their commands.
         rows: The targets that are commanded, shape (K,).
         times: When each of them is reached, shape (K,) [s]; None where the file has no
             times.
@@ -63,7 +63,7 @@ class Commanded(NamedTuple):
 
     chain: Chain
     targets: Targets
-    found: Compensation
+    commands: Compensation
     rows: Indices
     times: Floats | None
     faults: Mapping[str, list[int]]
@@ -73,26 +73,26 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     """Do what `Compensate` asks for."""
     if asked.format != "csv" and asked.degrees:
         raise OptionError("--degrees is for --format csv")
-    stated, output = files.open_setup(asked.setup), asked.output
-    files.require_joints_only(stated)
+    setup, output = files.open_setup(asked.setup), asked.output
+    files.require_joints_only(setup)
     file = results.document_file(asked.calibration)
     result = results.read_result(file)
     doubt = results.doubt_of(result, file)
     key = calibrated.block_of(result.model, asked.chain, asked.station, asked.tool)
     model = calibrated.with_payload(result.applied.of(key), asked.payload, file)
     robot = model.chain.robot.file
-    own = robot, str(file.parent / robot), *map(str, results.written_before(file))
-    inputs = [*own, file, asked.targets, asked.setup]
+    sources = robot, str(file.parent / robot), *map(str, results.written_before(file))
+    inputs = [*sources, file, asked.targets, asked.setup]
     files.check_outputs([output], inputs, asked.force)
-    targets, timed = read(asked, model, stated)
+    targets, timed = read(asked, model, setup)
     for remark in _remarks(asked, result, key, targets):
         asked.tell(remark)
     done = commanded(asked, model, targets, timed)
     missed = {fault: lines for fault, lines in done.faults.items() if lines}
     apart = targets.T is not None and missed.keys() <= {UNREACHED}
     contents, wrote = {}, "nothing"
-    if not doubt and (not missed or (apart and done.found.reached.any())):
-        comments = [f"commands of: {printing.told_command(words)}"]
+    if not doubt and (not missed or (apart and done.commands.reached.any())):
+        comments = [f"commands of: {printing.command_line(words)}"]
         contents[output] = encoded(asked, done, comments)
         wrote = str(output)
     elif not doubt and targets.T is None:
@@ -104,8 +104,8 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     )
     if asked.quiet:
         where = [(f, f"{asked.targets}, {line_list(n)}") for f, n in missed.items()]
-        for cause, told in [(result.verdict, doubt)] if doubt else where:
-            printing.notice(f"{cause}: {told}")
+        for cause, detail in [(result.verdict, doubt)] if doubt else where:
+            printing.notice(f"{cause}: {detail}")
     return 2 if doubt or missed else 0
 
 
@@ -117,7 +117,7 @@ def _report(
     if doubt:
         yield from (trust.judged(doubt, result.verdict), blocks.Line(""))
     about = {"motion": motion, "file": str(asked.targets), "lines": lines}
-    yield from texts.compensation_report(done.found, done.chain, **about)
+    yield from texts.compensation_report(done.commands, done.chain, **about)
     yield from texts.hasty_lines(done.faults[HASTY])
     yield from texts.accuracy_lines(calibrated.model_errors(result))
 
@@ -133,12 +133,12 @@ def _remarks(
         yield "without a gain the commands are those of the nominal robot"
     else:
         setup = result.model.setup
-        for name, said in CONDITIONS.items():
+        for name, template in CONDITIONS.items():
             if name in setup.parameters:
-                yield said.format(setup.thermal.reference)
-    own = [k.model for k in result.model.terms if k.chain == key.chain]
+                yield template.format(setup.thermal.reference)
+    models = [k.model for k in result.model.terms if k.chain == key.chain]
     oriented = targets.oriented and not asked.position and asked.point != "tip"
-    if oriented and all(declared(name).tracks == "point" for name in own):
+    if oriented and all(declared(name).tracks == "point" for name in models):
         yield "measured as a point, the tool has its stated orientation, or the tip's"
     ends = (asked.frame or FRAMES[0], asked.point or POINTS[0])
     if known := calibrated.ends_known(
@@ -148,15 +148,15 @@ def _remarks(
 
 
 def read(
-    asked: Compensate, model: CalibratedChain, stated: Setup
+    asked: Compensate, model: CalibratedChain, setup: Setup
 ) -> tuple[Targets, Floats | None]:
     """The targets, and when they are reached if the file says so, (N,) [s]."""
     file = asked.targets
     targets = read_target_file(
         file,
         model.chain,
-        columns=stated.columns or model.setup.columns,
-        joints=stated.joints or model.setup.joints,
+        columns=setup.columns or model.setup.columns,
+        joints=setup.joints or model.setup.joints,
         base=None if asked.frame == "base" else model.error.base.translation,
         timed=asked.format != "csv" and asked.speed is None,
         notice=asked.tell,
@@ -188,25 +188,25 @@ def commanded(
             about["orientation"] = targets.oriented and not asked.position
             about["frame"] = asked.frame or FRAMES[0]
             about["point"] = asked.point or POINTS[0]
-            found = compensation.compensate(model, targets.T, targets.q, **about)
+            commands = compensation.compensate(model, targets.T, targets.q, **about)
         else:
             assert targets.q is not None
-            turned = not asked.position and len(targets.columns.tells) >= 6
-            found = compensation.follow(model, targets.q, orientation=turned, **about)
-    (rows,) = np.nonzero(found.reached)
+            poses = not asked.position and len(targets.columns.tells) >= 6
+            commands = compensation.follow(model, targets.q, orientation=poses, **about)
+    (rows,) = np.nonzero(commands.reached)
     times, hasty = None, rows[:0]
     if timed is not None and len(rows):
-        times, hasty = paced(model.chain, found.q[rows], rows, timed)
-    torn = found.jumps & (motion and found.complete)
-    faults = zip(FAULTS, (~found.reached, hasty, torn), strict=True)
+        times, hasty = paced(model.chain, commands.q[rows], rows, timed)
+    torn = commands.jumps & (motion and commands.complete)
+    faults = zip(FAULTS, (~commands.reached, hasty, torn), strict=True)
     named = {fault: lines[of].tolist() for fault, of in faults}
-    return Commanded(model.chain, targets, found, rows, times, named)
+    return Commanded(model.chain, targets, commands, rows, times, named)
 
 
 def encoded(asked: Compensate, done: Commanded, comments: Sequence[str]) -> bytes:
     """The file of commands."""
     chain, targets, times = done.chain, done.targets, done.times
-    q = done.found.q[done.rows]
+    q = done.commands.q[done.rows]
     part = SPEED if asked.speed is None else asked.speed
     if asked.format != "csv":
         program = PROGRAMS[asked.format]

@@ -54,46 +54,47 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     files.check_outputs((output, extra), inputs, asked.force)
     images, rows = configurations_of(asked, sorted(images, key=numbers_in))
     with printing.progress_bar(quiet=asked.quiet) as bar:
-        size, every = boards.find_board(detector, images, printing.stage(bar, "images"))
-    if not boards.require_stated(board, every, images):
+        size, views = boards.find_board(detector, images, printing.stage(bar, "images"))
+    if not boards.require_stated(board, views, images):
         asked.tell("no image shows enough of the board to check how it is stated")
-    found = {path.name: one for path, one in zip(images, every, strict=True)}
-    start = boards.start_camera(asked.mount, detector, size, found)
+    by_name = {path.name: view for path, view in zip(images, views, strict=True)}
+    start = boards.start_camera(asked.mount, detector, size, by_name)
     if (camera := given.camera) is not None:
         if camera.size not in (None, size):
             value, allowed = (f"{a:g} x {b:g}" for a, b in (size, camera.size or size))
             reason = "these images are not of the size of the camera that is stated"
             raise InputError(reason, file=images[0], value=value, allowed=allowed)
         start = replace(start, camera=replace(camera, size=size), assumed=False)
-    columns = corner_columns(images, every, rows)
-    comment = f"found by: {printing.told_command(words)}"
+    columns = corner_columns(images, views, rows)
+    comment = f"found by: {printing.command_line(words)}"
     contents = {output: measurements.encode_table(columns, [comment])}
     if extra is not None:
         setup = setup_document(Setup(model="camera", board=board, camera=start.camera))
         remark = f"# {ASSUMED}\n" if start.assumed else ""
         text = yaml_text({key: setup[key] for key in ("model", "board", "camera")})
         contents[extra] = f"# {comment}\n{remark}{text}\n".encode()
-    _remarks(found, start, asked.tell)
+    _remarks(by_name, start, asked.tell)
     if boards.ambiguous(board):
         asked.tell(
             "the board looks the same when it is turned: corner 0 is the one nearest "
             "to the upper left of each image, so the camera must not roll"
         )
-    median = float(np.median(np.concatenate([one.sigma for one in every])))
-    shown, corners = sum(bool(k.names) for k in every), sum(len(k.names) for k in every)
+    median = float(np.median(np.concatenate([view.sigma for view in views])))
+    shown = sum(bool(view.names) for view in views)
+    corners = sum(len(view.names) for view in views)
     ends = start.camera.focal, start.camera.center
     focal, center = (f"({a:.1f}, {b:.1f})" for a, b in ends)
     checked = start.rms is not None
     rms = f"rms {start.rms:.3f} px" if checked else "not checked: too few corners"
     rms += ", with a camera of their own" * (checked and given.camera is not None)
-    told = (
+    summary = (
         f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px\n"
         f"{corners} of {shown * len(detector.points)} corners in them, sigma "
         f"{median:.3f} px (median)\n"
         f"{'start of the camera' if given.camera is None else 'camera as stated'}: "
         f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
     )
-    asked.give(contents, told)
+    asked.give(contents, summary)
     return 0
 
 
@@ -102,23 +103,23 @@ def _drawn(asked: Detect, file: Path, detector: Detector) -> int:
     files.check_outputs([file], [asked.setup], asked.force)
     picture = encode_png(detector.drawn(SHEET), SHEET / detector.board.square)
     width, height = 1e3 * detector.extent
-    told = f"print it at 100 %: {width:g} x {height:g} mm\n"
-    asked.give({file: picture}, told)
+    note = f"print it at 100 %: {width:g} x {height:g} mm\n"
+    asked.give({file: picture}, note)
     return 0
 
 
 def corner_columns(
-    images: Sequence[Path], every: Sequence[Found], cells: Mapping[str, Sequence[Any]]
+    images: Sequence[Path], views: Sequence[Found], cells: Mapping[str, Sequence[Any]]
 ) -> dict[str, Any]:
     """The columns of corners found in images, with the cells of each image."""
-    image_of = [k for k, one in enumerate(every) for _ in one.names]
+    image_of = [k for k, view in enumerate(views) for _ in view.names]
     columns: dict[str, Any] = {"image": [images[k].name for k in image_of]}
-    columns |= {name: [own[k] for k in image_of] for name, own in cells.items()}
-    columns["target"] = [name for one in every for name in one.names]
+    columns |= {name: [values[k] for k in image_of] for name, values in cells.items()}
+    columns["target"] = [name for view in views for name in view.names]
     for k, axis in enumerate("uv"):
         for name, of in ((axis, "pixels"), (f"sigma_{axis}", "sigma")):
-            found = [getattr(one, of)[:, k] for one in every]
-            columns[name] = np.concatenate(found).round(4)
+            parts = [getattr(view, of)[:, k] for view in views]
+            columns[name] = np.concatenate(parts).round(4)
     return columns
 
 
@@ -159,13 +160,13 @@ def images_of(
             try:
                 asked = Detect(images=[image], joints=joints)
                 _, cells = configurations_of(asked, [image])
-                _, found = boards.find_board(detector, [image], None)
+                _, views = boards.find_board(detector, [image], None)
             except InputError:
                 continue  # Its configuration, or a part of it, is not there yet.
             seen.add(image.name)
-            if not found[0].names:
+            if not views[0].names:
                 continue
-            table = encode_table(corner_columns([image], found, cells), ())
+            table = encode_table(corner_columns([image], views, cells), ())
             with file.open("ab") as stream:
                 stream.write(table.partition(b"\n")[2] if stream.tell() else table)
 
@@ -178,11 +179,11 @@ def numbers_in(image: Path) -> list[int]:
     return [int(word or 0) for word in re.split(r"\D+", str(image))]
 
 
-def _remarks(found: dict[str, Found], start: Start, tell: Notice) -> None:
+def _remarks(views: dict[str, Found], start: Start, tell: Notice) -> None:
     """Name the images without a board, and the blurred ones."""
-    if without := [name for name, one in found.items() if not one.names]:
+    if without := [name for name, view in views.items() if not view.names]:
         tell(f"no board in {len(without)} images: {enumerated(without)}")
-    medians = {name: np.median(one.sigma) for name, one in found.items() if one.names}
+    medians = {n: np.median(view.sigma) for n, view in views.items() if view.names}
     most = BLURRED * np.median([*medians.values()])
     if blurred := [name for name, median in medians.items() if median > most]:
         tell(f"blurred or noisy: {enumerated(blurred)}")
@@ -205,13 +206,13 @@ def configurations_of(
         raise table.error("is a column that detect writes itself", clash[0])
     if asked.times is not None:
         # Where the joints stood at the time of each image, by its name.
-        taken = logs.with_images(read_table(asked.times))
-        taken = taken.rows(np.array(_rows(taken, images)))
+        times = logs.with_images(read_table(asked.times))
+        times = times.rows(np.array(_rows(times, images)))
         stand = Join.settle, Join.tolerance
-        found, data = logs.join_logs(table, taken, (), *stand, asked.tell, True)
-        if found.clock is None:
+        summary, data = logs.join_logs(table, times, (), *stand, asked.tell, True)
+        if summary.clock is None:
             reason = "there is no column 'time' here, or in the log of the joints"
-            raise taken.error(reason)
+            raise times.error(reason)
         table = read_table(data)
         stood, names = _names(table, images)
         images = [p for p, name in zip(images, names, strict=True) if name in stood]
@@ -258,7 +259,7 @@ def _names(table: Table, images: list[Path]) -> tuple[list[str], list[str]]:
     cells = [PureWindowsPath(cell) for cell in table.texts(["image"])["image"]]
     if all(cell.name.isdecimal() for cell in cells):
         numbers = [re.findall(r"\d+", path.stem)[-1:] for path in images]
-        names = [str(int(own[0])) if own else "" for own in numbers]
+        names = [str(int(digits[0])) if digits else "" for digits in numbers]
         return [str(int(cell.name)) for cell in cells], names
     plain, names = [cell.name for cell in cells], [path.name for path in images]
     if {*plain} & {*names}:

@@ -20,7 +20,7 @@ from calib_pin.validation.result import Evaluation
 def evaluate(asked: Evaluate) -> int:
     """Do what `Evaluate` asks for."""
     rows_in, sockets = asked.measurements, list[str]()
-    calibrated, chains, stated = open_subject(asked, asked.chain)
+    calibrated, chains, setup = open_subject(asked, asked.chain)
     file = calibration_file(asked)
     doubt = doubt_of(calibrated, file)
     if calibrated is not None and file is not None:
@@ -30,23 +30,23 @@ def evaluate(asked: Evaluate) -> int:
             notice(f"{used}: the calibration has used it already, to fit or to check")
     with progress_bar() as bar:
         measured, rows = open_rows(
-            asked, rows_in, chains, stated, sockets=sockets, bar=bar
+            asked, rows_in, chains, setup, sockets=sockets, bar=bar
         )
         stage(bar, "evaluate")
         subject = measured if calibrated is None else calibrated.model
-        others = partial(other_robots, chains, stated)
-        found = run(subject, rows, stated, registration=asked.register, others=others)
+        others = partial(other_robots, chains, setup)
+        result = run(subject, rows, setup, registration=asked.register, others=others)
     if calibrated is not None:
-        changed = no_longer_holds(calibrated, found)
-        found = replace(found, findings=(*found.findings, *changed))
+        changed = no_longer_holds(calibrated, result)
+        result = replace(result, findings=(*result.findings, *changed))
         if doubt:
-            found = replace(found, verdict=calibrated.verdict, reason=doubt)
-    asked.show(lambda: evaluation_document(found), evaluated(found))
-    return 0 if found.verdict == "good" else 2
+            result = replace(result, verdict=calibrated.verdict, reason=doubt)
+    asked.show(lambda: evaluation_document(result), evaluated(result))
+    return 0 if result.verdict == "good" else 2
 
 
-def evaluation_document(found: Evaluation) -> Json:
+def evaluation_document(evaluation: Evaluation) -> Json:
     """The accuracy of a robot on measurements."""
-    errors = {n: {"unit": unit, **plain(size)} for n, unit, size in found.errors}
+    errors = {n: {"unit": unit, **plain(size)} for n, unit, size in evaluation.errors}
     head = format_keys("calib-pin/evaluation")
-    return {**head, **plain(found), "errors": errors}
+    return {**head, **plain(evaluation), "errors": errors}

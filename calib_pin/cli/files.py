@@ -54,7 +54,7 @@ def open_setup(file: Path | None) -> Setup:
     return read_setup(file)
 
 
-def stated_setup(asked: OfRobot) -> Setup:
+def setup_for(asked: OfRobot) -> Setup:
     """The setup file of a command with its options on top.
 
     Raises:
@@ -71,7 +71,7 @@ def stated_setup(asked: OfRobot) -> Setup:
     return replace(setup, **given)
 
 
-def stated_blocks(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
+def block_keys(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
     """The blocks that can be measured: models, chains, stations and tools of a setup.
 
     Args:
@@ -84,8 +84,8 @@ def stated_blocks(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
     if setup.model is None:
         reason = "without measurements, --model must name the measurement model"
         raise OptionError(reason, allowed=", ".join(MEASUREMENT_MODELS))
-    stated = (chains or setup.chains, setup.stations, setup.tools)
-    places = (tuple(names) or ("",) for names in stated)
+    parts = (chains or setup.chains, setup.stations, setup.tools)
+    places = (tuple(names) or ("",) for names in parts)
     keys = product(asked_models(setup.model), *places)
     return tuple(BlockKey(*key) for key in keys)
 
@@ -127,12 +127,12 @@ def tell_limits(chains: Chains) -> None:
     far = (chains.upper - chains.lower > MANY_TURNS) & chains.revolute
     if far.any():
         joints = enumerated(compress(chains.joints, far))
-        said = f"limits of {joints} are many turns; a URDF has rad, no degrees"
-        notice(f"{chains.robot.file}: {said}")
+        remark = f"limits of {joints} are many turns; a URDF has rad, no degrees"
+        notice(f"{chains.robot.file}: {remark}")
     if chains.unlimited:
         joints = enumerated(chains.unlimited)
-        said = f"limits of {joints} missing, inverted or endless; assumed is a turn"
-        notice(f"{chains.robot.file}: {said}, or {FREE_TRAVEL:g} m either way")
+        remark = f"limits of {joints} missing, inverted or endless; assumed is a turn"
+        notice(f"{chains.robot.file}: {remark}, or {FREE_TRAVEL:g} m either way")
 
 
 def calibration_file(asked: OfCalibration) -> Path | None:
@@ -156,13 +156,13 @@ def open_subject(
         InputError: If one of the files cannot be used.
         OptionError: If something is stated that a calibration has of its own.
     """
-    setup, path = stated_setup(asked), calibration_file(asked)
+    setup, path = setup_for(asked), calibration_file(asked)
     if path is None:
         return None, open_chains(asked, setup, chain), setup
     from calib_pin.io.results import model_name, read_written
 
-    found, _ = read_written(path, measured=False)
-    model = found.model
+    calibration, _ = read_written(path, measured=False)
+    model = calibration.model
     first, models = model.of().chain, model_name(model)
     known = replace(model.setup, base=first.base, tip=first.tip, model=models)
     require_joints_only(setup, *also, known=known)
@@ -170,11 +170,11 @@ def open_subject(
         require_known("chain", chain, model.measured_chains)
     # Of poses, positions alone may be measured now.
     read = f"{models}+position" if models == "pose" else models
-    own = replace(model.setup, model=read, reading=setup.reading)
     plain = vars(type(setup)())
     given = {key: getattr(setup, key) for key in ("columns", "joints", *also)}
-    taken = {key: value for key, value in given.items() if value != plain[key]}
-    return found, model.chains, replace(own, **taken)
+    changes = {key: value for key, value in given.items() if value != plain[key]}
+    used = replace(model.setup, model=read, reading=setup.reading, **changes)
+    return calibration, model.chains, used
 
 
 def require_joints_only(setup: Setup, *also: str, known: Setup | None = None) -> None:
@@ -229,12 +229,12 @@ def open_older(
     from calib_pin.io.results import document_file, read_result, used_files
     from calib_pin.planning.suggestions import calibrated_setup
 
-    found = read_result(path)
+    older = read_result(path)
     for file in used_files(document_file(path), used):
         reason = "the older calibration has used these measurements, which would count "
         reason += "twice"
         raise InputError(reason, file=file, value=str(path))
-    model, before = found.model, dict[str, Any]()
+    model, before = older.model, dict[str, Any]()
     if not setup.file:
         before["parameters"] = model.setup.parameters
         if model.chains.names == ("",):
@@ -245,8 +245,8 @@ def open_older(
         models = dict.fromkeys(k.model for k in model.terms if k.chain != WORLD)
         before |= {n: known[n] for n in PLANNED} | {"model": "+".join(models)}
     given, empty = vars(setup), vars(type(setup)())
-    taken = {n: value for n, value in before.items() if given[n] == empty[n]}
-    return found, replace(setup, **taken)
+    changes = {n: value for n, value in before.items() if given[n] == empty[n]}
+    return older, replace(setup, **changes)
 
 
 def open_measurements(

@@ -15,12 +15,12 @@ from calib_pin.cli.options import OfRobot, asked_workers
 from calib_pin.cli.printing import notice, progress_bar, stage
 from calib_pin.errors import OptionError, counted
 from calib_pin.estimation.statistics.population_prior import RobotEvidence
-from calib_pin.io import json_text, measurements, results, setup
+from calib_pin.io import json_text, measurements, results
 from calib_pin.io.files import sha256
 from calib_pin.io.json_text import Json, encode, format_keys
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.results import model_name
-from calib_pin.io.setup import setup_document
+from calib_pin.io.setup import prior_document, read_setup, setup_document
 from calib_pin.io.trials import kept, read_trials
 from calib_pin.monte_carlo import Study, Trial, outlooks, study_of, try_robot
 from calib_pin.monte_carlo.summary import LEVELS
@@ -93,12 +93,12 @@ def _calibrated(asked: Fleet, table: Path) -> int:
 
 def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
     """The jobs; each comes behind that before of its serial number."""
-    left = list(jobs)
-    while left:
-        names = {job.name for job in left}
-        waiting = [job for job in left if job.before in names]
-        yield [job for job in left if job not in waiting]
-        left = waiting
+    remaining = list(jobs)
+    while remaining:
+        names = {job.name for job in remaining}
+        waiting = [job for job in remaining if job.before in names]
+        yield [job for job in remaining if job not in waiting]
+        remaining = waiting
 
 
 def _check(table: Path, jobs: Sequence[Job], output: Path, force: bool) -> None:
@@ -125,35 +125,35 @@ def types_of(jobs: Sequence[Job], done: Mapping[str, Outcome]) -> list[Populatio
         Those of types with robots enough, the largest first.
     """
     earlier = {job.before for job in jobs}
-    alike: list[dict[str, RobotEvidence]] = []
+    groups: list[dict[str, RobotEvidence]] = []
     for job in jobs:
-        own = done[job.name].evidence
-        if own is None or job.name in earlier:
+        entry = done[job.name].evidence
+        if entry is None or job.name in earlier:
             continue
-        for members in alike:
+        for members in groups:
             first = next(iter(members.values()))
-            if not first.robot.difference(own.robot) and first.names == own.names:
-                members[job.name] = own
+            if first.names == entry.names and not first.robot.difference(entry.robot):
+                members[job.name] = entry
                 break
         else:
-            alike.append({job.name: own})
-    found = []
-    for members in sorted(alike, key=len, reverse=True):
+            groups.append({job.name: entry})
+    populations = []
+    for members in sorted(groups, key=len, reverse=True):
         if len(members) >= population_prior.LEAST:
-            found.append(population_prior.prior_of_type([*members.values()]))
-    return found
+            populations.append(population_prior.prior_of_type([*members.values()]))
+    return populations
 
 
 def priors(folder: Path, populations: Sequence[PopulationPrior]) -> dict[Path, bytes]:
     """The files of the priors; all but the first have the name of their robot."""
-    found: dict[Path, bytes] = {}
+    contents: dict[Path, bytes] = {}
     for number, population in enumerate(populations, 1):
         robot = Path(results.urdf_name(population.robot.name)).stem
         path = folder / PRIOR
         for end in (f"-{robot}", f"-{number}"):  # Two types may have one name.
-            path = path.with_stem(path.stem + end) if path in found else path
-        found[path] = json_text.encode(setup.prior_document(population))
-    return found
+            path = path.with_stem(path.stem + end) if path in contents else path
+        contents[path] = json_text.encode(prior_document(population))
+    return contents
 
 
 # --- simulations --------------------------------------------------------------------
@@ -161,29 +161,29 @@ def priors(folder: Path, populations: Sequence[PopulationPrior]) -> dict[Path, b
 
 def _simulated(asked: Fleet, file: Path) -> int:
     """Simulate the robots of a study; its trials are written as they come."""
-    stated, resume = setup.read_setup(file), asked.resume
-    study, name = _study(file, stated, asked.seed)
+    setup, resume = read_setup(file), asked.resume
+    study, name = _study(file, setup, asked.seed)
     trials, *made = (asked.output / name for name in (TRIALS, NUMBERS, CURVES))
-    inputs = [file, stated.monte_carlo.plan]
+    inputs = [file, setup.monte_carlo.plan]
     files.check_outputs([trials, *made], inputs, asked.force or resume)
-    robots, limit = stated.monte_carlo.robots, stated.limit
+    robots, limit = setup.monte_carlo.robots, setup.limit
     known: list[tuple[Trial, ...]] = []
     if resume and files.exists(trials):
         known = read_trials(trials, name, len(study.counts))[:robots]
 
     def done(further: Iterable[tuple[Trial, ...]]) -> Iterator[Trial]:
-        for k, own in enumerate(kept(trials, name, known, further), 1):
+        for k, runs in enumerate(kept(trials, name, known, further), 1):
             if bar is not None:
                 bar(f"{k} of {robots} robots", k / robots)
-            yield from own
+            yield from runs
 
     with (
         asked_workers(asked.workers, asked.cluster) as workers,
         progress_bar(quiet=asked.quiet) as bar,
     ):
         further = workers.map(try_robot, study, range(len(known), robots))
-        found = outlooks(done(further), limit)
-    blocks = [*fleet_text.outlook_report(study, found, limit)]
+        accuracies = outlooks(done(further), limit)
+    blocks = [*fleet_text.outlook_report(study, accuracies, limit)]
     title = f"Expected accuracy of {study.chains.robot.name}"
     # In SI units; quantiles are those of `levels`.
     document: Json = {
@@ -193,9 +193,9 @@ def _simulated(asked: Fleet, file: Path) -> int:
         "seed": study.seed,
         "limit": limit,
         "levels": LEVELS,
-        "outlooks": found,
+        "outlooks": accuracies,
     }
-    figures = [*drawn("outlook", found, limit)]
+    figures = [*drawn("outlook", accuracies, limit)]
     data = json_text.encode(document), html.blocks_page(title, blocks, figures, NUMBERS)
     contents = dict(zip(made, data, strict=True))
     written = [f"wrote {file}" for file in (trials, *made)]
@@ -203,23 +203,23 @@ def _simulated(asked: Fleet, file: Path) -> int:
     return 0
 
 
-def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
+def _study(file: Path, setup: Setup, seed: int) -> tuple[Study, str]:
     """The study of a setup file, and a hash of everything its numbers depend on."""
-    asked = stated.monte_carlo
-    for key, value in (("monte_carlo.robot", asked.robot), ("model", stated.model)):
+    asked = setup.monte_carlo
+    for key, value in (("monte_carlo.robot", asked.robot), ("model", setup.model)):
         if value is None:
             raise OptionError(f"'{key}' is missing", file=file)
     assert asked.robot is not None
-    keys, robot = files.stated_blocks(stated), files.beside(file, asked.robot)
-    chains = files.open_chains(OfRobot(robot=robot), stated, keys)
+    keys, robot = files.block_keys(setup), files.beside(file, asked.robot)
+    chains = files.open_chains(OfRobot(robot=robot), setup, keys)
     files.tell_limits(chains)
     plan = None
     if asked.plan is not None:
         path = file.parent / asked.plan
-        plan = read_configurations(path, chains, stated.joints, stated.columns)
-    study = study_of(chains, keys, stated, plan, seed)
+        plan = read_configurations(path, chains, setup.joints, setup.columns)
+    study = study_of(chains, keys, setup, plan, seed)
     # Of the same robots, more of them may be asked for.
-    same = replace(stated, monte_carlo=replace(asked, robots=1, plan=None, robot=None))
+    same = replace(setup, monte_carlo=replace(asked, robots=1, plan=None, robot=None))
     about = {
         "setup": setup_document(same),
         "robot": sha256(chains.robot.source),

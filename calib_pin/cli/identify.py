@@ -21,41 +21,40 @@ from calib_pin.validation.result import Identification
 
 def identify(asked: Identify) -> int:
     """Do what `Identify` asks for."""
-    stated, seed = files.stated_setup(asked), asked.seed
-    found: Identification
+    setup, seed = files.setup_for(asked), asked.seed
+    result: Identification
     if asked.measurements:
         # What is learned has no parameters that could be known.
-        stated = replace(stated, learned=None)
+        setup = replace(setup, learned=None)
         with printing.progress_bar() as bar:
-            chains = files.open_chains(asked, stated)
+            chains = files.open_chains(asked, setup)
             chains, rows = files.open_rows(
-                asked, asked.measurements, chains, stated, bar=bar
+                asked, asked.measurements, chains, setup, bar=bar
             )
-            others = partial(other_robots, chains, stated)
+            others = partial(other_robots, chains, setup)
             fit = partial(run, validate=False, seed=seed, others=others, progress=bar)
-            result = with_suggestions(fit(chains, rows, stated))
-        found, verdict, reason = result, result.verdict, result.reason
-        faults = result.findings
+            fitted = with_suggestions(fit(chains, rows, setup))
+        result, verdict, reason = fitted, fitted.verdict, fitted.reason
+        faults = fitted.findings
     else:
-        keys = files.stated_blocks(stated)
-        chains = files.open_chains(asked, stated, keys)
-        found = structural(chains, keys, stated, seed=seed)
-        better = suggestions(chains, keys, stated, found, seed=seed)
-        found = replace(found, suggestions=better)
+        keys = files.block_keys(setup)
+        chains = files.open_chains(asked, setup, keys)
+        result = structural(chains, keys, setup, seed=seed)
+        better = suggestions(chains, keys, setup, result, seed=seed)
+        result = replace(result, suggestions=better)
         verdict, reason, faults = "good", "", ()
     files.tell_limits(chains)
     doubts = [judged(below(reason, faults), verdict)] if verdict not in TRUSTED else []
-    fitted = bool(asked.measurements)
-    told = identified(found, fitted=fitted, details=asked.details)
+    blocks = identified(result, fitted=bool(asked.measurements), details=asked.details)
 
     def document() -> Json:
         # A fit has found more than this.
-        own = {part.name: getattr(found, part.name) for part in fields(Identification)}
+        values = {f.name: getattr(result, f.name) for f in fields(Identification)}
         return merged(
             format_keys("calib-pin/identification"),
-            plain(Identification(**own)),
+            plain(Identification(**values)),
             {"verdict": {"status": verdict, "reason": reason}, "findings": faults},
         )
 
-    asked.show(document, chain(doubts, findings(faults, reason), told))
+    asked.show(document, chain(doubts, findings(faults, reason), blocks))
     return 2 if doubts else 0

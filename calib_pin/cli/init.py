@@ -31,7 +31,7 @@ def init(asked: Init, words: Sequence[str]) -> int:
         [asked.output], [asked.robot, *files, asked.setup], asked.force
     )
     robot, look = looked_at(asked, _choose)
-    text = draft(robot, look, printing.told_command(words))
+    text = draft(robot, look, printing.command_line(words))
     written, contents = list[str](), dict[Path, bytes]()
     if asked.output is not None:
         contents = {asked.output: text.encode()}
@@ -54,7 +54,7 @@ def looked_at(asked: Init, choose: Choose) -> tuple[Robot, Look]:
     files, folders = asked.measurements, asked.package_dir or []
     files_of.require_folders(folders)
     files_of.require_distinct(files)
-    robot, given = load_robot(asked.robot, folders), files_of.stated_setup(asked)
+    robot, given = load_robot(asked.robot, folders), files_of.setup_for(asked)
     seen = given.board
     if asked.board is not None:
         from calib_pin.io.boards import board_of  # Loads what looks at images.
@@ -90,24 +90,24 @@ def _choose(question: str, choices: Sequence[str], option: str) -> str:
     return choices[0]
 
 
-def _with_distances(look: Look, stated: str | None) -> Look:
+def _with_distances(look: Look, distance: str | None) -> Look:
     """The reading with the known distance of the sockets of each place."""
     assert look.data is not None
     places = dict[str, list[str]]()
     for name in dict.fromkeys(k.rpartition("@")[2] for k in look.data.target.distinct):
         places.setdefault(name.rpartition("/")[0], []).append(name)
     pairs = [names for names in places.values() if len(names) == 2]
-    if stated is None:
+    if distance is None:
         if pairs:
             both = " and ".join(pairs[0])
-            said = f"say how far apart {both} are: --distance '50 mm'"
-            printing.notice(f"sockets tell no size: {said}")
+            advice = f"say how far apart {both} are: --distance '50 mm'"
+            printing.notice(f"sockets tell no size: {advice}")
         return look
     if not pairs:
         raise OptionError("no place has two sockets, called PLACE/0 and PLACE/1")
-    (length,), _ = reading(stated, {"--distance": LENGTH}, "m")
+    (length,), _ = reading(distance, {"--distance": LENGTH}, "m")
     if length <= 0.0:
-        raise OptionError("--distance is no length", value=stated)
+        raise OptionError("--distance is no length", value=distance)
     known = tuple(DistanceSetup((a, b), length, SIGMA) for a, b in pairs)
     return replace(look, setup=replace(look.setup, distances=known))
 

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type
 
 import calib_pin.io.results as results
 from calib_pin.cli.asked import Calibrate, Fleet
-from calib_pin.cli.calibrate import calibrated, opened
+from calib_pin.cli.calibrate import calibrated, open_inputs
 from calib_pin.cli.files import beside
-from calib_pin.cli.options import Request, Told
-from calib_pin.cli.printing import complaint, taken_notices
+from calib_pin.cli.options import Request, Spec
+from calib_pin.cli.printing import complaint, pop_notices
 from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError, OptionError, nearest, one_line
@@ -88,10 +88,10 @@ class Job(Request):
         before: Name of the job before it with the same robot; empty for none.
     """
 
-    name: Annotated[str, Told(parse=_folder)] = ""
-    serial_number: Annotated[str, Told(parse=ENTRY)] = ""
-    date: Annotated[str, Told(parse=DAY)] = ""
-    previous: Annotated[Path | None, Told()] = None
+    name: Annotated[str, Spec(parse=_folder)] = ""
+    serial_number: Annotated[str, Spec(parse=ENTRY)] = ""
+    date: Annotated[str, Spec(parse=DAY)] = ""
+    previous: Annotated[Path | None, Spec()] = None
     line: int = 0
     before: str = ""
 
@@ -144,11 +144,11 @@ def read_jobs(
             raise InputError(reason, file=path, line=line)
         jobs[name.casefold()] = replace(job, name=name)
     before, serial = dict[str, str](), attrgetter("serial_number")
-    for robot, alike in groupby(sorted(jobs.values(), key=serial), serial):
-        own = list(alike)
-        if all(job.date for job in own):
-            own.sort(key=attrgetter("date"))
-        before |= {later.name: job.name for job, later in pairwise(own) if robot}
+    for robot, group in groupby(sorted(jobs.values(), key=serial), serial):
+        series = list(group)
+        if all(job.date for job in series):
+            series.sort(key=attrgetter("date"))
+        before |= {later.name: job.name for job, later in pairwise(series) if robot}
     return tuple(replace(j, before=before.get(j.name, "")) for j in jobs.values())
 
 
@@ -166,14 +166,14 @@ def _of_yaml(path: str | Path) -> Iterator[tuple[int, Cells]]:
         allowed = f"{JOBS}: [{{robot: arm.urdf, measurements: [a.csv]}}, ...]"
         reason = f"the file must be a mapping with a list '{JOBS}'"
         raise tree.error(reason, (), allowed=allowed)
-    for number, own in enumerate(listed):
-        if not isinstance(own, dict):
+    for number, entry in enumerate(listed):
+        if not isinstance(entry, dict):
             raise tree.error("a job is a mapping of keys to values", (JOBS, number))
-        found: Cells = {}
-        for key, value in {**tree.data, **own}.items():
+        texts: Cells = {}
+        for key, value in {**tree.data, **entry}.items():
             if key == JOBS or value is None:
                 continue
-            place = (JOBS, number, key) if key in own else (key,)
+            place = (JOBS, number, key) if key in entry else (key,)
             several = isinstance(value, list)
             cells = value if several else [value]
             if any(isinstance(cell, dict | list) for cell in cells):
@@ -181,8 +181,8 @@ def _of_yaml(path: str | Path) -> Iterator[tuple[int, Cells]]:
                 raise tree.error(reason, place, allowed="a single value, or a list")
             places = [(*place, k) for k in range(len(cells))] if several else [place]
             text = CHAINED.join(str(tree.written(at)) for at in places)
-            found[key] = text, tree.line(place)
-        yield tree.line((JOBS, number)), found
+            texts[key] = text, tree.line(place)
+        yield tree.line((JOBS, number)), texts
 
 
 def _of_csv(
@@ -202,7 +202,7 @@ def _of_csv(
         notice(remark)
     texts = table.texts(KEYS)
     for row, line in enumerate(table.lines.tolist()):
-        cells = {key: (own[row], line) for key, own in texts.items() if own[row]}
+        cells = {k: (column[row], line) for k, column in texts.items() if column[row]}
         if cells:  # Spreadsheets write empty lines at the end.
             yield line, cells
 
@@ -213,22 +213,22 @@ def _job(path: str | Path, line: int, cells: Cells) -> Job:
     Raises:
         InputError: If a cell cannot be used.
     """
-    folder, found = Path(path).parent, dict[str, Any](line=line)
+    folder, values = Path(path).parent, dict[str, Any](line=line)
     for key, (text, at) in cells.items():
         where: dict[str, Any] = {"file": path, "line": at}
         if key not in KEYS:
             reason = f"unknown key '{key}'{nearest(key, KEYS)}"
             raise InputError(reason, **where, allowed=", ".join(KEYS))
         try:
-            found[key] = _value(key, text, folder)
+            values[key] = _value(key, text, folder)
         except OptionError as wrong:
             reason, where = f"'{key}' cannot have this value", where | {"value": text}
             raise InputError(reason, **where, allowed=wrong.allowed) from None
     for key in ("robot", "measurements"):
-        if key not in found:
+        if key not in values:
             raise InputError(f"'{key}' is missing", file=path, line=line)
-    found["robot"] = beside(Path(path), found["robot"])
-    return Job(**found)
+    values["robot"] = beside(Path(path), values["robot"])
+    return Job(**values)
 
 
 def _value(key: str, text: str, folder: Path) -> Any:
@@ -237,20 +237,20 @@ def _value(key: str, text: str, folder: Path) -> Any:
     Raises:
         OptionError: If it cannot be used.
     """
-    hint, told = get_args(KEYS[key])
+    hint, spec = get_args(KEYS[key])
     kind = get_args(hint)[0] if NoneType in get_args(hint) else hint
     if kind == list[Path]:
-        found = [name.strip() for name in text.split(CHAINED) if name.strip()]
-        if not found or len(set(found)) < len(found):
+        names = [name.strip() for name in text.split(CHAINED) if name.strip()]
+        if not names or len(set(names)) < len(names):
             raise OptionError("", allowed="files, each at most once")
-        return [folder / file for file in found]
+        return [folder / file for file in names]
     if kind is Path:
         return PREVIOUS if (key, text) == ("start", "previous") else folder / text
     if kind is bool:
         if text.lower() not in FLAGS:
             raise OptionError("", allowed="true, false")
         return FLAGS[text.lower()]
-    return (told.parser(key, kind) or kind)(text)
+    return (spec.parser(key, kind) or kind)(text)
 
 
 def folder_name(serial: str) -> str:
@@ -296,8 +296,8 @@ def calibrate_job(shared: tuple[Path, Fleet], job: Job) -> Outcome:
         pages = not asked.no_pages
         result = finished(folder, request, pages) if asked.resume else None
         if result is None:
-            given = opened(request, folder, force=True)
-            result, contents = calibrated(given, page=pages)
+            inputs = open_inputs(request, folder, force=True)
+            result, contents = calibrated(inputs, page=pages)
             with write_results(result, folder, contents, force=True):
                 pass
             # As the folder has it, so that who goes on later has the same bytes.
@@ -308,7 +308,7 @@ def calibrate_job(shared: tuple[Path, Fleet], job: Job) -> Outcome:
     except Exception as error:  # One broken job stops nothing.
         return failed(job, one_line(complaint(error)))
     finally:
-        taken_notices()
+        pop_notices()
 
 
 def failed(job: Job, reason: str) -> Outcome:
@@ -329,17 +329,17 @@ def _evidence(result: CalibrationResult) -> RobotEvidence | None:
         return None
 
 
-def _drifted(row: FleetRow, output: Path, job: Job, own: CalibrationResult) -> FleetRow:
+def _drifted(row: FleetRow, output: Path, job: Job, new: CalibrationResult) -> FleetRow:
     """The row of a calibration with its drift since the one before, if there is one."""
     name = str(job.previous or job.before)
     if not name:
         return row
     try:
         before = results.read_result(job.previous or output / name)
-        return with_drift(row, compare(before, own), name)
+        return with_drift(row, compare(before, new), name)
     except CalibPinError as error:
-        said = f"no drift from {name}: {error}"
-        reason = one_line(f"{row.reason}; {said}" if row.reason else said)
+        message = f"no drift from {name}: {error}"
+        reason = one_line(f"{row.reason}; {message}" if row.reason else message)
         return replace(row, drift=Drift(name), reason=reason)
 
 
@@ -370,16 +370,16 @@ def _before(job: Job, output: Path) -> Path:
     """
     if job.before:
         return output / job.before
-    serial, found = folder_name(job.serial_number), list[str]()
+    serial, earlier = folder_name(job.serial_number), list[str]()
     for name in (path.parent.name for path in output.glob(f"*/{results.DOCUMENT}")):
         day = DATE.fullmatch(name.removeprefix(f"{serial}-"))
         later = day and job.date and day[0] >= job.date
         if name == serial or (day and not later):
-            found.append(name)
-    if not found:
+            earlier.append(name)
+    if not earlier:
         reason = f"no earlier calibration of '{job.serial_number}', here or in {output}"
         raise InputError(f"'start: previous', and there is {reason}")
-    return output / max(found)
+    return output / max(earlier)
 
 
 def finished(folder: Path, request: Request, pages: bool) -> CalibrationResult | None:

@@ -42,23 +42,23 @@ def join(asked: Join) -> int:
         # All columns of a bag are joints, whatever they are called.
         names = tables[0].columns if rosbag.is_bag(joints) else columns
         wait = asked.settle, asked.tolerance
-        found, data = logs.join_logs(*tables, names, *wait, asked.tell, asked.keep)
-    text = "".join(f"{line}\n" for line in _lines(found, measurements))
+        summary, data = logs.join_logs(*tables, names, *wait, asked.tell, asked.keep)
+    text = "".join(f"{line}\n" for line in _lines(summary, measurements))
     asked.give({asked.output: data}, text)
     return 0
 
 
-def _lines(found: Joined, measurements: Path) -> Iterator[str]:
+def _lines(summary: Joined, measurements: Path) -> Iterator[str]:
     """The counts of a join, and how well the clock is known."""
-    clock, readings = found.clock, counted(found.used, "reading")
+    clock, readings = summary.clock, counted(summary.used, "reading")
     if clock is None:
-        yield f"{counted(found.stands, 'sample')} with {readings}"
+        yield f"{counted(summary.stands, 'sample')} with {readings}"
         return
-    empty = f", {found.empty} without" * (found.empty > 0)
-    yield f"{counted(found.stands, 'standstill')} with {readings}{empty}"
-    far = f", {found.scattered} far from their standstill's others"
-    far *= found.scattered > 0
-    moving = counted(found.moving, "reading")
+    empty = f", {summary.empty} without" * (summary.empty > 0)
+    yield f"{counted(summary.stands, 'standstill')} with {readings}{empty}"
+    far = f", {summary.scattered} far from their standstill's others"
+    far *= summary.scattered > 0
+    moving = counted(summary.moving, "reading")
     yield f"dropped: {moving} in motion or beside a standstill{far}"
     ahead, sigma = f"the clock of {measurements} is", f"{1e3 * clock.sigma:.1f} ms"
     if clock.motions:

@@ -33,7 +33,7 @@ PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
 # --- how a field is stated ----------------------------------------------------------
 
 
-class Told(NamedTuple):
+class Spec(NamedTuple):
     """How a user states a field.
 
     Attributes:
@@ -78,21 +78,21 @@ def require_partners(asked: object) -> None:
     """
     kind = type(asked)
     hints = get_type_hints(kind, include_extras=True)
-    told: dict[str, Told] = {name: hint.__metadata__[0] for name, hint in hints.items()}
+    specs: dict[str, Spec] = {n: h.__metadata__[0] for n, h in hints.items()}
     given = {
-        name: one
-        for name, one in told.items()
+        name: spec
+        for name, spec in specs.items()
         if getattr(asked, name) not in (getattr(kind, name, None), [])
     }
-    for name, one in given.items():
-        if one.needs in told and one.needs not in given:
-            other = told[one.needs].called(one.needs)
-            raise OptionError(f"{one.called(name)} needs {other}")
-        for excluded in one.excludes:
+    for name, spec in given.items():
+        if spec.needs in specs and spec.needs not in given:
+            other = specs[spec.needs].called(spec.needs)
+            raise OptionError(f"{spec.called(name)} needs {other}")
+        for excluded in spec.excludes:
             if excluded not in given:
                 continue
             other = given[excluded].called(excluded)
-            raise OptionError(f"{one.called(name)} and {other} exclude each other")
+            raise OptionError(f"{spec.called(name)} and {other} exclude each other")
 
 
 def number(
@@ -127,10 +127,10 @@ def known(
     """
 
     def parse(text: str) -> str:
-        found = [name.strip() for name in text.split(between)] if between else [text]
-        for name in found:
+        names = [name.strip() for name in text.split(between)] if between else [text]
+        for name in names:
             require_known(kind, name, [*more, *_loaded(where)])
-        if len(set(found)) != len(found):
+        if len(set(names)) != len(names):
             raise OptionError(f"a {kind} is named twice", value=text)
         return text
 
@@ -148,28 +148,28 @@ def meanings(cls: type) -> dict[str, str]:
     Returns:
         Text on one line, by attribute.
     """
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         _, _, text = cleandoc(base.__doc__ or "").partition("Attributes:\n")
         text = text.split("\n\n")[0]
         for entry in re.split(r"\n    (?=\w)", "\n" + text)[1:]:
             name, _, meaning = entry.partition(": ")
-            found[name] = " ".join(meaning.split())
-    return found
+            texts[name] = " ".join(meaning.split())
+    return texts
 
 
-def _declared(name: str, told: Told, kind: Any, meaning: str) -> Any:
+def _declared(name: str, spec: Spec, kind: Any, meaning: str) -> Any:
     """The argument or the option for a field."""
     unit = "".join(f" {unit}" for unit in re.findall(r"\[(m|s|m, rad)\]", meaning)[:1])
-    shared: dict[str, Any] = {"metavar": told.word or None, "help": meaning}
-    if not told.heading:
+    shared: dict[str, Any] = {"metavar": spec.word or None, "help": meaning}
+    if not spec.heading:
         return typer.Argument(**shared)
     return typer.Option(
         *["-o"] * (name == "output"),
         as_option(name),
         **shared,
-        parser=told.parser(name, kind, unit),
-        rich_help_panel=told.heading,
+        parser=spec.parser(name, kind, unit),
+        rich_help_panel=spec.heading,
     )
 
 
@@ -179,8 +179,8 @@ def command(name: str, kind: type) -> Callable[..., int]:
     given, only = signature(kind).parameters, Parameter.KEYWORD_ONLY
     parameters = [Parameter("context", only, annotation=typer.Context)]
     for field in sorted(hints, key=lambda name: PLACES.get(name, 0)):
-        (told,), of = hints[field].__metadata__, hints[field].__origin__
-        made: Any = Annotated[of, _declared(field, told, of, texts[field])]
+        (spec,), of = hints[field].__metadata__, hints[field].__origin__
+        made: Any = Annotated[of, _declared(field, spec, of, texts[field])]
         parameters.append(given[field].replace(annotation=made, kind=only))
 
     def run(context: typer.Context, **given: Any) -> int:
@@ -224,7 +224,7 @@ class OfPackages:
             repeated.
     """
 
-    package_dir: Annotated[list[Path] | None, Told("DIR", "Robot")] = None
+    package_dir: Annotated[list[Path] | None, Spec("DIR", "Robot")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,11 +241,11 @@ class OfRobot(OfPackages):
         tip: Last link of the chain; by default the end link, if there is only one.
     """
 
-    robot: Annotated[str, Told("ROBOT", "")]
-    setup: Annotated[Path | None, Told("FILE", "Robot")] = None
-    model: Annotated[str | None, Told("NAME", "Robot")] = None
-    base: Annotated[str | None, Told("LINK", "Robot")] = None
-    tip: Annotated[str | None, Told("LINK", "Robot")] = None
+    robot: Annotated[str, Spec("ROBOT", "")]
+    setup: Annotated[Path | None, Spec("FILE", "Robot")] = None
+    model: Annotated[str | None, Spec("NAME", "Robot")] = None
+    base: Annotated[str | None, Spec("LINK", "Robot")] = None
+    tip: Annotated[str | None, Spec("LINK", "Robot")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,7 +256,7 @@ class OfStations(OfRobot):
         station_per_file: Every file is from another station of the instrument.
     """
 
-    station_per_file: Annotated[bool, Told("", "Robot")] = False
+    station_per_file: Annotated[bool, Spec("", "Robot")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,7 +268,7 @@ class OfChain:
             where there are several and the measurements do not say.
     """
 
-    chain: Annotated[str | None, Told("NAME", "Robot")] = None
+    chain: Annotated[str | None, Spec("NAME", "Robot")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,7 +282,7 @@ class OfParameters(OfRobot):
             several may be combined.
     """
 
-    parameters: Annotated[str | None, Told("P,...", "Robot", PARAMETERS)] = None
+    parameters: Annotated[str | None, Spec("P,...", "Robot", PARAMETERS)] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,7 +294,7 @@ class OfCalibration(OfRobot):
             example:NAME, or a calibration: its file or folder.
     """
 
-    robot: Annotated[str, Told("ROBOT|calibration.json", "")]
+    robot: Annotated[str, Spec("ROBOT|calibration.json", "")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -329,19 +329,19 @@ class Request(OfStations, OfParameters):
         seed: Random seed.
     """
 
-    measurements: Annotated[list[Path], Told("MEASUREMENTS...", "")]
-    solver: Annotated[str | None, Told("NAME", parse=SOLVER)] = None
-    loss: Annotated[str | None, Told("NAME", parse=LOSS)] = None
-    learned: Annotated[str | None, Told("NAME", parse=LEARNED)] = None
-    model_ladder: Annotated[bool, Told()] = False
-    use: Annotated[str | None, Told("WHERE", parse=USE)] = None
-    validation: Annotated[Path | None, Told("FILE")] = None
-    holdout: Annotated[float | None, Told("PART", parse=(0, 1))] = None
-    start: Annotated[Path | None, Told("CALIBRATION")] = None
+    measurements: Annotated[list[Path], Spec("MEASUREMENTS...", "")]
+    solver: Annotated[str | None, Spec("NAME", parse=SOLVER)] = None
+    loss: Annotated[str | None, Spec("NAME", parse=LOSS)] = None
+    learned: Annotated[str | None, Spec("NAME", parse=LEARNED)] = None
+    model_ladder: Annotated[bool, Spec()] = False
+    use: Annotated[str | None, Spec("WHERE", parse=USE)] = None
+    validation: Annotated[Path | None, Spec("FILE")] = None
+    holdout: Annotated[float | None, Spec("PART", parse=(0, 1))] = None
+    start: Annotated[Path | None, Spec("CALIBRATION")] = None
     process_noise: Annotated[
-        float | None, Told("S", parse=(1e-9, 1e-2), needs="start")
+        float | None, Spec("S", parse=(1e-9, 1e-2), needs="start")
     ] = None
-    seed: Annotated[int, Told("N", parse=SEED)] = 0
+    seed: Annotated[int, Spec("N", parse=SEED)] = 0
 
     def words(self, output: Path) -> tuple[str, ...]:
         """The command line of `calibrate` that asks for the same."""
@@ -366,7 +366,7 @@ class Shown:
         json: Print JSON.
     """
 
-    json: Annotated[bool, Told("", "Output")] = False
+    json: Annotated[bool, Spec("", "Output")] = False
 
     def show(
         self, document: Callable[[], Mapping[str, Any]], blocks: Iterable[Block]
@@ -388,7 +388,7 @@ class Answer:
         force: Replace existing output.
     """
 
-    force: Annotated[bool, Told("", "Output")] = False
+    force: Annotated[bool, Spec("", "Output")] = False
 
     quiet = False
 
@@ -425,20 +425,20 @@ class QuietAnswer(Answer):
         quiet: Print nothing but errors.
     """
 
-    quiet: Annotated[bool, Told("", "Output")] = False
+    quiet: Annotated[bool, Spec("", "Output")] = False
 
     def tell(self, remark: str) -> None:
         """A remark on standard error, of a command that may speak."""
         if not self.quiet:
             notice(remark)
 
-    def ended(self, verdict: str, reason: str, *, told: bool) -> int:
+    def ended(self, verdict: str, reason: str, *, reported: bool) -> int:
         """The exit status by a verdict, told here if no report has told it."""
         from calib_pin.estimation.evidence import TRUSTED
 
         if verdict in TRUSTED:
             return 0
-        if not told:
+        if not reported:
             notice(f"{verdict}: {reason}")
         return 2
 
@@ -451,7 +451,7 @@ class Detailed:
         details: Print statistics, all parameters and formulae as well.
     """
 
-    details: Annotated[bool, Told("", "Output")] = False
+    details: Annotated[bool, Spec("", "Output")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -462,7 +462,7 @@ class InDegrees:
         degrees: Write joint angles in degrees, with their unit.
     """
 
-    degrees: Annotated[bool, Told("", "Output")] = False
+    degrees: Annotated[bool, Spec("", "Output")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -474,9 +474,9 @@ class Pictured:
         figure_format: png (default), pdf or svg.
     """
 
-    figures: Annotated[Path | None, Told("DIR", "Output")] = None
+    figures: Annotated[Path | None, Spec("DIR", "Output")] = None
     figure_format: Annotated[
-        str, Told("FORMAT", "Output", PICTURES, needs="figures")
+        str, Spec("FORMAT", "Output", PICTURES, needs="figures")
     ] = "png"
 
 
@@ -491,9 +491,9 @@ class Shared:
             scheduler.json. Only in a trusted network.
     """
 
-    workers: Annotated[int | None, Told("N", "Workers", (1, 1000))] = None
+    workers: Annotated[int | None, Spec("N", "Workers", (1, 1000))] = None
     cluster: Annotated[
-        str | None, Told("ADDRESS", "Workers", excludes=("workers",))
+        str | None, Spec("ADDRESS", "Workers", excludes=("workers",))
     ] = None
 
 

@@ -19,11 +19,11 @@ from urllib.parse import quote
 
 import calib_pin.guidance as guidance
 from calib_pin.cli.asked import Init, Watch
-from calib_pin.cli.calibrate import Opened, calibrated, opened
+from calib_pin.cli.calibrate import Inputs, calibrated, open_inputs
 from calib_pin.cli.files import open_chains, open_setup
 from calib_pin.cli.init import looked_at
 from calib_pin.cli.options import Request, same
-from calib_pin.cli.printing import complaint, notice, stage, taken_notices
+from calib_pin.cli.printing import complaint, notice, pop_notices, stage
 from calib_pin.cli.watch import watched
 from calib_pin.errors import CalibPinError
 from calib_pin.io.columns import ANGLE, LENGTH, Column
@@ -84,7 +84,7 @@ class Read:
         text: The setup file.
         keys: Its keys.
         columns: Columns of the first file.
-        opened: The input of `calibrate`; None as long as it cannot be used.
+        inputs: The input of `calibrate`; None as long as it cannot be used.
     """
 
     nominal: Robot | None = None
@@ -93,7 +93,7 @@ class Read:
     text: str = ""
     keys: Mapping[str, Any] = field(default_factory=dict)
     columns: Mapping[str, Column] = field(default_factory=dict)
-    opened: Opened | None = None
+    inputs: Inputs | None = None
 
 
 class Job:
@@ -173,9 +173,9 @@ class Job:
 
     def follow(self) -> None:
         """Follow the measurements while they are written."""
-        assert self.read.opened is not None
+        assert self.read.inputs is not None
         self._events = []
-        self._watch = watched(Watch(**same(self.read.opened.request, Watch)))
+        self._watch = watched(Watch(**same(self.read.inputs.request, Watch)))
 
     # --- what is done then ---------------------------------------------------------
 
@@ -194,7 +194,7 @@ class Job:
             problem = "stopped"
         except Exception as error:
             problem = complaint(error)
-        remarks = [*dict.fromkeys(taken_notices())]
+        remarks = [*dict.fromkeys(pop_notices())]
         if work != self._look:
             self.problem, self._remarks = problem, remarks
         self._stage = None
@@ -232,13 +232,13 @@ class Job:
             self._state(f"{head}\n\n{yaml_text(lines)}\n".lstrip())
         asked = Request(**same(chosen, Request) | {"setup": SETUP})
         try:
-            given = opened(asked, OUT, force=True, bar=self._bar)
+            inputs = open_inputs(asked, OUT, force=True, bar=self._bar)
         except CalibPinError as error:
             raise (fault or error) from None
         if fault is not None and not chosen.changes:
             notice(f"no setup file could be drafted: {fault}")
-        read.opened = given
-        self.scene = self._drawn(given.chains, given.setup)
+        read.inputs = inputs
+        self.scene = self._drawn(inputs.chains, inputs.setup)
 
     def _state(self, text: str) -> None:
         """Write the setup file, and read it."""
@@ -259,13 +259,13 @@ class Job:
         robot, look = looked_at(replace(self.chosen, **known), choose)
         read.tips, read.text = look.tips, draft(robot, look, "calib-pin app")
         # It begins with comments on the whole.
-        told = read.text.partition("\n\n")[0].replace("\n#   ", " ")
-        read.fit = "\n".join(told.split("\n# ")[1:])
+        comments = read.text.partition("\n\n")[0].replace("\n#   ", " ")
+        read.fit = "\n".join(comments.split("\n# ")[1:])
 
     def _calibrate(self) -> None:
-        given = self.read.opened
-        assert given is not None
-        result, contents = calibrated(given, bar=self._bar)
+        inputs = self.read.inputs
+        assert inputs is not None
+        result, contents = calibrated(inputs, bar=self._bar)
         files = {path.name: data for path, data in contents.items()}
         files[SETUP.name], stream = self.read.text.encode(), io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -273,22 +273,22 @@ class Job:
                 archive.writestr(f"{OUT}/{name}", data)
         self.files = {ALL: stream.getvalue(), **files}
         self.result, model = result, result.model
-        self.scene = self._drawn(model.chains, given.setup, model)
+        self.scene = self._drawn(model.chains, inputs.setup, model)
 
     def _look(self) -> None:
         """Look whether there is more in the files, and read it."""
-        if self._watch is None or (before := self.read.opened) is None:
+        if self._watch is None or (before := self.read.inputs) is None:
             return
-        if found := [*self._watch.look()]:
-            self._events += found
-            self.read.opened = given = opened(before.request, OUT, force=True)
-            self.scene = self._drawn(given.chains, given.setup)
+        if events := [*self._watch.look()]:
+            self._events += events
+            self.read.inputs = inputs = open_inputs(before.request, OUT, force=True)
+            self.scene = self._drawn(inputs.chains, inputs.setup)
 
     def _drawn(
         self, chains: Chains, setup: Setup, model: CalibratedModel | None = None
     ) -> Scene:
-        given, folders = self.read.opened, self.chosen.package_dir or ()
-        data, tells = given.measurements if given else None, partial(stage, self._bar)
+        inputs, folders = self.read.inputs, self.chosen.package_dir or ()
+        data, tells = inputs.measurements if inputs else None, partial(stage, self._bar)
         return make_scene(
             chains, model, setup, data, None, folders, tell=notice, stage=tells
         )
@@ -303,7 +303,7 @@ class Job:
         yield Section("Now", [*self._now()])
         yield Section("While it is measured", [*self._followed()])
         yield Section("Chosen", [*self._listed()])
-        yield Section("Found in the files", [*self._found()])
+        yield Section("Found in the files", [*self._setup_choices()])
         yield Section("Robot and measurements", [*self._asked()])
         yield Section(
             "Columns and units", [*self._columns()], "columns" in self.chosen.changes
@@ -322,25 +322,25 @@ class Job:
             yield words(self.problem, "error")
         for remark in self._remarks:
             yield words(remark, "note")
-        if self.problem and read.columns and read.opened is None:
-            said = "Correct the file, or choose below what is known: tip, measured, "
-            yield words(said + "columns. A few rows need tip and measured.", "note")
+        if self.problem and read.columns and read.inputs is None:
+            hint = "Correct the file, or choose below what is known: tip, measured, "
+            yield words(hint + "columns. A few rows need tip and measured.", "note")
         if not self.chosen.robot:
             yield words("Begin with the robot: its file, or a bundled one.")
         elif not self.chosen.measurements:
             yield words("Now the measurements: a table with a row for each.")
-        elif read.opened is not None and self.result is None:
+        elif read.inputs is not None and self.result is None:
             yield words("Robot and measurements are read: check what was found.")
             yield Widget("button", "Calibrate", tone="good", do=self.calibrate)
-        elif read.opened is not None:
+        elif read.inputs is not None:
             yield Widget("button", "Calibrate again", do=self.calibrate)
 
     def _followed(self) -> Iterator[Widget]:
         """The latest rows of files that another program writes, and where to go."""
-        paths = self.chosen.measurements if self.read.opened else ()
+        paths = self.chosen.measurements if self.read.inputs else ()
         if self._watch is None and paths and all(path.is_absolute() for path in paths):
-            said = "follow the measurements while they are written"
-            yield Widget("button", said, do=self.follow)
+            label = "follow the measurements while they are written"
+            yield Widget("button", label, do=self.follow)
         if self._watch is None:
             return
         last = {e.kind: e for e in self._events if e.kind in STANDING}
@@ -364,13 +364,13 @@ class Job:
 
     def _asked(self) -> Iterator[Widget]:
         """Where files come from; always the same, so that uploads are not disturbed."""
-        said = "Drop files here: robot (URDF, xacro), measurements (CSV), setup file"
+        prompt = "Drop files here: robot (URDF, xacro), measurements (CSV), setup file"
         names, path = (NOTHING, *bundled_robots()), ("or a path here",)
-        yield Widget("upload", "or choose a file", said, do=self.give)
+        yield Widget("upload", "or choose a file", prompt, do=self.give)
         yield Widget("choice", "or bundled robot", names[0], names, do=self.add)
         yield Widget("entry", "take this path", choices=path, do=self.add)
 
-    def _found(self) -> Iterator[Widget]:
+    def _setup_choices(self) -> Iterator[Widget]:
         read = self.read
         if read.nominal is None or not read.columns:
             return
@@ -390,7 +390,7 @@ class Job:
         read = self.read
         if read.nominal is None or not read.columns:
             return
-        joints, stated = [*read.nominal.model.names][1:], read.keys.get("columns", {})
+        joints, columns = [*read.nominal.model.names][1:], read.keys.get("columns", {})
         kinds, headers = (LENGTH.units, ANGLE.units), list[str]()
         for name, column in read.columns.items():
             # Another unit than that of the header is refused.
@@ -399,18 +399,18 @@ class Job:
             headers += [*(f"{name} [{unit}]" for unit in every), column.header]
         known = [name for name in read.columns if name in {*joints, *measured()}]
         missing = [] if read.fit else [*joints, *POSITION]
-        for ours in dict.fromkeys([*stated, *known, *missing]):
+        for ours in dict.fromkeys([*columns, *known, *missing]):
             # The units of the column that is taken come first.
-            own = str(stated.get(ours, ours)).partition(" [")[0]
-            choices = sorted(headers, key=lambda one: one.partition(" [")[0] != own)
+            source = str(columns.get(ours, ours)).partition(" [")[0]
+            choices = sorted(headers, key=lambda one: one.partition(" [")[0] != source)
             yield self._choice(ours, choices, "columns", ours)
 
     def _choice(self, label: str, choices: Iterable[str], *keys: str) -> Widget:
         """The choice of a value of the setup file."""
-        own = self.read.columns.get(label) if keys[0] == "columns" else None
-        unstated = own.header if own else label if "columns" in keys else "(automatic)"
-        found = reduce(lambda of, key: of.get(key) or {}, keys, self.read.keys)
-        shown = str(found or unstated)
+        column = self.read.columns.get(label) if keys[0] == "columns" else None
+        default = label if "columns" in keys else "(automatic)"
+        value = reduce(lambda of, key: of.get(key) or {}, keys, self.read.keys)
+        shown = str(value or (column.header if column else default))
 
         def change(word: Any) -> None:
             self.change(reduce(lambda of, key: {key: of}, reversed(keys), word))
@@ -451,12 +451,12 @@ class Job:
             for step in tile.steps:
                 sizes = f"{step.before.text} \N{RIGHTWARDS ARROW} {step.after.text}"
                 change = f" ({step.change})" if step.change else ""
-                said = f"{tile.label} {step.name}".strip()
-                yield words(f"{said}: {sizes} {tile.unit}{change}", "head")
+                label = f"{tile.label} {step.name}".strip()
+                yield words(f"{label}: {sizes} {tile.unit}{change}", "head")
             yield words(tile.remark, "note")
         if urdf not in self.files:
-            said = "There is no corrected robot: this result must not be trusted."
-            yield words(said, "error")
+            text = "There is no corrected robot: this result must not be trusted."
+            yield words(text, "error")
         main = {f"corrected robot: {urdf}": urdf, "report": REPORT, "all files": ALL}
         yield self._links(main, "good")
         yield self._links({k: k for k in self.files if k not in main.values()})

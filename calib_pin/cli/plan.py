@@ -33,82 +33,80 @@ from calib_pin.validation.robot_state import expected_setup
 
 def plan(asked: Plan, words: Sequence[str]) -> int:
     """Do what `Plan` asks for."""
-    older, stated = files.open_older(
-        asked.start, files.stated_setup(asked), planned=True
-    )
+    older, setup = files.open_older(asked.start, files.setup_for(asked), planned=True)
     if not (asked.accept or asked.count):
         raise OptionError("say how many configurations to plan with --count N")
     inputs = [asked.robot, asked.setup, asked.srdf, asked.tests, asked.start]
     files.check_outputs([asked.output], [*inputs, *(asked.to or [])], asked.force)
     if asked.accept:
-        stated = replace(stated, model="position")
-    chains, keys, rows, stated = _opened(asked, stated, older)
-    collisions, command, poses = None, printing.told_command(words), None
+        setup = replace(setup, model="position")
+    chains, keys, rows, setup = _opened(asked, setup, older)
+    collisions, command, poses = None, printing.command_line(words), None
     if not asked.ignore_collisions:
         collisions = load_collisions(
             chains,
-            stated.obstacles,
+            setup.obstacles,
             srdf=asked.srdf,
             package_dirs=asked.package_dir or [],
             clearance=asked.clearance,
             notice=asked.tell,
-            file=stated.file,
+            file=setup.file,
         )
     if asked.accept:
-        return _acceptance(asked, chains, keys, stated, collisions, command)
+        return _acceptance(asked, chains, keys, setup, collisions, command)
     if asked.tests is not None:
-        about = stated.joints, stated.columns
+        about = setup.joints, setup.columns
         poses = measurements.read_configurations(asked.tests, chains, *about)
     with printing.progress_bar(quiet=asked.quiet) as bar:
         given = options.same(asked, planning.plan) | {
             "chain": chains,
             "model": keys,
             "count": asked.count,
-            "setup": stated,
+            "setup": setup,
             "measured": rows,
             "collisions": collisions,
             "tests": poses,
         }
-        found = planning.plan(**given, progress=bar)
+        result = planning.plan(**given, progress=bar)
     table = encode_configurations(
         chains,
-        found.q,
-        found.target,
-        places=found.places,
-        sides=planning.sides_of(found),
-        joints=stated.joints,
+        result.q,
+        result.target,
+        places=result.places,
+        sides=planning.sides_of(result),
+        joints=setup.joints,
         degrees=asked.degrees,
         comments=[f"planned by: {command}"],
     )
-    written = [f"wrote {counted(len(found.q), 'configuration')} to {asked.output}"]
-    asked.give({asked.output: table}, plan_report(found), written)
+    written = [f"wrote {counted(len(result.q), 'configuration')} to {asked.output}"]
+    asked.give({asked.output: table}, plan_report(result), written)
     return 0
 
 
 def _opened(
-    asked: Plan, stated: Setup, older: CalibrationResult | None
+    asked: Plan, setup: Setup, older: CalibrationResult | None
 ) -> tuple[Chains, Sequence[BlockKey], Observations | None, Setup]:
     """The chains, what is measured there, what was measured before, and the setup."""
     rows: Observations | None = None
     keys: Sequence[BlockKey]
     if asked.to:
-        chains = files.open_chains(asked, stated, asked.chain)
+        chains = files.open_chains(asked, setup, asked.chain)
         with printing.progress_bar(quiet=asked.quiet) as bar:
-            chains, rows = files.open_rows(asked, asked.to, chains, stated, bar=bar)
+            chains, rows = files.open_rows(asked, asked.to, chains, setup, bar=bar)
         rows = fitted_and_held_out(rows)[0]
         keys = rows.keys
     else:
-        keys = files.stated_blocks(stated, *filter(None, [asked.chain]))
-        chains = files.open_chains(asked, stated, keys)
+        keys = files.block_keys(setup, *filter(None, [asked.chain]))
+        chains = files.open_chains(asked, setup, keys)
     if older is not None:
-        stated = expected_setup(chains, stated, older)
+        setup = expected_setup(chains, setup, older)
     if not asked.quiet:
         files.tell_limits(chains)
     # Nothing of the file may turn out to be impossible after a long search.
-    names = (*stated.planes, *stated.targets, *stated.anchors)
+    names = (*setup.planes, *setup.targets, *setup.anchors)
     still = np.zeros((len(names), len(chains.joints)))
-    encode_configurations(chains, still, names, joints=stated.joints)
-    return chains, keys, rows, stated
+    encode_configurations(chains, still, names, joints=setup.joints)
+    return chains, keys, rows, setup
 
 
 def _acceptance(
@@ -146,7 +144,7 @@ def _acceptance(
         reason = "--accept needs the joints that others mimic in the chain"
         raise OptionError(reason, value=chains.joints[-1])
     (term,) = problem.terms.values()
-    found = acceptance_poses(
+    poses = acceptance_poses(
         chain,
         term.error.tool.homogeneous,
         limits=(lower[:count], upper[:count]),
@@ -163,18 +161,18 @@ def _acceptance(
         if (value := getattr(asked, name)) is not None:
             words += [f"--{name}", str(value)]
     cycles, robot = asked.cycles, chains.robot.name
-    schedule = acceptance_schedule(found, robot, cycles, speeds, shlex.join(words))
-    q, poses, each = found.cycles(cycles)
+    schedule = acceptance_schedule(poses, robot, cycles, speeds, shlex.join(words))
+    q, numbers, each = poses.cycles(cycles)
     shown = shown_columns(q, JointColumns.of(chain, setup.joints), asked.degrees)
     columns: dict[str, Sequence[object]] = {n: c.tolist() for n, c in shown.items()}
     for kind, name in zip(BlockKey._fields[1:], keys[0][1:], strict=True):
         columns |= {kind: [name] * len(q)} if name else {}
-    columns |= {"cycle": each, "pose": [f"P{pose}" for pose in poses]}
+    columns |= {"cycle": each, "pose": [f"P{number}" for number in numbers]}
     columns |= {f"{axis} [mm]": [""] * len(q) for axis in "xyz"}  # To be filled in.
     text = encode_table(columns, [f"planned by: {command}", "", *schedule.splitlines()])
     asked.give(
         {asked.output: text},
         schedule,
-        [f"wrote {len(found.q) * cycles} visits to {asked.output}"],
+        [f"wrote {len(poses.q) * cycles} visits to {asked.output}"],
     )
     return 0

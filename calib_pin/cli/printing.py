@@ -50,7 +50,7 @@ def show(blocks: Iterable[Block]) -> None:
         say(plain_text(blocks))
 
 
-def told_command(words: Sequence[str]) -> str:
+def command_line(words: Sequence[str]) -> str:
     """The command line, but for `--force`, which changes nothing of what follows."""
     return shlex.join(["calib-pin", *(word for word in words if word != "--force")])
 
@@ -85,15 +85,15 @@ def notice(message: str) -> None:
 
 def tell_notices() -> None:
     """Print the remarks so far."""
-    for message in taken_notices():
+    for message in pop_notices():
         print(f"calib-pin: {one_line(f'note: {message}')}", file=sys.stderr)
 
 
-def taken_notices() -> list[str]:
+def pop_notices() -> list[str]:
     """The remarks so far, which are told then."""
-    found = [*_notices]
+    remarks = [*_notices]
     _notices.clear()
-    return found
+    return remarks
 
 
 def complaint(error: Exception) -> str:
@@ -154,12 +154,12 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Bar | None]:
 
 def _lines() -> Bar:
     """Tells a stage once, in a line on standard error, of work that takes long."""
-    before, told = monotonic(), ""
+    before, last = monotonic(), ""
 
     def update(stage: str, _: float | None) -> None:
-        nonlocal before, told
-        if stage != told and monotonic() - before > PATIENCE:
-            before, told = monotonic(), stage
+        nonlocal before, last
+        if stage != last and monotonic() - before > PATIENCE:
+            before, last = monotonic(), stage
             print(f"calib-pin: {stage} ...", file=sys.stderr, flush=True)
 
     return update

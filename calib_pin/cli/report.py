@@ -26,10 +26,10 @@ def report(asked: Report) -> int:
     result, document = read_written(file)
     robot, there = result.model.chains.robot, document.get("files", {})
     page = asked.output or file.parent / REPORT
-    own = asked.output is None and REPORT in there
+    renews = asked.output is None and REPORT in there
     pictures = results.figure_files(asked)
     inputs: list[str | Path] = [file, file.parent / MEASUREMENTS, robot.file]
-    files.check_outputs([page, pdf, *pictures], inputs, asked.force or own)
+    files.check_outputs([page, pdf, *pictures], inputs, asked.force or renews)
     files.check_outputs([pdf], inputs, asked.force)
     if MEASUREMENTS not in there:
         printing.notice(
@@ -40,15 +40,15 @@ def report(asked: Report) -> int:
         text = html_report(result, document, figures=drawn)
         contents = {page: text}
         if pdf is not None:
-            stated = results.dated(result.model.setup.report)
-            cover = calibration_cover(result, stated, drawn)
+            entries = results.dated(result.model.setup.report)
+            cover = calibration_cover(result, entries, drawn)
             annex = blocks(result, details=True, formulae=False)
             contents[pdf] = pdf_report(cover, [*annex, *provenance_blocks(document)])
         made = [f"wrote {file}" for file in contents]
         contents |= results.figure_contents(drawn, pictures)
-    replace(asked, force=asked.force or own).give(
+    replace(asked, force=asked.force or renews).give(
         contents,
         blocks(result),
-        [*made, *results.told_figures(contents, pictures)],
+        [*made, *results.figure_notes(contents, pictures)],
     )
-    return asked.ended(result.verdict, result.reason, told=not asked.quiet)
+    return asked.ended(result.verdict, result.reason, reported=not asked.quiet)

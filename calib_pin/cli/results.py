@@ -47,10 +47,10 @@ def check_results(
     """
     outputs = dict.fromkeys(pictures)
     if folder is not None:
-        own = [*result_files(folder, robot), *written_before(folder / DOCUMENT)]
+        paths = [*result_files(folder, robot), *written_before(folder / DOCUMENT)]
         # The nominal robot of a folder may be calibrated again: it stays as it is.
         kept = [folder / NOMINAL] * urdf.is_source(folder / NOMINAL, robot)
-        outputs |= dict.fromkeys(path for path in own if path not in kept)
+        outputs |= dict.fromkeys(path for path in paths if path not in kept)
     check_outputs(outputs, inputs, force)
 
 
@@ -71,8 +71,8 @@ def result_contents(
     document = results.calibration_document(result, made)
     # The same input and seed lead to the same id.
     unlike = {"solver": ["seconds"], "provenance": ["command", "created"]}
-    left = {key: dict.fromkeys(names) for key, names in unlike.items()}
-    document["run"] = sha256(json_text.encode(json_text.merged(document, left)))[:16]
+    blank = {key: dict.fromkeys(names) for key, names in unlike.items()}
+    document["run"] = sha256(json_text.encode(json_text.merged(document, blank)))[:16]
     robot = result.model.chains.robot
     corrected, nominal, main, rows, page = result_files(folder, robot)
     contents = {nominal: robot.source}
@@ -119,8 +119,8 @@ def write_results(
         return
     for chain in map(geometry.of, geometry.measured_chains):
         if chain.tool_carries_tip:
-            said = "moves with the last joint: the error behind that is in frames.tool"
-            notice(f"'{chain.chain.tip}' {said} of calibration.json")
+            text = "moves with the last joint: the error behind that is in frames.tool"
+            notice(f"'{chain.chain.tip}' {text} of calibration.json")
 
 
 def _tell_others(files: Sequence[Path], written: Collection[Path], kind: str) -> None:
@@ -165,7 +165,7 @@ def figure_contents(drawn: Sequence[Drawn], files: Sequence[Path]) -> dict[Path,
     }
 
 
-def told_figures(contents: Collection[Path], files: Sequence[Path]) -> list[str]:
+def figure_notes(contents: Collection[Path], files: Sequence[Path]) -> list[str]:
     """Figures among what was written, in words, and a note on those before."""
     _tell_others(files, contents, "figure")
     count = sum(file in contents for file in files)

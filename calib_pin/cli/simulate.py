@@ -9,10 +9,11 @@ import numpy as np
 
 import calib_pin.cli.files as files
 from calib_pin.cli.asked import Simulate
-from calib_pin.cli.printing import notice, progress_bar, stage, told_command
+from calib_pin.cli.printing import command_line, notice, progress_bar, stage
 from calib_pin.errors import OptionError, counted, stated_in
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io import measurements, results, setup
+from calib_pin.io import measurements, results
+from calib_pin.io.setup import read_true_errors
 from calib_pin.io.table import read_table
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.simulation import draw_errors
@@ -25,28 +26,28 @@ PLACES = ("chain", "station", "tool")
 
 def simulate(asked: Simulate, words: Sequence[str]) -> int:
     """Do what `Simulate` asks for."""
-    stated, file, truth = files.stated_setup(asked), asked.configurations, asked.truth
-    keys = files.stated_blocks(stated)
+    setup, file, truth = files.setup_for(asked), asked.configurations, asked.truth
+    keys = files.block_keys(setup)
     if (asked.count is None) == (file is None):
         raise OptionError("give either --count or --configurations")
     inputs = (asked.robot, asked.setup, file, asked.errors)
     files.check_outputs((asked.output, truth), inputs, asked.force)
     if file is not None:
-        table = read_table(file, columns=stated.columns)
+        table = read_table(file, columns=setup.columns)
         named = table.texts(("target", *PLACES))
         arms = named["chain"].distinct if "chain" in table else ()
-        keys = files.stated_blocks(stated, *arms)
-    chains = files.open_chains(asked, stated, keys)
+        keys = files.block_keys(setup, *arms)
+    chains = files.open_chains(asked, setup, keys)
     # With a map of joints the file has the columns of their controller.
-    with stated_in(stated.file):
-        own = JointColumns.of(chains, stated.joints) if stated.joints else None
-    problem = nominal_problem(chains, keys, stated)
+    with stated_in(setup.file):
+        layout = JointColumns.of(chains, setup.joints) if setup.joints else None
+    problem = nominal_problem(chains, keys, setup)
     rng = np.random.default_rng(asked.seed)
     if asked.errors is None:
         theta = draw_errors(problem.parameters, rng)
     else:
-        given = setup.read_true_errors(asked.errors, problem.parameters.names)
-        theta = problem.parameters.vector(given)
+        errors = read_true_errors(asked.errors, problem.parameters.names)
+        theta = problem.parameters.vector(errors)
     measure = partial(
         run,
         problem,
@@ -55,7 +56,7 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
         noise=asked.noise,
         repeats=asked.repeats,
         # An image shows all corners of a board.
-        per_configuration=stated.board is not None,
+        per_configuration=setup.board is not None,
     )
     with progress_bar() as bar:
         stage(bar, "measure")
@@ -64,16 +65,16 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
             rows = measure(count=asked.count)
         else:
             read = measurements.read_configurations
-            q = read(file, chains, stated.joints, stated.columns)
+            q = read(file, chains, setup.joints, setup.columns)
             held = measurements.read_held(table, chains.joints, q)
             target = named.pop("target", ())
             with stated_in(str(file)):
                 rows = measure(q=q, target=target, places=named, conditions=held)
-        comment = f"simulated by: {told_command(words)}"
-        columns = measurements.measurement_columns(rows, own)
+        comment = f"simulated by: {command_line(words)}"
+        columns = measurements.measurement_columns(rows, layout)
         data = measurements.encode_table(columns, [comment], stage(bar, "write"))
     contents = {asked.output: data}
-    told = [f"wrote {counted(len(rows), 'measurement')} to {asked.output}"]
+    written = [f"wrote {counted(len(rows), 'measurement')} to {asked.output}"]
     if truth is not None:
         true = CalibratedModel.create(problem, theta)
         contents[truth] = results.encode_urdf(true.without_corrections, truth)
@@ -81,6 +82,6 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
             notice(f"{truth} lacks the error behind the last joint: no link holds it")
         if not true.geometric:
             notice(f"{truth} holds the geometry only; a URDF cannot hold other errors")
-        told.append(f"wrote the true robot to {truth}")
-    asked.give(contents, written=told)
+        written.append(f"wrote the true robot to {truth}")
+    asked.give(contents, written=written)
     return 0

@@ -24,7 +24,7 @@ def view(asked: View) -> int:
 
     folders = asked.package_dir or []
     files.require_folders(folders)
-    calibrated, chains, stated = files.open_subject(asked, asked.chain)
+    calibrated, chains, setup = files.open_subject(asked, asked.chain)
     if doubt := doubt_of(calibrated, files.calibration_file(asked)):
         printing.notice(doubt)
     with printing.progress_bar() as bar:
@@ -33,13 +33,13 @@ def view(asked: View) -> int:
             known = {} if model is None else model.references
             sockets = [reference.name for reference in known.values()]
             measured, rows = files.open_rows(
-                asked, asked.measurements, chains, stated, sockets=sockets, bar=bar
+                asked, asked.measurements, chains, setup, sockets=sockets, bar=bar
             )
             chains = measured if model is None else chains
         scene = make_scene(
             chains,
             model,
-            stated,
+            setup,
             rows,
             asked.plan,
             folders,

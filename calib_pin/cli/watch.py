@@ -21,11 +21,11 @@ from rich.text import Text
 import calib_pin.cli.options as options
 import calib_pin.guidance as guidance
 from calib_pin.cli.asked import Calibrate, Watch
-from calib_pin.cli.calibrate import Opened, calibrate, opened
-from calib_pin.cli.files import open_chains, stated_setup
+from calib_pin.cli.calibrate import Inputs, calibrate, open_inputs
+from calib_pin.cli.files import open_chains, setup_for
 from calib_pin.cli.init import reading
 from calib_pin.cli.options import Request
-from calib_pin.cli.printing import console, notice, say, taken_notices
+from calib_pin.cli.printing import console, notice, pop_notices, say
 from calib_pin.errors import InputError, OptionError, RobotError, enumerated
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.guidance import Event
@@ -48,10 +48,10 @@ def watched(asked: Watch) -> guidance.Watch:
 
     def read() -> Any:
         try:
-            found = opened(asked, None)
-            return found.chains, _so_far(found), found.measurements
+            inputs = open_inputs(asked, None)
+            return inputs.chains, _so_far(inputs), inputs.measurements
         finally:
-            taken_notices()
+            pop_notices()
 
     files, folders = asked.measurements, asked.package_dir or ()
     proposals = Proposals(files[0], asked.plan, asked.srdf, folders)
@@ -59,18 +59,18 @@ def watched(asked: Watch) -> guidance.Watch:
     return guidance.Watch(read, followed, proposals, asked.limit, asked.seed)
 
 
-def _so_far(found: Opened) -> Setup:
+def _so_far(inputs: Inputs) -> Setup:
     """The setup, with what an older calibration tells of the rows so far."""
-    older, noise = found.older, found.request.process_noise
+    older, noise = inputs.older, inputs.request.process_noise
     if older is None:
-        return found.setup
-    rows = fitted_and_held_out(found.measurements)[0]
+        return inputs.setup
+    rows = fitted_and_held_out(inputs.measurements)[0]
     try:
-        return started(found.chains, rows, found.setup, older, noise)[0]
+        return started(inputs.chains, rows, inputs.setup, older, noise)[0]
     except OptionError:
         raise
     except InputError:  # Frames use up the rows.
-        return expected_setup(found.chains, found.setup, older, noise)
+        return expected_setup(inputs.chains, inputs.setup, older, noise)
 
 
 def watch(asked: Watch) -> int:
@@ -84,14 +84,14 @@ def watch(asked: Watch) -> int:
         asked = replace(asked, measurements=[file])
     job = watched(asked)
     try:
-        found = opened(asked, asked.output, force=asked.force)
+        inputs = open_inputs(asked, asked.output, force=asked.force)
     except (OptionError, RobotError):
         raise
     except InputError:
         pass  # There may be no rows yet.
     else:
-        job.proposals.check(found.chains, found.setup)
-    taken_notices()
+        job.proposals.check(inputs.chains, inputs.setup)
+    pop_notices()
     if asked.type and asked.plan is not None:
         if len(asked.measurements) != 1:
             raise OptionError("--type needs one file of measurements")
@@ -187,7 +187,7 @@ def typed(request: Request, plan: Path) -> Callable[[], None]:
         InputError: If the plan or the file cannot be used.
         OptionError: If nothing says what is measured.
     """
-    (file,), setup = request.measurements, stated_setup(request)
+    (file,), setup = request.measurements, setup_for(request)
     chains = open_chains(request, setup, "")
     table = read_table(plan, columns=setup.columns)
     models = asked_models(setup.model)
@@ -210,14 +210,14 @@ def typed(request: Request, plan: Path) -> Callable[[], None]:
             raise InputError("has other columns", file=file, allowed=allowed)
         empty = table.rows(slice(0))
         rows = read_table(file, columns=setup.columns) if rest else empty
-        left = remaining(table, rows, chains, setup)
-        row = next((k for k in left if k not in skipped), None)
+        due = remaining(table, rows, chains, setup)
+        row = next((k for k in due if k not in skipped), None)
         if row is None:
             say("all configurations of the plan are measured or skipped\n")
             raise EOFError
         cells = [column.text(row) for column in table.columns.values()]
         where = ", ".join(f"{n} {c}" for n, c in zip(header, cells, strict=False))
-        say(f"{len(left)} left; go to {where}\n")
+        say(f"{len(due)} left; go to {where}\n")
         while True:
             text = input(f"{' '.join(kinds)}{f' [{unit}]' * bool(unit)}, skip, back: ")
             if text.strip() == "skip":

@@ -28,7 +28,7 @@ class More(request.Request):
         pose_weight: How much poses count.
     """
 
-    pose_weight: Annotated[float | None, request.Told("W")] = None
+    pose_weight: Annotated[float | None, request.Spec("W")] = None
 
 request.Request = More
 from calib_pin import robot_file

@@ -134,7 +134,7 @@ def test_untrusted_there_is_a_reason_and_no_robot_until_its_lines_are_applied(ta
     assert tab.shown("Result") == []
     assert "sign: -1" in tab.said("Found in the files")
     assert b"sign: -1" in tab.job.files[SETUP.name]
-    assert tab.job.read.opened.setup.joints["joint_3"].sign == -1
+    assert tab.job.read.inputs.setup.joints["joint_3"].sign == -1
     assert tab.widget("Now", "Calibrate")
 
 
@@ -142,7 +142,7 @@ def test_what_was_found_can_be_changed(tab):
     tab.job.add("pa10")
     tab.job.give("rows.csv", table(foreign, 20))
     tab.widget("Found in the files", "tip").do("link_7")
-    assert tab.job.read.opened.setup.tip == "link_7"
+    assert tab.job.read.inputs.setup.tip == "link_7"
     tab.widget("Columns and units", "x").do("X_ist [m]")
     assert "X_ist" in tab.job.problem + tab.said("Now")
     tab.widget("Columns and units", "x").do("X_ist [mm]")
@@ -151,10 +151,10 @@ def test_what_was_found_can_be_changed(tab):
     # A wrong tip is one line, and the way back is there.
     tab.widget("Found in the files", "tip").do("base_link")
     assert tab.job.problem.count("\n") == 0 and tab.job.problem
-    assert tab.job.read.opened is None
+    assert tab.job.read.inputs is None
     assert {"joint_7", "x"} <= {w.label for w in tab.shown("Columns and units")}
     tab.widget("Found in the files", "tip").do("tool")
-    assert tab.job.problem == "" and tab.job.read.opened is not None
+    assert tab.job.problem == "" and tab.job.read.inputs is not None
     # Of a person's own text nothing is drafted.
     (lines,) = (w for w in tab.shown("Setup file") if w.kind == "lines")
     lines.do("tip: tool\nno_such_key: 1\n")
@@ -216,9 +216,9 @@ def test_paths_examples_and_files_of_the_same_name(tab, tmp_path):
     tab.widget("Robot and measurements", "or bundled robot").do("pa10")
     tab.widget("Chosen", "take its example measurements").do()
     (example,) = tab.job.chosen.measurements
-    assert example.name == "measurements.csv" and tab.job.read.opened is not None
+    assert example.name == "measurements.csv" and tab.job.read.inputs is not None
     tab.widget("Chosen", f"remove {example.name}").do()
-    assert tab.job.chosen.measurements == [] and tab.job.read.opened is None
+    assert tab.job.chosen.measurements == [] and tab.job.read.inputs is None
     (tmp_path / "own.csv").write_bytes(table()[:-300])
     tab.widget("Robot and measurements", "take this path").do(" own.csv ")
     assert tab.job.chosen.measurements == [tmp_path / "own.csv"]
@@ -228,7 +228,7 @@ def test_paths_examples_and_files_of_the_same_name(tab, tmp_path):
         assert len(tab.job.scene.rows.data) == 20 * count
     (tmp_path / "packages").mkdir()
     tab.job.add("packages")
-    assert tab.job.read.opened.request.package_dir == [tmp_path / "packages"]
+    assert tab.job.read.inputs.request.package_dir == [tmp_path / "packages"]
     for nothing in ("", " ", "(choose)"):
         tab.job.add(nothing)
     tab.job.add("missing.csv")

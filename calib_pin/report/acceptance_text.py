@@ -27,23 +27,23 @@ SHOWN = 12
 
 
 def acceptance_report(
-    found: Mapping[str, tested.Acceptance],
+    tests: Mapping[str, tested.Acceptance],
     limit: LimitSetup,
     about: str,
 ) -> Iterator[Block]:
     """The test of a robot, or of it as it was and is.
 
     Args:
-        found: The test by the robot that the commanded poses are of.
+        tests: The test by the robot that the commanded poses are of.
         limit: What must be reached.
         about: The robot, the poses and the frame, in a sentence.
     """
-    *_, last = found.values()
+    *_, last = tests.values()
     yield from limit_lines(last, limit)
     yield from doubt_lines(last)
     yield Line(about)
-    for name, test in found.items():
-        title = f"Poses, {name}" if len(found) > 1 else "Poses"
+    for name, test in tests.items():
+        title = f"Poses, {name}" if len(tests) > 1 else "Poses"
         visited = [
             (f"P{p.pose}", str(p.visits), p.accuracy, p.repeatability, p.directions)
             for p in test.poses
@@ -101,12 +101,12 @@ def limit_lines(test: tested.Acceptance, limit: LimitSetup) -> Iterator[Line]:
     """Whether each limit is met, by how much, in a sentence each."""
     for name, status, interval, allowed, unit in tested.judged(test, limit):
         tone = TONES[status]
-        said = f"{amount(interval.value, unit)} ({ends(interval, unit)})"
+        text = f"{amount(interval.value, unit)} ({ends(interval, unit)})"
         if not isfinite(interval.high):
             least = f", at least {amount(interval.low, unit)}" * (interval.low > 0.0)
-            said = f"is not testable{least}"
+            text = f"is not testable{least}"
         limited = f"the limit is {amount(allowed, unit)}"
-        yield Line(f"{status.upper()}: {name} {said}, {limited}.", tone)
+        yield Line(f"{status.upper()}: {name} {text}, {limited}.", tone)
 
 
 def doubt_lines(test: tested.Acceptance) -> Iterator[Line]:
@@ -130,42 +130,42 @@ PAUSE = 5.0
 
 
 def acceptance_schedule(
-    found: AcceptancePoses, robot: str, cycles: int, speeds: Floats | None, command: str
+    poses: AcceptancePoses, robot: str, cycles: int, speeds: Floats | None, command: str
 ) -> str:
     """The poses and what to do on the day, in lines of ASCII.
 
     Args:
-        found: The poses.
+        poses: The poses.
         robot: Name of the robot.
         cycles: Number of cycles.
         speeds: Largest speeds of the joints, shape (n,) [rad/s, m/s]; None if the URDF
             does not state them.
         command: The command line to type when it is done.
     """
-    places = np.round(1e3 * found.T[:, :3, 3], 1) + 0.0  # No negative zeros.
+    places = np.round(1e3 * poses.T[:, :3, 3], 1) + 0.0  # No negative zeros.
     oriented = "A robot of fewer than six joints: positions only, orientations follow."
-    if found.oriented:
-        turns = np.degrees(pin.rpy.matrixToRpy(found.T[0, :3, :3]))
+    if poses.oriented:
+        turns = np.degrees(pin.rpy.matrixToRpy(poses.T[0, :3, :3]))
         roll, pitch, yaw = np.round(turns, 1) + 0.0
         oriented = "The tool has one orientation at all of them:\n"
         oriented += f"  roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg"
     waits = PAUSE * len(ORDER) * cycles
-    moves, said = 0.0, ", and the moves."
+    moves, tail = 0.0, ", and the moves."
     if speeds is not None:
-        q = found.q[[pose - 1 for pose in ORDER]]
+        q = poses.q[[pose - 1 for pose in ORDER]]
         way = np.abs(np.diff(np.concatenate([q[-1:], q]), axis=0)) / speeds
         moves = cycles * float(way.max(axis=1).sum())
-        said = f";\n  the moves take {moves / 60.0:.1f} min of it at full joint speeds."
+        tail = f";\n  the moves take {moves / 60.0:.1f} min of it at full joint speeds."
     # How well so many visits tell RP, with the same scatter along all axes, exactly.
     rng = np.random.default_rng(0)
     noise = rng.standard_normal((max(cycles, 4), 3))
     u, _, v = np.linalg.svd(noise - noise.mean(axis=0), full_matrices=False)
-    told = tested.repeatability(np.asarray(u @ v), rng)
+    interval = tested.repeatability(np.asarray(u @ v), rng)
     text = (files("calib_pin.report") / "page" / "schedule.txt").read_text("utf-8")
     return text.format(
         robot=robot,
-        center=1e3 * found.center,
-        edge=1e3 * found.edge,
+        center=1e3 * poses.center,
+        edge=1e3 * poses.edge,
         poses="\n".join(
             f"  P{k}  x {x:8.1f}  y {y:8.1f}  z {z:8.1f} mm"
             for k, (x, y, z) in enumerate(places, 1)
@@ -175,9 +175,9 @@ def acceptance_schedule(
         order=", ".join(f"P{pose}" for pose in ORDER),
         minutes=(waits + moves) / 60.0,
         pause=PAUSE,
-        moves=said,
-        low=100.0 * (told.low / told.value - 1.0),
-        high=100.0 * (told.high / told.value - 1.0),
+        moves=tail,
+        low=100.0 * (interval.low / interval.value - 1.0),
+        high=100.0 * (interval.high / interval.value - 1.0),
         half=tested.student(cycles - 1) / cycles**0.5,
         command=command,
     )

@@ -52,8 +52,8 @@ def subject(result: CalibrationResult) -> Line:
         search = f"; {solver.name}, {counted(solver.evaluations, 'evaluation')}"
         search += f" ({solver.evaluator})"
     counts = {kind: len(names) for kind, names in scopes(result.model).items()}
-    told = ", ".join(f"{count} {kind}s" for kind, count in counts.items() if count > 1)
-    places = f" ({told})" if told else ""
+    several = [f"{count} {kind}s" for kind, count in counts.items() if count > 1]
+    places = f" ({', '.join(several)})" if several else ""
     measured = counted(len(result.fitted), "measurement")
     return note(
         f"{chain_words(result.model)}; {model_words(result.model)}{places}, {measured} "
@@ -61,9 +61,9 @@ def subject(result: CalibrationResult) -> Line:
     )
 
 
-def taken(result: CalibrationResult) -> Facts:
+def measurement_facts(result: CalibrationResult) -> Facts:
     """The measurements: of which robot, how, how many, and who took them."""
-    system, stated, held_out = result.model, result.model.setup.report, result.held_out
+    system, report, held_out = result.model, result.model.setup.report, result.held_out
     measured = counted(len(result.fitted), "measurement")
     if aside := int((result.fitted.rows.weight == 0.0).sum()):
         measured += f", {aside} of them set aside"
@@ -73,9 +73,9 @@ def taken(result: CalibrationResult) -> Facts:
         checked = f"{counted(len(held_out), 'measurement')}: {which}"
     entries = [
         ("robot", chain_words(system)),
-        ("serial number", stated.serial_number),
+        ("serial number", report.serial_number),
         ("measured as", model_words(system)),
-        ("instrument", stated.instrument),
+        ("instrument", report.instrument),
         ("fitted", measured),
         ("held out", checked),
         *(
@@ -84,17 +84,17 @@ def taken(result: CalibrationResult) -> Facts:
             if len(names) > 1
         ),
         ("files", ", ".join(result.files)),
-        ("operator", stated.operator),
-        ("customer", stated.customer),
-        ("date", stated.date or ""),
-        ("temperature", degrees(stated)),
+        ("operator", report.operator),
+        ("customer", report.customer),
+        ("date", report.date or ""),
+        ("temperature", degrees(report)),
     ]
     return Facts("Measurements", [entry for entry in entries if entry[1]])
 
 
-def degrees(stated: ReportSetup) -> str:
+def degrees(report: ReportSetup) -> str:
     """The temperature of a report; empty if it is not stated."""
-    return "" if stated.temperature is None else f"{stated.temperature:g} °C"
+    return "" if report.temperature is None else f"{report.temperature:g} °C"
 
 
 def chain_words(system: Terms) -> str:
@@ -110,10 +110,10 @@ def chain_words(system: Terms) -> str:
 
 def scopes(system: Terms) -> dict[str, list[str]]:
     """Names of stations and tools, sorted."""
-    found = [term.frames for term in system.terms.values()]
+    frames = [term.frames for term in system.terms.values()]
     return {
-        "station": sorted({frames.station for frames in found}),
-        "tool": sorted({frames.tool for frames in found}),
+        "station": sorted({pair.station for pair in frames}),
+        "tool": sorted({pair.tool for pair in frames}),
     }
 
 
@@ -132,16 +132,16 @@ def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Blo
     if result.model_selection is not None:
         yield from ladder(result.model_selection)
     yield accuracy_table(result.errors, details=details)
-    said = []
+    notes = []
     if result.validation.method != "none":
         which = HELD_OUT.get(result.validation.method, FOLDS)
-        said.append(f"Validation measurements ({result.validation.method}): {which}.")
+        notes.append(f"Validation measurements ({result.validation.method}): {which}.")
     if result.model_selection is not None and result.validation.method not in HELD_OUT:
-        said.append(
+        notes.append(
             "The same folds selected the model; separate measurements (--validation) "
             "are a stricter check."
         )
-    yield note(" ".join([*said, *_registered(result)]))
+    yield note(" ".join([*notes, *_registered(result)]))
     if result.distances:
         yield distance_table(result.distances)
 
@@ -157,13 +157,13 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
     if not owners:
         yield KNOWN
         return
-    told = [
+    lists = [
         f"{len(names)} {kind}s"
         if len(names) > LISTED_OWNERS
         else ", ".join(f"{name} {kind}" for name in names)
         for kind, names in owners.items()
     ]
-    yield f"Registered for both (nominal and calibrated): {', '.join(told)}."
+    yield f"Registered for both (nominal and calibrated): {', '.join(lists)}."
     if located := result.validation.located:
         few = len(located) <= 2 * LISTED_OWNERS
         names = ", ".join(located) if few else f"{len(located)} of them"
@@ -206,17 +206,17 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
     kinds: list[str] = [name for name in setup.parameters if name in outside_urdf()]
     if setup.learned is not None:
         kinds.append(f"the correction learned by the {TITLES[setup.learned]}")
-    said = f"A URDF cannot hold {' and '.join(kinds)}. "
+    sentence = f"A URDF cannot hold {' and '.join(kinds)}. "
     if result.urdf.reason:
         reason = result.urdf.reason.rstrip(".")
-        yield Line(f"{said}No URDF is written: {reason}.", "bad")
+        yield Line(f"{sentence}No URDF is written: {reason}.", "bad")
         return
     means = []
     for error in result.urdf.errors:
         means.append(f"{error.name} {amount(error.shown[1].mean, error.unit)}")
     which = "fitted" if result.validation.method == "none" else "validation"
     yield note(
-        f"{said}It holds the best geometry without: mean error on {which} "
+        f"{sentence}It holds the best geometry without: mean error on {which} "
         f"measurements {', '.join(means)}. `calib-pin compensate` uses everything."
     )
 
@@ -224,8 +224,8 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
 def evaluated(evaluation: Evaluation) -> Iterator[Block]:
     """Accuracy on measurements that were not fitted."""
     if evaluation.verdict != "good":
-        told = below(evaluation.reason, evaluation.findings)
-        yield judged(told, evaluation.verdict)
+        reason = below(evaluation.reason, evaluation.findings)
+        yield judged(reason, evaluation.verdict)
     yield from findings(evaluation.findings, evaluation.reason)
     counts = evaluation.counts or (evaluation.rows,) * len(evaluation.errors)
     rows = [
@@ -260,24 +260,24 @@ def recalibrated(result: CalibrationResult, *, details: bool = True) -> Iterator
         result: The calibration.
         details: Also the drift and the history.
     """
-    found = result.recalibration
-    if found is None:
+    history = result.recalibration
+    if history is None:
         return
-    day = f" of {found.last.created[:10]}" if found.last.created else ""
+    day = f" of {history.last.created[:10]}" if history.last.created else ""
     yield table(
         f"New measurements by the older calibration{day}, before they were fitted",
         ("", *SIZES),
-        [(name, *sizes(accuracy, unit)) for name, unit, accuracy in found.errors],
+        [(name, *sizes(accuracy, unit)) for name, unit, accuracy in history.errors],
     )
     if not details:
         return
     drifts = [
         (drift.name, f"{amount(drift.size, 'm')} or {amount(drift.size, 'rad')}")
-        for drift in found.last.drifts
+        for drift in history.last.drifts
     ]
     yield Facts("Drift from one calibration to the next, standard deviation", drifts)
-    rows, first = [], max(len(found.steps) - STEPS, 0)
-    for place, step in enumerate(found.steps[first:], first + 1):
+    rows, first = [], max(len(history.steps) - STEPS, 0)
+    for place, step in enumerate(history.steps[first:], first + 1):
         begun = step.created[:10] or step.start or "-"
         numbers = step.measurements, Cell(number(step.chi2), step.chi2), step.dof
         jumps = ", ".join(jump.name or "the whole robot" for jump in step.jumps)

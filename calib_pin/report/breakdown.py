@@ -28,23 +28,23 @@ from calib_pin.validation.result import (
 QUANTITY = "quantity|word"
 
 
-def parts(found: Breakdown) -> Iterator[Block]:
+def parts(breakdown: Breakdown) -> Iterator[Block]:
     """Accuracy and noise by station, tool and chain."""
     members: list[tuple[str, Any, Sequence[VarianceComponent]]] = [
         (f"{kind} {frame.name}", frame, frame.noise)
-        for kind, frames in (("station", found.stations), ("tool", found.tools))
+        for kind, frames in (("station", breakdown.stations), ("tool", breakdown.tools))
         for frame in (frames if len(frames) > 1 else ())
     ]
     members += [
         (f"chain {c.name}" if c.name else f"chain to {c.tip}", c, ())
-        for c in (found.chains if len(found.chains) > 1 else ())
+        for c in (breakdown.chains if len(breakdown.chains) > 1 else ())
     ]
     rows: list[tuple[object, ...]] = []
     for label, of, noise in members:
         for error in of.errors:
-            own = [n for n in noise if _plain(n.quantity) == _plain(error.name)]
+            components = [n for n in noise if _plain(n.quantity) == _plain(error.name)]
             # Of a tool that several stations look at there is no single noise.
-            size = own[0].estimate if len(own) == 1 else math.nan
+            size = components[0].estimate if len(components) == 1 else math.nan
             numbers = error.before.rms, error.after.rms, size
             cells = measures(error.unit, *numbers)
             rows.append((label, of.measurements, error.name, *cells))
@@ -59,9 +59,9 @@ def _plain(name: str) -> str:
     return name.partition(" (")[0]
 
 
-def told(found: Breakdown) -> Iterator[Block]:
+def still_joints(breakdown: Breakdown) -> Iterator[Block]:
     """Joints that never moved."""
-    for chain in found.chains:
+    for chain in breakdown.chains:
         if chain.still:
             joints = f"joint{'s' * (len(chain.still) > 1)} {', '.join(chain.still)}"
             joints += f" of chain {chain.name}" * bool(chain.name)

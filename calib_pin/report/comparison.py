@@ -15,43 +15,43 @@ from calib_pin.report.trust import below, findings, judged
 from calib_pin.validation.result import CalibrationResult
 
 
-def comparison_report(found: compared.Comparison) -> Iterator[Block]:
+def comparison_report(result: compared.Comparison) -> Iterator[Block]:
     """Whether the robot changed, where, by which parameters, and the doubts."""
-    pair = {"A": found.first, "B": found.second}
+    pair = {"A": result.first, "B": result.second}
     for label, record in pair.items():
         if record.verdict not in TRUSTED:
             reason = below(record.reason, record.findings)
-            said = f"{label} ({record.provenance.file}): {reason}"
-            yield judged(said, record.verdict)
-    yield _verdict(found)
-    yield from findings(compared.faults(found), "")
+            text = f"{label} ({record.provenance.file}): {reason}"
+            yield judged(text, record.verdict)
+    yield _verdict(result)
+    yield from findings(compared.faults(result), "")
     for label, record in pair.items():
         yield from findings(record.findings, record.reason, label)
-    yield from map(note, _doubts(found))
+    yield from map(note, _doubts(result))
     origins = [(label, _origin(record)) for label, record in pair.items()]
-    yield Facts(chain_words(found.first.model), origins)
-    yield from tip_differences(found)
-    yield from parameter_changes(found)
+    yield Facts(chain_words(result.first.model), origins)
+    yield from tip_differences(result)
+    yield from parameter_changes(result)
 
 
-def _verdict(found: compared.Comparison) -> Line:
-    drift = found.drift
-    apart = _size(found, drift.position.rms, drift.orientation.rms)
-    if found.identical:
+def _verdict(result: compared.Comparison) -> Line:
+    drift, where = result.drift, _where(result)
+    apart = _size(result, drift.position.rms, drift.orientation.rms)
+    if result.identical:
         return Line("No drift: both predict the same tool points.", "good")
-    if found.drift.explained is None:
+    if drift.explained is None:
         return Line(
-            f"The tool points{_where(found)} are {apart} rms apart; the files do not "
+            f"The tool points{where} are {apart} rms apart; the files do not "
             "say how much of it is noise.",
             "strong",
         )
-    noise = _size(found, *found.drift.explained)
-    if found.drifted:
-        beyond = f"{apart} rms{_where(found)} where the noise of both explains {noise}."
-        return Line(f"{_cause(found)} {beyond}", "bad")
-    within = f"{apart} rms{_where(found)} where noise explains {noise}."
-    if found.changed and found.described:
-        leading, name = found.differences[0], found.differences[0].name
+    noise = _size(result, *drift.explained)
+    if result.drifted:
+        beyond = f"{apart} rms{where} where the noise of both explains {noise}."
+        return Line(f"{_cause(result)} {beyond}", "bad")
+    within = f"{apart} rms{where} where noise explains {noise}."
+    if result.changed and result.described:
+        leading, name = result.differences[0], result.differences[0].name
         if leading.terms:
             name = f"a combination with {leading.terms[0].parameter}"
         far = tables.amount(leading.change, leading.unit)
@@ -61,46 +61,46 @@ def _verdict(found: compared.Comparison) -> Line:
             f"by {within}",
             "bad",
         )
-    said = "No drift beyond the noise of both: the tool points differ by"
-    return Line(f"{said} {within}", "good")
+    text = "No drift beyond the noise of both: the tool points differ by"
+    return Line(f"{text} {within}", "good")
 
 
-def _where(found: compared.Comparison) -> str:
+def _where(result: compared.Comparison) -> str:
     """Of several chains the one that drifted most."""
-    return f" at the tip of {found.chain}" if len(found.drifts) > 1 else ""
+    return f" at the tip of {result.chain}" if len(result.drifts) > 1 else ""
 
 
-def _cause(found: compared.Comparison) -> str:
+def _cause(result: compared.Comparison) -> str:
     """The cause of a drift, as far as it is known."""
-    trusted = {found.first.verdict, found.second.verdict} <= set(TRUSTED)
-    if found.same_rows or not found.same_parameters or not trusted:
+    trusted = {result.first.verdict, result.second.verdict} <= set(TRUSTED)
+    if result.same_rows or not result.same_parameters or not trusted:
         return "The two disagree on the tool point, which differs by"
-    other = "" if found.described else ", or was measured at other configurations"
+    other = "" if result.described else ", or was measured at other configurations"
     return f"The robot changed{other}: tool-point drift"
 
 
-def _size(found: compared.Comparison, position: float, orientation: float) -> str:
+def _size(result: compared.Comparison, position: float, orientation: float) -> str:
     """A drift in words; an orientation only where it is known."""
-    pairs = [(position, "m"), (orientation, "rad")][: 2 if found.drift.oriented else 1]
+    pairs = [(position, "m"), (orientation, "rad")][: 2 if result.drift.oriented else 1]
     return " and ".join(tables.amount(*pair) for pair in pairs)
 
 
-def _doubts(found: compared.Comparison) -> Iterator[str]:
+def _doubts(result: compared.Comparison) -> Iterator[str]:
     """Other possible causes of the difference."""
-    first, second = both = found.first, found.second
-    noisy = found.drifted and found.same_parameters and not found.described
+    first, second = both = result.first, result.second
+    noisy = result.drifted and result.same_parameters and not result.described
     known = None not in map(compared.stated_noise, both)
-    if not found.same_nominal:
+    if not result.same_nominal:
         yield (
             "The nominal robots differ: only the tool points are compared, not the "
             "parameters, which refer to different robots."
         )
-    if found.same_rows:
+    if result.same_rows:
         changed = ": not the robot but the fit changed, and their noise is not "
-        how = " in the same way" if found.identical else f"{changed}independent"
+        how = " in the same way" if result.identical else f"{changed}independent"
         yield f"Both fit the same measurements{how}."
         return
-    if found.same_nominal and not found.same_parameters:
+    if result.same_nominal and not result.same_parameters:
         yield (
             "The errors are described by different parameters, which can cause a "
             "difference without any change of the robot."
@@ -128,43 +128,43 @@ def _origin(record: CalibrationResult) -> str:
     return f"{file}: {how}, {kinds}{created and f'; {created[:10]}'}"
 
 
-def tip_differences(found: compared.Comparison) -> Iterator[Block]:
+def tip_differences(result: compared.Comparison) -> Iterator[Block]:
     """The distance of the tool points, its maximum, and what is no drift."""
     rows = []
-    for chain, drift in found.drifts.items():
+    for chain, drift in result.drifts.items():
         noise = drift.explained or (math.nan, math.nan)
-        of = f"{chain or 'robot'}, " if len(found.drifts) > 1 else ""
+        of = f"{chain or 'robot'}, " if len(result.drifts) > 1 else ""
         stages = [("position", "m", drift.position, noise[0])]
-        if found.drift.oriented:
+        if result.drift.oriented:
             stages.append(("orientation", "rad", drift.orientation, noise[1]))
         for name, unit, accuracy, size in stages:
             *cells, shown = tables.sizes(accuracy, unit)
             rows.append((of + name, *cells, tables.quantity(size, unit), shown))
     title = "Tool-point difference over the workspace"
     yield table(title, ("", *tables.SIZES[:-1], "noise rms", tables.UNIT), rows)
-    yield note(" ".join(_how(found)))
-    if not found.identical:
-        yield _farthest(found)
+    yield note(" ".join(_how(result)))
+    if not result.identical:
+        yield _farthest(result)
 
 
-def _how(found: compared.Comparison) -> Iterator[str]:
+def _how(result: compared.Comparison) -> Iterator[str]:
     """Sentences on what the differences refer to."""
-    absorbed = found.drift.absorbed
-    yield f"{len(found.drift.q)} random configurations within the joint limits."
+    absorbed = result.drift.absorbed
+    yield f"{len(result.drift.q)} random configurations within the joint limits."
     of = f"A displacement of {' and '.join(absorbed)} between A and B is removed by a "
     yield f"{of}fit: it is no drift." if absorbed else "Base and tool are known."
-    if not found.drift.oriented:
+    if not result.drift.oriented:
         yield "The measurements contain no orientations."
-    if found.drift.explained is None:
+    if result.drift.explained is None:
         return
     ends = "" if len(absorbed) == 2 else ", base and tool included"
     yield f"The noise is that of both calibrations{ends}."
-    if found.first.identifiability.weak or found.second.identifiability.weak:
+    if result.first.identifiability.weak or result.second.identifiability.weak:
         yield "It excludes weakly observable directions, which were held at nominal."
 
 
-def _farthest(found: compared.Comparison) -> Facts:
-    drift, chain = found.drift, found.first.model.of(found.chain).chain
+def _farthest(result: compared.Comparison) -> Facts:
+    drift, chain = result.drift, result.first.model.of(result.chain).chain
     position = drift.farthest
     x, y, z = (f"{1e3 * value:.1f}" for value in drift.points[position])
     units = [tables.unit_of("rad" if turns else "m") for turns in chain.revolute]
@@ -173,16 +173,16 @@ def _farthest(found: compared.Comparison) -> Facts:
     largest = tables.amount(drift.drift[position], "m")
     facts = {"tool point": f"at {x}, {y}, {z} mm in {chain.base}"}
     facts["joints"] = f"at {angles}"
-    return Facts(f"Largest difference{_where(found)}: {largest}", [*facts.items()])
+    return Facts(f"Largest difference{_where(result)}: {largest}", [*facts.items()])
 
 
-def parameter_changes(found: compared.Comparison) -> Iterator[Block]:
+def parameter_changes(result: compared.Comparison) -> Iterator[Block]:
     """The differences beyond their uncertainty."""
-    if not found.same_nominal:
+    if not result.same_nominal:
         return
-    if found.moved:
+    if result.moved:
         rows = []
-        for moved in found.moved:
+        for moved in result.moved:
             *sizes, unit = tables.estimate(moved.change, moved.sigma, moved.unit)
             ratio = Cell(f"{moved.significance:.1f}", moved.significance)
             rows.append((moved.name, *sizes, ratio, unit))
@@ -190,23 +190,23 @@ def parameter_changes(found: compared.Comparison) -> Iterator[Block]:
         title += f"{compared.BOUND:.0f} standard deviations"
         titles = ("", "B - A", "std. dev.", "ratio", tables.UNIT)
         yield table(title, titles, rows)
-    yield note(" ".join(_counted(found)))
+    yield note(" ".join(_counted(result)))
 
 
-def _counted(found: compared.Comparison) -> Iterator[str]:
+def _counted(result: compared.Comparison) -> Iterator[str]:
     """Sentences on how many agree, and what is not compared."""
-    if found.differences:
-        agree = [d for d in found.differences if d not in found.moved]
+    if result.differences:
+        agree = [d for d in result.differences if d not in result.moved]
         yield (
-            f"Both identify {_numbers(found.differences)} of the robot; "
+            f"Both identify {_numbers(result.differences)} of the robot; "
             f"{_numbers(agree)} agree within {compared.BOUND:.0f} standard deviations "
             "of the difference. By chance, one in 370 does not."
         )
     else:
         yield "No parameter and no combination of the robot is identified by both."
-    if found.moved and found.drifted is False:
+    if result.moved and result.drifted is False:
         yield "The differences move the tool point by no more than noise does."
-    both = found.first, found.second
+    both = result.first, result.second
     if any(len(one.groups) > len(compared.robot_groups(one)) for one in both):
         yield "Combinations with terms of base, tool or instrument are left out."
 

@@ -19,15 +19,15 @@ SHOWN = 12
 
 
 def compensation_report(
-    found: Compensation, chain: Chain, *, motion: bool, file: str, lines: Sequence[int]
+    result: Compensation, chain: Chain, *, motion: bool, file: str, lines: Sequence[int]
 ) -> Iterator[Block]:
     """The targets reached, the errors that remain, and the targets out of reach.
 
     A motion has joint positions as targets; `lines` are those of the targets in a file.
     """
-    count, reached = len(found), int(found.reached.sum())
+    count, reached = len(result), int(result.reached.sum())
     what = "configurations of the nominal robot" if motion else "targets"
-    kind = "poses" if found.oriented else "positions only"
+    kind = "poses" if result.oriented else "positions only"
     yield Line(
         f"{chain.robot.name}: {reached} of {count} {what} reached ({kind}), "
         "joint limits kept.",
@@ -35,36 +35,36 @@ def compensation_report(
     )
     numbers = np.asarray(lines)
     if reached:
-        yield from _tables(found, chain)
-        at = numbers[found.reached & found.at_limit]
+        yield from _tables(result, chain)
+        at = numbers[result.reached & result.at_limit]
         yield from _at(at, "A joint is at its limit in {}.", "plain")
         yield from _at(
-            numbers[found.reached & found.outside],
+            numbers[result.reached & result.outside],
             "Outside the region in which the learned correction was trained, where it "
             "knows less: {}.",
         )
-    if found.sides.any():
+    if result.sides.any():
         yield Line(
             "Lost motion is made up for as the commands follow one another. Until a "
             "joint has moved once, it is taken to stand in the middle of its lost "
             "motion."
         )
     entries = []
-    for row in np.flatnonzero(~found.reached):
-        remains = amount(found.position[row], "m")
-        if found.oriented:
-            remains += f" and {amount(found.orientation[row], 'rad')}"
+    for row in np.flatnonzero(~result.reached):
+        remains = amount(result.position[row], "m")
+        if result.oriented:
+            remains += f" and {amount(result.orientation[row], 'rad')}"
         entries.append(f"{file}:{lines[int(row)]}: {remains} remain")
     if entries:
         yield Names("Out of reach, or behind the joint limits:", entries)
     joints = len(JointColumns.of(chain).joints)
-    if found.oriented and reached < count and joints < 6:
+    if result.oriented and reached < count and joints < 6:
         yield Line(
             f"{joints} joints reach few poses; --position asks for positions only."
         )
-    if motion and found.reached.all():
+    if motion and result.reached.all():
         yield from _at(
-            numbers[found.jumps],
+            numbers[result.jumps],
             "Discontinuity in joint space, as near a singularity, between {} and the "
             "line before: the robot would leave its path.",
         )
@@ -97,28 +97,28 @@ def line_list(lines: Sequence[int] | np.ndarray) -> str:
 
 
 def _at(
-    lines: Sequence[int] | np.ndarray, said: str, tone: Tone = "bad"
+    lines: Sequence[int] | np.ndarray, sentence: str, tone: Tone = "bad"
 ) -> Iterator[Line]:
     """A sentence on some lines of the file, if there are any."""
     if len(lines):
-        yield Line(said.format(line_list(lines)), tone)
+        yield Line(sentence.format(line_list(lines)), tone)
 
 
-def _tables(found: Compensation, chain: Chain) -> Iterator[Table]:
+def _tables(result: Compensation, chain: Chain) -> Iterator[Table]:
     """Errors at the nominal commands and at those that were found, and corrections."""
     stages = [
-        ("position", "m", found.position_before, found.position),
-        ("orientation", "rad", found.orientation_before, found.orientation),
+        ("position", "m", result.position_before, result.position),
+        ("orientation", "rad", result.orientation_before, result.orientation),
     ]
     rows = []
-    for name, unit, before, after in stages[: 2 if found.oriented else 1]:
-        pair = (found.reached & np.isfinite(before), found.reached & np.isfinite(after))
-        rows.append((name, "nominal", *_sizes(before[pair[0]], unit)))
-        rows.append((name, "compensated", *_sizes(after[pair[1]], unit)))
+    for name, unit, before, after in stages[: 2 if result.oriented else 1]:
+        for label, errors in (("nominal", before), ("compensated", after)):
+            usable = result.reached & np.isfinite(errors)
+            rows.append((name, label, *_sizes(errors[usable], unit)))
     title = "Distance from the targets, by the calibrated model"
     yield table(title, ("", "commands|word", "mean", "max", UNIT), rows, grouped=1)
     drives = JointColumns.of(chain)
-    sizes = np.abs(drives.values(found.corrections + drives.offsets))
+    sizes = np.abs(drives.values(result.corrections + drives.offsets))
     columns = zip(drives.joints, drives.revolute, sizes.T, strict=True)
     rows = [(name, *_sizes(x, "rad" if turns else "m")) for name, turns, x in columns]
     if len(sizes):

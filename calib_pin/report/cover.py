@@ -26,7 +26,7 @@ CERTIFIED = (
     "says which poses, speeds and loads there must be."
 )
 
-SAID: Mapping[str, str] = {
+SUMMARIES: Mapping[str, str] = {
     "fail": "A stated limit is not met.",
     "undecided": "The test does not decide on every limit: more visits do.",
     "pass": "All stated limits are met.",
@@ -55,7 +55,7 @@ class Cover:
         title: Kind of the report.
         status: The verdict in a word or two.
         tone: Its tone.
-        said: The verdict in sentences, and facts that must be known beside it.
+        sentences: The verdict in sentences, and facts that must be known beside it.
         robot: Name of the robot.
         facts: Names and values of measurements, conditions and people; an empty value
             is filled in by hand.
@@ -69,7 +69,7 @@ class Cover:
     title: str
     status: str
     tone: Tone
-    said: Sequence[Line]
+    sentences: Sequence[Line]
     robot: str
     facts: Sequence[tuple[str, str]]
     figures: Sequence[Drawn]
@@ -80,7 +80,7 @@ class Cover:
 
 
 def acceptance_cover(
-    found: Mapping[str, Acceptance],
+    tests: Mapping[str, Acceptance],
     limit: LimitSetup,
     robot: Robot,
     entries: ReportSetup,
@@ -90,29 +90,29 @@ def acceptance_cover(
     """The first page of an acceptance test.
 
     Args:
-        found: The test by the robot that the commanded poses are of.
+        tests: The test by the robot that the commanded poses are of.
         limit: What must be reached.
         robot: The robot.
         entries: What the user stated, with a date.
         about: The robot, the poses and the frame, in a sentence.
         figure: The picture.
     """
-    *_, last = found.values()
+    *_, last = tests.values()
     results = {name: status for name, status, *_ in judged(last, limit)}
-    status = next((s for s in SAID if s in results.values()), "")
-    said, doubts = [*limit_lines(last, limit)], [*doubt_lines(last)]
+    status = next((s for s in SUMMARIES if s in results.values()), "")
+    sentences, doubts = [*limit_lines(last, limit)], [*doubt_lines(last)]
     if not doubts or status == "fail":
-        said.insert(0, Line(SAID[status]))
-    rows, stated = [], limits(limit)
+        sentences.insert(0, Line(SUMMARIES[status]))
+    rows, bounds = [], limits(limit)
     # The worst of each quantity by robot, with its limit.
     for key, (intervals, unit) in measured(last).items():
-        worsts = [worst(measured(t)[key][0]).value for t in found.values()]
-        allowed, _ = stated.get(key, (math.nan, unit))
+        worsts = [worst(measured(t)[key][0]).value for t in tests.values()]
+        allowed, _ = bounds.get(key, (math.nan, unit))
         *cells, most, shown = measures(unit, *worsts, allowed)
         cells += [Cell(ends(worst(intervals), unit)), most, shown]
         status_of = results.get(key, "").upper()
         rows.append((QUANTITIES[key], *cells, status_of))
-    robots = (ROBOTS.get(name, "found") for name in found)
+    robots = (ROBOTS.get(name, "found") for name in tests)
     titles = ("", *robots, "95 %", "limit", UNIT, "status|word")
     # The standard asks for them.
     conditions = _conditions(entries, load=entries.load, speed=entries.speed)
@@ -120,7 +120,7 @@ def acceptance_cover(
         title="Acceptance test",
         status=status.upper() or "NO LIMIT STATED",
         tone=TONES.get(status, "strong"),
-        said=[*said, *doubts],
+        sentences=[*sentences, *doubts],
         robot=robot.name,
         facts=[
             *_facts(robot, entries, limit),
@@ -141,16 +141,16 @@ def calibration_cover(
     figures = {figure.name: figure for figure in drawn}
     line = verdict(result)
     status, _, reason = line.text.partition(": ")
-    said = [Line(reason[:1].upper() + reason[1:])]
+    sentences = [Line(reason[:1].upper() + reason[1:])]
     if result.verdict not in TRUSTED:
-        said.insert(0, Line("This calibration must not be trusted.", "bad"))
+        sentences.insert(0, Line("This calibration must not be trusted.", "bad"))
     if limit != LimitSetup():
-        said.append(note("Whether the limit is met an acceptance test tells."))
+        sentences.append(note("Whether the limit is met an acceptance test tells."))
     return Cover(
         title="Calibration report",
         status=status,
         tone=line.tone,
-        said=said,
+        sentences=sentences,
         robot=robot.name,
         facts=[*_facts(robot, entries, limit), *_conditions(entries).items()],
         figures=[figures[name] for name in PICTURES if name in figures],
@@ -163,7 +163,7 @@ def _facts(
     robot: Robot, entries: ReportSetup, limit: LimitSetup
 ) -> list[tuple[str, str]]:
     """The facts."""
-    stated = (
+    parts = (
         f"{name} {amount(most, unit)}" for name, (most, unit) in limits(limit).items()
     )
     return [
@@ -171,7 +171,7 @@ def _facts(
         ("serial number", entries.serial_number),
         ("file", Path(robot.file).name or robot.file),
         ("SHA-256", hashlib.sha256(robot.source).hexdigest()),
-        ("limit", ", ".join(stated) or "no limit was stated"),
+        ("limit", ", ".join(parts) or "no limit was stated"),
         ("date", entries.date or ""),
         ("customer", entries.customer),
         ("operator", entries.operator),

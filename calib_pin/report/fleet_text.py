@@ -38,15 +38,15 @@ def fleet_report(
         most: Most rows that are listed.
     """
     counts = Counter(row.verdict for row in rows)
-    said = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
+    text = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
     good = all(row.trusted for row in rows)
     yield Line(
-        f"{counted(len(rows), 'calibration')}: {said}.", "good" if good else "bad"
+        f"{counted(len(rows), 'calibration')}: {text}.", "good" if good else "bad"
     )
     if drifted := sum(row.drift.beyond for row in rows):
-        said = "calibration differs" if drifted == 1 else "calibrations differ"
+        verb = "calibration differs" if drifted == 1 else "calibrations differ"
         yield Line(
-            f"{drifted} {said} from the one before by more than noise explains.", "bad"
+            f"{drifted} {verb} from the one before by more than noise explains.", "bad"
         )
     shown = rows[:most]
     # A reason that is the same for several robots is said once.
@@ -79,11 +79,11 @@ def _accuracy(rows: Sequence[FleetRow]) -> Iterator[Table]:
     """Errors before and after over the fleet, by quantity."""
     cells = []
     for name in dict.fromkeys(row.quantity for row in rows if row.quantity):
-        own = [row for row in rows if row.quantity == name and row.trusted]
-        for robot in ("nominal", "calibrated") if own else ():
-            sizes = np.array([getattr(row, robot) for row in own])
-            found = np.quantile(sizes, LEVELS).tolist()
-            cells.append((name, robot, *measures(own[0].unit, *found)))
+        group = [row for row in rows if row.quantity == name and row.trusted]
+        for robot in ("nominal", "calibrated") if group else ():
+            sizes = np.array([getattr(row, robot) for row in group])
+            quantiles = np.quantile(sizes, LEVELS).tolist()
+            cells.append((name, robot, *measures(group[0].unit, *quantiles)))
     if cells:
         yield table(
             "Errors of trusted calibrations (rms of a robot, held-out measurements)",
@@ -108,16 +108,16 @@ def _listed(row: FleetRow) -> tuple[Cell | str, ...]:
 
 
 def outlook_report(
-    study: Study, found: Sequence[Outlook], limit: LimitSetup
+    study: Study, outlooks: Sequence[Outlook], limit: LimitSetup
 ) -> Iterator[Block]:
     """How accurate robots of a type would be.
 
     Args:
         study: The study.
-        found: Its outlooks, by rising number of configurations.
+        outlooks: Its outlooks, by rising number of configurations.
         limit: What has to be reached.
     """
-    yield _decision(found, limit)
+    yield _decision(outlooks, limit)
     setup, noise = study.truth.setup, "noise of 0.1 mm and 0.1 mrad"
     if setup.noise:
         units = {"orientation": "rad", "pixel": "px"}
@@ -133,18 +133,18 @@ def outlook_report(
             ("configurations", "random" if study.plan is None else "of the plan"),
             ("true errors", ", ".join(setup.parameters)),
             ("fitted", ", ".join(study.setup.parameters)),
-            ("robots", str(found[0].robots)),
+            ("robots", str(outlooks[0].robots)),
             ("random seed", str(study.seed)),
         ],
     )
     titles = ("nominal", "5 %", "median", "95 %", "within, 95 % of workspace", UNIT)
     errors, trust = list[tuple[object, ...]](), list[tuple[object, ...]]()
-    for one in found:
-        count, known = str(one.configurations), math.isfinite(one.honesty)
-        sizes = one.nominal[1], *one.position, one.position_share[2]
-        honesty = Cell(f"{one.honesty:.2f}", one.honesty) if known else "-"
+    for outlook in outlooks:
+        count, known = str(outlook.configurations), math.isfinite(outlook.honesty)
+        sizes = outlook.nominal[1], *outlook.position, outlook.position_share[2]
+        honesty = Cell(f"{outlook.honesty:.2f}", outlook.honesty) if known else "-"
         errors.append((count, *measures("m", *sizes)))
-        trust.append((count, *_share(one.coverage), honesty, *_share(one.met)))
+        trust.append((count, *_share(outlook.coverage), honesty, *_share(outlook.met)))
     configurations = "configurations|word"
     title = "Position error over the workspace (rms of a robot)"
     yield table(title, (configurations, *titles), errors)
@@ -154,15 +154,15 @@ def outlook_report(
         "Covered: robots within the bound that their own calibration states with 95 % "
         "confidence. Actual/expected: 1 where calibrations say how accurate they are."
     )
-    if any(one.failed for one in found):
-        failed = [(str(one.configurations), str(one.failed)) for one in found]
+    if any(outlook.failed for outlook in outlooks):
+        failed = [(str(o.configurations), str(o.failed)) for o in outlooks]
         yield table("Not calibrated", (configurations, "robots"), failed)
 
 
-def _decision(found: Sequence[Outlook], limit: LimitSetup) -> Line:
+def _decision(outlooks: Sequence[Outlook], limit: LimitSetup) -> Line:
     """Whether and when the limit is met."""
-    if not math.isfinite(found[0].met[0]):
-        last = found[-1]
+    if not math.isfinite(outlooks[0].met[0]):
+        last = outlooks[-1]
         return Line(
             f"With {last.configurations} configurations 95 % of the robots are within "
             f"{amount(last.position[2], 'm')} rms over the workspace.",
@@ -170,18 +170,18 @@ def _decision(found: Sequence[Outlook], limit: LimitSetup) -> Line:
         )
     limits = [(limit.position, "m"), (limit.orientation, "rad")]
     words = " and ".join(amount(size, unit) for size, unit in limits if size)
-    enough = next((one for one in found if one.met[0] >= LEVELS[-1]), None)
-    one = enough or max(found, key=lambda one: one.met[0])
-    share, low, high = (f"{100.0 * part:.0f} %" for part in one.met)
+    enough = next((o for o in outlooks if o.met[0] >= LEVELS[-1]), None)
+    outlook = enough or max(outlooks, key=lambda outlook: outlook.met[0])
+    share, low, high = (f"{100.0 * part:.0f} %" for part in outlook.met)
     return Line(
-        f"With {one.configurations} configurations {share} of the robots ({low} to "
+        f"With {outlook.configurations} configurations {share} of the robots ({low} to "
         f"{high}) are within {words} in 95 % of their workspace.",
         "good" if enough else "bad",
     )
 
 
-def _share(found: tuple[float, float, float]) -> tuple[Cell | str, str]:
-    share, low, high = found
+def _share(interval: tuple[float, float, float]) -> tuple[Cell | str, str]:
+    share, low, high = interval
     if not math.isfinite(share):
         return "-", "-"
     ends = f"{100.0 * low:.0f} ... {100.0 * high:.0f} %"

@@ -50,21 +50,21 @@ def html_report(
 
     The document is its `calibration.json`, which knows the files and their hashes.
     """
-    verdict, *found = opening(result)
+    verdict, *blocks = opening(result)
     named = {figure.name: figure for figure in figures}
     # A line leads to its figure, if that is there. Lines to copy stand in the section.
-    found = [b for b in found if getattr(b, "figure", "") in ("", *named)]
-    urgent = [b for b in found if isinstance(b, Line) and b.tone in ("bad", "strong")]
+    blocks = [b for b in blocks if getattr(b, "figure", "") in ("", *named)]
+    urgent = [b for b in blocks if isinstance(b, Line) and b.tone in ("bad", "strong")]
     grave = (
         () if result.verdict in TRUSTED else findings(serious(result), result.reason)
     )
     codes = [b for b in grave if isinstance(b, Code)]
-    others = found or [note("There are no findings.")]
-    told = [
+    others = blocks or [note("There are no findings.")]
+    chapters = [
         replace(s, blocks=[*others, *s.blocks]) if s.key == "findings" else s
         for s in sections(result)
     ]
-    told.append(Section("provenance", "Provenance", [*provenance_blocks(document)]))
+    chapters.append(Section("provenance", "Provenance", [*provenance_blocks(document)]))
     parameters = parameter_overview(result.parameters, result.unknown)
     return rendered(
         "report.html",
@@ -74,7 +74,7 @@ def html_report(
         urgent=[*urgent[:FIRST], *codes, *next_step(result)],
         tiles=list(tiles(result)),
         front=[named[name] for name in FRONT if name in named],
-        sections=told,
+        sections=chapters,
         drawn=named,
         parameters=parameters,
         idle=_idle(parameters),
@@ -102,7 +102,7 @@ def acceptance_page(cover: Cover, blocks: Sequence[Block]) -> bytes:
         blocks: The report of the test.
     """
     # It is one page: the verdict stands on it once.
-    rest, numbers = [b for b in blocks if b not in cover.said], "acceptance.json"
+    rest, numbers = [b for b in blocks if b not in cover.sentences], "acceptance.json"
     return rendered("acceptance.html", cover=cover, blocks=rest, numbers=numbers)
 
 

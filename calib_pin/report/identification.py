@@ -27,7 +27,7 @@ REMARKS = {"weak": " (held wholly or partly at nominal)"}
 
 
 def identified(
-    found: Identification,
+    result: Identification,
     *,
     fitted: bool,
     details: bool = False,
@@ -35,50 +35,51 @@ def identified(
     """Ranks, the errors of the robot, what is not known, suggested measurements.
 
     Args:
-        found: The identifiability of a robot.
+        result: The identifiability of a robot.
         fitted: Whether there are estimates.
         details: Also the parameters, and all combinations of them in full.
     """
-    yield ranks(found, fitted=fitted)
-    known = [e for e in found.robot_errors if e.status == "identifiable"]
+    yield ranks(result, fitted=fitted)
+    known = [e for e in result.robot_errors if e.status == "identifiable"]
     if known:
         title = "Identifiable errors of the robot"
         if fitted:
             yield error_table(known, title, ESTIMATE)
         else:
             yield error_table(known, f"{title} (SI units)", ("formula|name",))
-    yield from held(found.robot_errors)
-    if details or not found.robot_errors:
-        yield from in_full(found, fitted=fitted)
+    yield from held(result.robot_errors)
+    if details or not result.robot_errors:
+        yield from in_full(result, fitted=fitted)
     for status in ("weak", "unidentifiable", "fixed"):
-        names = [p.name for p in found.parameters if p.status == status]
+        names = [p.name for p in result.parameters if p.status == status]
         yield from listed(STATUS[status] + REMARKS.get(status, ""), names)
-    yield from _remedied(found)
+    yield from _remedied(result)
 
 
 def summary(result: Identification, *, advised: bool) -> Line:
     """How much of the robot is known and, if advised, how more would be."""
-    found = result.identifiability
-    said = f"Identifiability: {found.robot_rank - found.weak} of {found.robot_rank}"
-    said += " independent errors of the robot are known"
-    if not found.scale_observable:
-        said += "; its absolute scale is unobservable, add a known length"
-    better = [s for s in result.suggestions if s.count > found.robot_rank]
+    analysis = result.identifiability
+    rank = analysis.robot_rank
+    text = f"Identifiability: {rank - analysis.weak} of {rank} independent errors of "
+    text += "the robot are known"
+    if not analysis.scale_observable:
+        text += "; its absolute scale is unobservable, add a known length"
+    better = [s for s in result.suggestions if s.count > rank]
     if advised and better:
         best = max(better, key=lambda s: s.count)
-        said += f"; {best.count} would be if you {best.change}"
-    return Line(f"{said}.")
+        text += f"; {best.count} would be if you {best.change}"
+    return Line(f"{text}.")
 
 
-def in_full(found: Identification, *, fitted: bool) -> Iterator[Block]:
+def in_full(result: Identification, *, fitted: bool) -> Iterator[Block]:
     """Parameters that are known alone, and combinations as formulae."""
-    identifiable = [p for p in found.parameters if p.status == "identifiable"]
+    identifiable = [p for p in result.parameters if p.status == "identifiable"]
     if identifiable and fitted:
         known = [(p.name, *estimate(p.value, p.sigma, p.unit)) for p in identifiable]
         yield table("Identifiable parameters", ("", *ESTIMATE), known)
     else:
         yield from listed("identifiable", [p.name for p in identifiable])
-    groups = [group for group in found.groups if not of_place(group)]
+    groups = [group for group in result.groups if not of_place(group)]
     if groups:
         titles = ("|number", f"{'combination' * fitted}|name", *ESTIMATE)
         rows = [
@@ -88,7 +89,7 @@ def in_full(found: Identification, *, fitted: bool) -> Iterator[Block]:
         shown = slice(5 if fitted else 2)
         title = "Identifiable linear combinations (coefficients in SI units)"
         yield table(title, titles[shown], [row[shown] for row in rows])
-    if hidden := len(found.groups) - len(groups):
+    if hidden := len(result.groups) - len(groups):
         yield note(
             f"Not listed: {counted(hidden, 'combination')} with the position of a "
             "socket, sphere or fixed reference point; see calibration.json or "
@@ -105,20 +106,20 @@ def of_place(group: CoupledGroup) -> bool:
     return kind in ("socket", "sphere", "anchor")
 
 
-def _remedied(found: Identification) -> Iterator[Block]:
+def _remedied(result: Identification) -> Iterator[Block]:
     """Suggested measurements, and how many robot parameters each would identify."""
-    known, weak = found.identifiability.robot_rank, found.identifiability.weak
+    known, weak = result.identifiability.robot_rank, result.identifiability.weak
     rows = [("no change", known - weak)]
     if weak:
         rows.append((f"more or other configurations: {ADDING}", known))
-    rows += [(remedy.change, remedy.count) for remedy in found.suggestions]
+    rows += [(remedy.change, remedy.count) for remedy in result.suggestions]
     if len(rows) > 1:
         titles = ("|remark", "identifiable robot parameters")
         yield table("Suggested measurements", titles, rows)
-    if found.identifiability.parameters > LARGEST:
+    if result.identifiability.parameters > LARGEST:
         many = f"more than {LARGEST} parameters"
         yield note(f"No measurements are suggested for {many}.")
-    if any(remedy.complete for remedy in found.suggestions):
+    if any(remedy.complete for remedy in result.suggestions):
         yield note(
             "The combinations that remain move the tool point only together: no "
             "measurement of it can separate them, and no task requires it."
@@ -127,35 +128,34 @@ def _remedied(found: Identification) -> Iterator[Block]:
 
 def ranks(known: Identification, *, fitted: bool) -> Facts:
     """Numbers of free parameters, structural and practical rank, singular values."""
-    found = known.identifiability
+    analysis = known.identifiability
     status = Counter(p.status for p in known.parameters if p.status != "fixed")
     counts = ", ".join(f"{count} {STATUS[name]}" for name, count in status.items())
     entries = [
-        ("free parameters", f"{found.parameters}   ({counts})"),
+        ("free parameters", f"{analysis.parameters}   ({counts})"),
         (
             "structural rank",
-            f"{found.structural_rank}   (gap {number(found.gap)}; Everett's count "
-            f"4R + 2P + 6 = {found.everett}, for geometry and full poses)",
+            f"{analysis.structural_rank}   (gap {number(analysis.gap)}; Everett's "
+            f"count 4R + 2P + 6 = {analysis.everett}, for geometry and full poses)",
         ),
     ]
     if fitted:
-        only = f"{found.revealed} observable only at the calibrated geometry"
-        remarks = [f"{counted(found.weak, 'direction')} held at nominal"] * bool(
-            found.weak
-        )
-        remarks += [only] * bool(found.revealed)
+        only = f"{analysis.revealed} observable only at the calibrated geometry"
+        weak = f"{counted(analysis.weak, 'direction')} held at nominal"
+        remarks = [weak] * bool(analysis.weak)
+        remarks += [only] * bool(analysis.revealed)
         remark = f"   ({'; '.join(remarks)})" if remarks else ""
-        entries.append(("practical rank", f"{found.rank}{remark}"))
-    if not found.scale_observable:
+        entries.append(("practical rank", f"{analysis.rank}{remark}"))
+    if not analysis.scale_observable:
         entries.append(("absolute scale", "unobservable; add a known length"))
-    if found.singular_values:
-        first, last = found.singular_values[0], found.singular_values[-1]
+    if analysis.singular_values:
+        first, last = analysis.singular_values[0], analysis.singular_values[-1]
         spread = f"{number(first)} ... {number(last)}"
         entries.append(("singular values", f"{spread}   (scaled, whitened)"))
-        entries.append(("condition number", number(found.condition)))
-    if found.singular_values and found.observability:
-        indices = "  ".join(f"{k} {number(v)}" for k, v in found.observability.items())
-        entries.append(("observability indices", indices))
+        entries.append(("condition number", number(analysis.condition)))
+    if analysis.singular_values and analysis.observability:
+        indices = [f"{k} {number(v)}" for k, v in analysis.observability.items()]
+        entries.append(("observability indices", "  ".join(indices)))
     return Facts("Identifiability", entries)
 
 
@@ -183,15 +183,15 @@ CAUSES = {
 
 def offsets(result: CalibrationResult) -> Iterator[Block]:
     """Offsets of the joints, in degrees and in steps of their encoders."""
-    found = joint_offsets(result)
-    known = [offset for offset in found if offset.sigma is not None]
+    every = joint_offsets(result)
+    known = [offset for offset in every if offset.sigma is not None]
     stepped = any(offset.steps is not None for offset in known)
     if known and result.geometry is not None:
         titles = ("offset", *ESTIMATE[1:], *["steps"][:stepped])
         rows = [_offset(offset, stepped) for offset in known]
         yield table("Joint offsets", ("", *titles, "the joint stands|remark"), rows)
         yield note(USE)
-    for offset in found:
+    for offset in every:
         if offset.sigma is None:
             yield Line(_unknown(offset, result.suggestions), "strong")
         if offset.reverses:
@@ -231,16 +231,16 @@ def _frame(name: str) -> str:
     return f"the {owner} frame" if kind == "frame" else f"the {kind} '{owner}'"
 
 
-def error_table(found: Sequence[RobotError], title: str, shown: Sequence[str]) -> Table:
+def error_table(errors: Sequence[RobotError], title: str, keys: Sequence[str]) -> Table:
     """Errors of the robot, grouped by their kind.
 
     Args:
-        found: The errors.
+        errors: The errors.
         title: Title of the table.
-        shown: Some of `ESTIMATE`, or `formula|name`.
+        keys: Some of `ESTIMATE`, or `formula|name`.
     """
-    rows, alike = [], Counter((error.kind, error.of) for error in found)
-    for error in found:
+    rows, alike = [], Counter((error.kind, error.of) for error in errors)
+    for error in errors:
         owner = _of(error)
         if alike[error.kind, error.of] > 1 and error.terms:  # A link with two branches.
             owner += f" to {error.terms[0].parameter.rsplit('.', 2)[0]}"
@@ -248,8 +248,8 @@ def error_table(found: Sequence[RobotError], title: str, shown: Sequence[str]) -
             zip(ESTIMATE, estimate(error.value, error.sigma, error.unit), strict=True)
         )
         cells["formula|name"] = Cell(error.expression)
-        rows.append((error.kind, owner, *(cells[key] for key in shown)))
-    return table(title, ("|word", "|name", *shown), rows, grouped=1)
+        rows.append((error.kind, owner, *(cells[key] for key in keys)))
+    return table(title, ("|word", "|name", *keys), rows, grouped=1)
 
 
 def _of(error: RobotError) -> str:
@@ -278,25 +278,25 @@ def corrections(result: CalibrationResult) -> Iterator[Block]:
         yield note(f"{count} more {are} smaller than {CLEAR:.0f} standard deviations.")
 
 
-def held(found: Sequence[RobotError], *, details: bool = True) -> Iterator[Line]:
+def held(errors: Sequence[RobotError], *, details: bool = True) -> Iterator[Line]:
     """Errors that stay at nominal, and those that frames take along."""
     together: dict[str, list[RobotError]] = {}
-    for error in found:
+    for error in errors:
         if error.status == "weak":
             together.setdefault("Held at nominal, hardly observable", []).append(error)
         elif error.status == "absorbed":
             frames = enumerated([_frame(name) for name in error.within])
             together.setdefault(f"Part of {frames}", []).append(error)
     for meaning in sorted(together, key=lambda words: not words.startswith("Held")):
-        errors = together[meaning]
+        members = together[meaning]
         # Errors by joint, such as `joint offset and link offset of wrist_3_joint`.
         by_owner: dict[str, dict[str, None]] = {}
-        for error in errors:
+        for error in members:
             by_owner.setdefault(_of(error), {})[error.kind] = None
-        said = "; ".join(
+        text = "; ".join(
             f"{enumerated([*kinds]) if len(kinds) < 4 else 'the placement'} of {owner}"
             for owner, kinds in by_owner.items()
         )
         if len(by_owner) > MANY and not details:
-            said = f"{counted(len(errors), 'error')}, see --details"
-        yield note(f"{meaning}: {said}.")
+            text = f"{counted(len(members), 'error')}, see --details"
+        yield note(f"{meaning}: {text}.")

@@ -32,7 +32,7 @@ def plan_report(plan: Plan) -> Iterator[Block]:
         yield Line(
             f"No configuration can measure {', '.join(plan.unmeasurable)}.", "bad"
         )
-    yield from (note(said) for said in _made(plan))
+    yield from (note(sentence) for sentence in _made(plan))
     yield _steps(plan)
     yield _tip(plan)
     known = [e for e in plan.predicted.robot_errors if e.status == "identifiable"]
@@ -46,8 +46,8 @@ def _made(plan: Plan) -> Iterator[str]:
     """How the configurations were chosen, and what they assume."""
     if plan.places:
         shares = Counter(zip(*plan.places.values(), strict=True))
-        told = (f"{n} of {', '.join(filter(None, k))}" for k, n in shares.items())
-        yield f"Configurations: {'; '.join(told)}."
+        parts = (f"{n} of {', '.join(filter(None, k))}" for k, n in shares.items())
+        yield f"Configurations: {'; '.join(parts)}."
     ended = {Status.CONVERGED: "", Status.STOPPED: " (stopped: the best so far)"}
     remark = ended.get(plan.status, f" ({plan.status.value})")
     yield (

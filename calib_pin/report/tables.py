@@ -94,8 +94,7 @@ def measures(unit: str, *values: float) -> tuple[Cell, ...]:
 
 def sizes(accuracy: Accuracy, unit: str) -> tuple[Cell, ...]:
     """The cells of `SIZES`."""
-    found = accuracy.mean, accuracy.rms, accuracy.p95, accuracy.max
-    return measures(unit, *found)
+    return measures(unit, accuracy.mean, accuracy.rms, accuracy.p95, accuracy.max)
 
 
 def estimate(value: float, sigma: float | None, unit: str) -> tuple[Cell, ...]:
@@ -158,13 +157,13 @@ WHERE = {
 """Meaning of each use of a model, see `ModelSelection.use`."""
 
 
-def ladder(found: ModelSelection) -> Iterator[Block]:
+def ladder(selection: ModelSelection) -> Iterator[Block]:
     """The candidates of model selection with their errors on held-out measurements.
 
     Near the fitted configurations, and in regions of joint space that were held out
     whole.
     """
-    every, chosen = found.candidates, found.candidates[found.chosen]
+    every, chosen = selection.candidates, selection.candidates[selection.chosen]
     rungs = [rung for rung in every if not rung.reason]
     far = any(rung.away for rung in rungs)
     places = ("near ", "away ") if far else ("",)
@@ -176,7 +175,7 @@ def ladder(found: ModelSelection) -> Iterator[Block]:
     rows = []
     for rung in rungs:
         stages = rung.errors, rung.away.errors if rung.away else ()
-        means = [{e.name: quantity(e.mean, e.unit) for e in own} for own in stages]
+        means = [{e.name: quantity(e.mean, e.unit) for e in s} for s in stages]
         cells = (means[k].get(name, "-") for name, _, k in columns)
         remark = "selected" * (rung is chosen) if rung.helps else "no significant gain"
         rows.append((rung.name, *cells, remark))
@@ -184,7 +183,7 @@ def ladder(found: ModelSelection) -> Iterator[Block]:
     title = f"{LADDER}, near the fitted configurations and away" if far else LADDER
     kept = [k for k, rung in enumerate(rungs) if rung is chosen]
     yield table(title, ("", *titles, "|remark"), rows, kept)
-    yield note(f"The model is for use {WHERE[found.use]}.")
+    yield note(f"The model is for use {WHERE[selection.use]}.")
     for reason in dict.fromkeys(rung.reason for rung in every if rung.reason):
         names = ", ".join(rung.name for rung in every if rung.reason == reason)
         yield note(f"Not tried: {names}: {reason.rstrip('.')}.")
@@ -217,22 +216,22 @@ def outlier_table(result: CalibrationResult, most: int, *, errors: bool) -> Tabl
         most: How many are listed.
         errors: Also their errors before and after.
     """
-    found, rows = result.statistics.outliers, result.fitted
-    caused = any(outlier.cause for outlier in found)
+    outliers, rows = result.statistics.outliers, result.fitted
+    caused = any(outlier.cause for outlier in outliers)
     titles = ["measurement", "normalized residual", "weight"]
     titles += ["cause|remark"] * caused
     cells: list[list[Cell | str]] = []
-    for outlier in found[:most]:
+    for outlier in outliers[:most]:
         size, weight = f"{outlier.size:.1f}", significant(outlier.weight)
         pair = Cell(size, outlier.size), Cell(weight, outlier.weight)
         cells.append([outlier.place, *pair, *[outlier.cause][:caused]])
     for of in rows.quantities if errors else ():
         titles += [f"{of.name}, nominal [{unit_of(of.unit)[0]}]"]
         titles += [f"calibrated [{unit_of(of.unit)[0]}]"]
-        for outlier, own in zip(found, cells, strict=False):
+        for outlier, row in zip(outliers, cells, strict=False):
             errors_of = (float(size[outlier.row]) for size in rows.sizes(of))
-            own += measures(of.unit, *errors_of)[:2]
-    return table(f"Outliers ({len(found)} of {len(rows)})", titles, cells)
+            row += measures(of.unit, *errors_of)[:2]
+    return table(f"Outliers ({len(outliers)} of {len(rows)})", titles, cells)
 
 
 def listed(meaning: str, names: Sequence[str]) -> Iterator[Names]:

@@ -12,7 +12,7 @@ import calib_pin.report.accuracy as accurate
 import calib_pin.report.trust as trust
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.report.blocks import Block, Line, note
-from calib_pin.report.breakdown import frame_blocks, parts, told
+from calib_pin.report.breakdown import frame_blocks, parts, still_joints
 from calib_pin.report.identification import (
     corrections,
     held,
@@ -61,7 +61,7 @@ def format_report(result: CalibrationResult, *, details: bool = False) -> str:
     return plain_text(report(result, details=details))
 
 
-def brief(found: Any) -> str:
+def brief(result: Any) -> str:
     """The first lines of the report of a result, for its `repr`."""
     # A calibration shows itself without planning and comparison.
     from calib_pin.planning.plan import Plan
@@ -76,7 +76,7 @@ def brief(found: Any) -> str:
         Comparison: comparison_report,
         Plan: plan_report,
     }
-    lines = plain_text(ways[type(found)](found)).splitlines()
+    lines = plain_text(ways[type(result)](result)).splitlines()
     return "\n".join([*lines[:LINES], *["..."] * (len(lines) > LINES)])
 
 
@@ -112,7 +112,7 @@ def report(
     yield from accurate.beyond(result)
     yield from corrections(result)
     yield from frame_blocks(result)
-    yield from told(result)
+    yield from still_joints(result)
     yield summary(result, advised=not alone)
     if not alone:
         yield from held(result.robot_errors, details=False)
@@ -151,14 +151,14 @@ def sections(result: CalibrationResult, most: int = LISTED[1]) -> Iterator[Secti
         for remedy in result.suggestions
     )
     known = identified(result, fitted=True)
-    identifiable = (known, told(result), *remedies)
+    identifiable = (known, still_joints(result), *remedies)
     bounded = listed("at a bound", result.solver.at_bounds)
     noise = trust.noise(result), trust.statistics(result)
     outliers = _outliers(result, most)
     errors = "errors-per-measurement", "tip-accuracy-in-workspace"
     every: tuple[tuple[str, str, Iterable[Iterable[Block]], Sequence[str]], ...] = (
         ("frames", PLACES, [frames or [note(accurate.KNOWN)]], []),
-        ("measured", "Measurements", [[accurate.taken(result)]], []),
+        ("measured", "Measurements", [[accurate.measurement_facts(result)]], []),
         ("findings", "Outliers and findings", [outliers], ["residuals-over-order"]),
         ("accuracy", "Accuracy", accuracy, errors),
         ("identifiability", "Identifiability", identifiable, []),

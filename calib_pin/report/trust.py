@@ -67,20 +67,20 @@ def verdict(result: CalibrationResult) -> Line:
 def judged(reason: str, status: str = "untrusted") -> Line:
     """A verdict as the line that comes first."""
     name = status.replace("-", " ").upper()
-    said = f"{name}: {reason.rstrip('.')}."
-    return Line(said, "good" if status in TRUSTED else "bad")
+    text = f"{name}: {reason.rstrip('.')}."
+    return Line(text, "good" if status in TRUSTED else "bad")
 
 
 def next_step(result: CalibrationResult) -> Iterator[Line]:
     """The next step with a result that must not be trusted."""
     if result.verdict in TRUSTED:
         return
-    grave, said = serious(result), NEXT[result.verdict]
+    grave, advice = serious(result), NEXT[result.verdict]
     if any(finding.setup for finding in grave):
-        said = "put the lines above into the setup file, and calibrate again"
+        advice = "put the lines above into the setup file, and calibrate again"
     elif remedies := [finding.remedy for finding in grave if finding.remedy]:
-        said = remedies[0]
-    yield Line(f"Next: {said.rstrip('.')}.", "strong")
+        advice = remedies[0]
+    yield Line(f"Next: {advice.rstrip('.')}.", "strong")
 
 
 def serious(result: CalibrationResult) -> list[Finding]:
@@ -90,17 +90,17 @@ def serious(result: CalibrationResult) -> list[Finding]:
 
 
 def findings(
-    found: Iterable[Finding], reason: str, of: str = "", most: int | None = None
+    items: Iterable[Finding], reason: str, of: str = "", most: int | None = None
 ) -> Iterator[Block]:
     """Findings, errors first, each with its remedy and its lines for the setup file.
 
     Args:
-        found: The findings.
+        items: The findings.
         reason: The reason of the verdict; a message that it holds is not repeated.
         of: The subject, where there are several.
         most: How many are told; the rest is counted. None for all.
     """
-    ordered = _ordered(found)
+    ordered = _ordered(items)
     new = [finding for finding in ordered if finding.message not in reason]
     later = [] if most is None else new[most:]
     shown = [finding for finding in ordered if finding not in later]
@@ -110,8 +110,8 @@ def findings(
         for finding in together:
             if finding in new:
                 name = f"{finding.severity.capitalize()}{of and f', {of}'}"
-                said = below(advised(finding), together)
-                yield Line(f"{name}: {said}.", TONES[finding.severity])
+                text = below(advised(finding), together)
+                yield Line(f"{name}: {text}.", TONES[finding.severity])
         if setup:
             yield Code("Lines for the setup file", yaml_text(setup))
         for figure in dict.fromkeys(filter(None, (f.figure for f in together))):
@@ -121,13 +121,13 @@ def findings(
         yield note(f"{more}: see the page, or --details.")
 
 
-def _ordered(found: Iterable[Finding]) -> list[Finding]:
-    return sorted(found, key=lambda finding: [*TONES].index(finding.severity))
+def _ordered(items: Iterable[Finding]) -> list[Finding]:
+    return sorted(items, key=lambda finding: [*TONES].index(finding.severity))
 
 
-def below(text: str, found: Iterable[Finding]) -> str:
+def below(text: str, items: Iterable[Finding]) -> str:
     """A text without the lines of findings, which stand below it."""
-    for finding in found:
+    for finding in items:
         if finding.setup:
             from calib_pin.validation.findings.sentences import written
 
@@ -148,9 +148,9 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
     several = len(result.accuracies) > 1
     known = [
         (f"{chain or 'robot'}, {place}" if several else where, accuracy)
-        for chain, found in result.accuracies.items()
+        for chain, tool in result.accuracies.items()
         for place, where in PLACES.items()
-        if (accuracy := getattr(found, place)) is not None
+        if (accuracy := getattr(tool, place)) is not None
     ]
     if not known:
         return
@@ -158,8 +158,8 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
         # No correction is made, so that its accuracy is of no interest.
         unit, factor = DISPLAY["m"]
         parts = [f"{significant(factor * a.nominal[0])} {unit} {w}" for w, a in known]
-        said = f"Expected tool-point error (rms), uncorrected: {', '.join(parts)}."
-        yield note(said)
+        text = f"Expected tool-point error (rms), uncorrected: {', '.join(parts)}."
+        yield note(text)
         return
     rows = [row for where, accuracy in known for row in _accuracy(where, accuracy)]
     titles = ("nominal", "calibrated", "95 %", "unmodeled", UNIT, "better", "at")
@@ -172,11 +172,11 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
     )
 
 
-def _accuracy(where: str, found: ExpectedAccuracy) -> Iterator[tuple[Cell | str, ...]]:
-    shown = [Cell(percent(part), part) for part in (found.better, found.share)]
-    stages = (found.nominal, found.calibrated, found.bound, found.unmodeled)
+def _accuracy(where: str, error: ExpectedAccuracy) -> Iterator[tuple[Cell | str, ...]]:
+    shown = [Cell(percent(part), part) for part in (error.better, error.share)]
+    stages = (error.nominal, error.calibrated, error.bound, error.unmodeled)
     for k, si in enumerate(("m", "rad")):
-        if math.isfinite(found.nominal[k]):
+        if math.isfinite(error.nominal[k]):
             numbers = [_short(stage[k], si) for stage in stages]
             yield where, *numbers, unit_of(si)[0], *shown
             where, shown = "", [Cell("")] * 2
@@ -191,12 +191,12 @@ def _short(size: float | None, unit: str) -> Cell:
 
 def noise(result: CalibrationResult) -> Iterator[Block]:
     """The noise of every quantity, stated or assumed and estimated."""
-    found = result.statistics.noise
-    if not found:
+    components = result.statistics.noise
+    if not components:
         return
-    pure = any(part.pure is not None for part in found)
-    rows, said = [], []
-    for part in found:
+    pure = any(part.pure is not None for part in components)
+    rows, remarks = [], []
+    for part in components:
         sizes = part.given, part.estimate, *part.interval, part.pure, part.unmodeled
         given, size, low, high, repeats, rest = (_short(x, part.unit) for x in sizes)
         of, unit = "stated" if part.stated else "assumed", unit_of(part.unit)[0]
@@ -214,23 +214,23 @@ def noise(result: CalibrationResult) -> Iterator[Block]:
             p = f"= {part.lack_of_fit:.3f}" if part.lack_of_fit >= 1e-3 else "< 0.001"
             more = "configurations differ more than their repetitions"
             parts.append(f"lack of fit, {more} (p {p})")
-        said += [note(f"{part.quantity}: {'; '.join(parts)}.")] if parts else []
+        remarks += [note(f"{part.quantity}: {'; '.join(parts)}.")] if parts else []
     titles = ["given", "estimated", "95 % interval", *["repeats"][:pure], "unmodeled"]
     yield table("Noise (1 sigma of a component)", ("", *titles, UNIT), rows)
-    yield from said
+    yield from remarks
 
 
 def statistics(result: CalibrationResult) -> Iterator[Block]:
     """Chi-square, and whether it confirms the standard deviations."""
-    found, setup = result.statistics, result.model.setup
-    entries = [("chi-square", f"{number(found.chi2)} with {found.dof} dof")]
-    if found.dof > 0:
-        low, high = chi2_interval(found.dof)
-        where = ("below", "inside", "above")[bisect((low, high), found.chi2)]
+    fit, setup = result.statistics, result.model.setup
+    entries = [("chi-square", f"{number(fit.chi2)} with {fit.dof} dof")]
+    if fit.dof > 0:
+        low, high = chi2_interval(fit.dof)
+        where = ("below", "inside", "above")[bisect((low, high), fit.chi2)]
         interval = f"{number(low)} ... {number(high)}"
         entries.append(("", f"{where} its 95 % interval {interval}"))
-        sigmas = "stated" if found.stated_sigma else "assumed"
-        entries.append(("sigma0", f"{number(found.sigma0)} times the {sigmas} sigma"))
+        sigmas = "stated" if fit.stated_sigma else "assumed"
+        entries.append(("sigma0", f"{number(fit.sigma0)} times the {sigmas} sigma"))
     if isinstance(setup.prior, PopulationPrior):
         entries.append(("prior", f"by {setup.prior.robots} robots of this type"))
     title = "Statistics of the parameters, before what is learned"

@@ -7,7 +7,7 @@ from typing import Any
 
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.report.blocks import Block, Line, Table
-from calib_pin.report.breakdown import parts, told
+from calib_pin.report.breakdown import parts, still_joints
 from calib_pin.report.terminal import plain_text
 from calib_pin.validation.result import (
     Accuracy,
@@ -66,7 +66,7 @@ def test_one_of_each_is_not_told():
         tools=TOOLS[:1],
         chains=(ChainSummary("", "base_link", "flange", ("a",), 30, ()),),
     )
-    assert list(parts(found)) == list(told(found)) == []
+    assert list(parts(found)) == list(still_joints(found)) == []
 
 
 def test_stations_and_tools():
@@ -82,5 +82,5 @@ def test_stations_and_tools():
         ChainSummary(name, "torso", tip, ("a", "b"), 40, (), still=still)
         for name, tip, still in (("left", "hand", ()), ("", "head", ("c", "d")))
     )
-    (line,) = told(Breakdown(chains=chains))
+    (line,) = still_joints(Breakdown(chains=chains))
     assert isinstance(line, Line) and "c, d" in line.text

@@ -33,7 +33,7 @@ def cover_of(**changed: object) -> Cover:
         title="Acceptance test",
         status="PASS",
         tone="good",
-        said=[Line("All stated limits are met.")],
+        sentences=[Line("All stated limits are met.")],
         robot="arm",
         facts=[("robot", "arm"), ("limit", "AP 0.5 mm"), ("operator", "")],
         numbers=table("", ("", "found"), [("AP", "0.1")]),
@@ -72,7 +72,7 @@ BLOCKS: Sequence[Block] = [
 LONG_COVER = {
     "robot": LONG,
     "status": "A VERDICT OF MANY WORDS THAT DO NOT FIT",
-    "said": [Line("a reason " * 200, "bad")],
+    "sentences": [Line("a reason " * 200, "bad")],
     "facts": [(name, LONG + LONG[:20]) for name in "abcdefghijklmnopqrst"],
     "entries": ReportSetup(LONG + LONG[:20], date="2026-11-23"),
 }
@@ -181,7 +181,7 @@ def test_words_are_shown_and_never_run():
     cover = cover_of(
         title=HOSTILE,
         status=HOSTILE[:20],
-        said=[Line(HOSTILE)],
+        sentences=[Line(HOSTILE)],
         robot=HOSTILE,
         facts=[(HOSTILE, HOSTILE)],
         remark=HOSTILE,

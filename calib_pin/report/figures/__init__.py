@@ -62,5 +62,5 @@ def drawn(of: str, *subject: Any, shapes: Sequence[Shape] = ()) -> Iterator[Draw
 def figures(result: CalibrationResult) -> dict[str, Figure]:
     """Those of a calibration by name, see `CalibrationResult.figures`."""
     shapes = robot_shapes(result.model.chains.robot).parts
-    found = drawn("calibration", result, shapes=shapes)
-    return {figure.name: figure.figure for figure in found}
+    pictures = drawn("calibration", result, shapes=shapes)
+    return {figure.name: figure.figure for figure in pictures}

@@ -247,11 +247,11 @@ def log_axis(axes: Axes, which: Literal["x", "y"], *values: Floats) -> bool:
     Returns:
         Whether any of the values is positive, or else there is no such axis.
     """
-    found = np.concatenate([np.ravel(part) for part in values])
-    found = found[np.isfinite(found) & (found > 0.0)]
-    if found.size == 0:
+    numbers = np.concatenate([np.ravel(part) for part in values])
+    numbers = numbers[np.isfinite(numbers) & (numbers > 0.0)]
+    if numbers.size == 0:
         return False
-    low, high = float(found.min()), float(found.max())
+    low, high = float(numbers.min()), float(numbers.max())
     room = max((high / low) ** 0.06, 1.15)
     axes.set(**{f"{which}scale": "log", f"{which}lim": (low / room, high * room)})
     axis = axes.xaxis if which == "x" else axes.yaxis

@@ -53,25 +53,25 @@ def cumulative_errors(result: CalibrationResult) -> Drawn | None:
     """Cumulative errors of the held-out measurements, of all where there are none."""
     rows = result.fitted if result.held_out is None else result.held_out
     counted = rows.rows.weight > 0.0
-    found = []
+    entries = []
     for quantity in rows.quantities:
         unit, factor = unit_of(quantity.unit)
-        own = [size[counted & ~np.isnan(size)] for size in rows.sizes(quantity)]
-        if all(np.isfinite(size).any() for size in own):
-            found.append((quantity.name, unit, [np.sort(factor * s) for s in own]))
-    if not found:
+        stages = [size[counted & ~np.isnan(size)] for size in rows.sizes(quantity)]
+        if all(np.isfinite(size).any() for size in stages):
+            entries.append((quantity.name, unit, [np.sort(factor * s) for s in stages]))
+    if not entries:
         return None
-    lines, columns = math.ceil(len(found) / COLUMNS), min(len(found), COLUMNS)
+    lines, columns = math.ceil(len(entries) / COLUMNS), min(len(entries), COLUMNS)
     figure, places = panels(lines, columns, 2.2, right=0.35, top=0.68, apart=0.95)
-    for axes in places.flat[len(found) :]:
+    for axes in places.flat[len(entries) :]:
         axes.remove()
-    said = []
-    for axes, (name, unit, sizes) in zip(places.flat, found, strict=False):
+    shares = []
+    for axes, (name, unit, sizes) in zip(places.flat, entries, strict=False):
         below = " → ".join(significant(Accuracy.of(size).p95) for size in sizes)
         axes.set_title(f"95 % below {below} {unit}")
         axes.set_xlabel(f"{name} error [{unit}]")
         _curves(axes, sizes)
-        said.append(f"{name} {below} {unit}")
+        shares.append(f"{name} {below} {unit}")
     for axes in places[:, 0]:
         axes.set_ylabel("share of measurements [%]")
     key(figure, {name: {"color": c} for name, c in STAGES.items()})
@@ -80,7 +80,7 @@ def cumulative_errors(result: CalibrationResult) -> Drawn | None:
         "Share of measurements below an error",
         f"Each curve shows which part of the {len(rows)} {which} measurements has an "
         "error of at most the size on the axis: the further to the left, the more "
-        f"accurate. 95 % lie below the dots: {', '.join(said)}.",
+        f"accurate. 95 % lie below the dots: {', '.join(shares)}.",
         figure,
     )
 
@@ -161,8 +161,8 @@ def _panel(
     )
     width = float(np.clip(50.0 / np.sqrt(len(part)), 1.8, 4.5))
     points(axes, chosen + 1, before[chosen], marks(BEFORE, "o", width, hollow=True))
-    for _, color, own in _after(part):
-        shown = chosen[own[chosen]]
+    for _, color, mask in _after(part):
+        shown = chosen[mask[chosen]]
         points(axes, shown + 1, after[shown], marks(color, "s", width))
     rings = np.intersect1d(chosen, np.asarray(outliers, np.intp))
     points(axes, rings + 1, after[rings], {**RING, "markersize": width + 5.0})
@@ -257,29 +257,29 @@ class _Residuals:
 def residuals_over_order(result: CalibrationResult) -> Drawn | None:
     """Residuals of the first quantity by their place in the files."""
     rows = result.fitted
-    found = _Residuals.of(rows)
-    if found is None:
+    residuals = _Residuals.of(rows)
+    if residuals is None:
         return None
     place = np.empty(len(rows))
     place[rows.rows.in_order] = np.arange(1, len(rows) + 1)
     groups, of = _groups(rows)
     figure, places = panels(
-        len(found.names), 1, PANEL, left=0.85, apart=0.2, sharex=True
+        len(residuals.names), 1, PANEL, left=0.85, apart=0.2, sharex=True
     )
-    for k, (axes, name) in enumerate(zip(places.flat, found.names, strict=True)):
+    for k, (axes, name) in enumerate(zip(places.flat, residuals.names, strict=True)):
         for g, color in enumerate(OF_STATIONS[: len(groups)]):
-            own = found.chosen[of[found.chosen] == g]
-            points(axes, place[own], found.values[own, k], marks(color, "o", 2.8))
-        order = rows.rows.in_order[found.kept[rows.rows.in_order]]
+            at = residuals.chosen[of[residuals.chosen] == g]
+            points(axes, place[at], residuals.values[at, k], marks(color, "o", 2.8))
+        order = rows.rows.in_order[residuals.kept[rows.rows.in_order]]
         if len(order) >= FEWEST:
             width = max(len(order) // SMOOTH, 3)
             x, mean = (
                 np.convolve(v[order], np.full(width, 1.0 / width), "valid")
-                for v in (place, found.values[:, k])
+                for v in (place, residuals.values[:, k])
             )
             axes.plot(x, mean, color=INK, linewidth=1.0)
-        found.limit(axes)
-        axes.set_ylabel(f"{name} [{found.unit}]")
+        residuals.limit(axes)
+        axes.set_ylabel(f"{name} [{residuals.unit}]")
     places[-1, 0].set_xlabel("place in the files")
     entries = {
         shortened(g, 16): marks(color, "o")
@@ -292,7 +292,7 @@ def residuals_over_order(result: CalibrationResult) -> Drawn | None:
         "Signed residuals of the fit by their place in the files. They should scatter "
         "about zero everywhere: a step is an instrument or a tool that moved, a slope "
         "is drift, single points at the edge are outliers."
-        + thinning(len(found.chosen), len(rows)),
+        + thinning(len(residuals.chosen), len(rows)),
         figure,
     )
 
@@ -300,10 +300,10 @@ def residuals_over_order(result: CalibrationResult) -> Drawn | None:
 def residuals_by_joint(result: CalibrationResult) -> Drawn | None:
     """Residuals of the first quantity against the position of each joint."""
     rows, chains = result.fitted, result.model.chains
-    found = _Residuals.of(rows)
-    if found is None:
+    residuals = _Residuals.of(rows)
+    if residuals is None:
         return None
-    lines = -(-len(chains.joints) // SIDE)
+    lines, values = -(-len(chains.joints) // SIDE), residuals.values[residuals.chosen].T
     figure, places = panels(
         lines, SIDE, PANEL, left=0.85, top=0.65, gap=0.3, sharey=True
     )
@@ -311,22 +311,22 @@ def residuals_by_joint(result: CalibrationResult) -> Drawn | None:
         axes.remove()
     for j, (axes, joint) in enumerate(zip(places.flat, chains.joints, strict=False)):
         unit, factor = unit_of("rad" if chains.revolute[j] else "m")
-        q = factor * rows.rows.q[found.chosen, j]
-        for k, color in enumerate(GROUPS[: len(found.names)]):
-            points(axes, q, found.values[found.chosen, k], marks(color, "o", 2.8))
-        found.limit(axes)
+        q = factor * rows.rows.q[residuals.chosen, j]
+        for part, color in zip(values, GROUPS, strict=False):
+            points(axes, q, part, marks(color, "o", 2.8))
+        residuals.limit(axes)
         axes.set_title(shortened(joint, 19))
         axes.set_xlabel(f"position [{unit}]")
         if j % SIDE == 0:
-            axes.set_ylabel(f"residual [{found.unit}]")
-    colors = zip(found.names, GROUPS, strict=False)
+            axes.set_ylabel(f"residual [{residuals.unit}]")
+    colors = zip(residuals.names, GROUPS, strict=False)
     key(figure, {name: marks(color, "o") for name, color in colors})
     return Drawn(
         "Residuals by joint",
         "Signed residuals of the fit against the position of each joint. A slope or a "
         "wave along one joint is an error of its gear or its encoder; a joint whose "
         "points stand in a narrow band was hardly moved."
-        + thinning(len(found.chosen), len(rows)),
+        + thinning(len(residuals.chosen), len(rows)),
         figure,
     )
 

@@ -114,8 +114,8 @@ def robot_errors(
         _draw(axes, corners, np.concatenate([lit, np.repeat(shades, 10, axis=0)]))
         through = {"c": shades, "alpha": XRAY, "linewidths": 0.0, "depthshade": False}
         axes.scatter(*points.T, s=7.0, zorder=3.0, **through)
-        said = f"{name.partition(' ')[0]}: {_mean(result, measured, k)}"
-        figure.text(0.25 + 0.5 * k, 0.95, said, ha="center", color=color)
+        label = f"{name.partition(' ')[0]}: {_mean(result, measured, k)}"
+        figure.text(0.25 + 0.5 * k, 0.95, label, ha="center", color=color)
     clipped = ", more at the end" if np.concatenate(sizes).max() > top else ""
     place = figure.add_axes((0.3, 0.11, 0.4, 0.022))
     bar = figure.colorbar(scale, place, orientation="horizontal")
@@ -163,7 +163,7 @@ def _measured(result: CalibrationResult) -> Measured:
     unit = "m" if "m" in units else min(units)
     names = [q.name for q in result.fitted.quantities if q.unit == unit]
     link = drawn_link(result.model.chains)
-    found = []
+    arrays = []
     for part in parts:
         sizes = [part.sizes(q) for q in part.quantities if q.unit == unit]
         if not sizes:
@@ -173,9 +173,9 @@ def _measured(result: CalibrationResult) -> Measured:
         usable = np.isfinite(part.points).all(axis=1) & ~np.isnan(before)
         usable &= np.isfinite(after)
         points = _in_link(result, part, link)
-        found.append((points[usable], before[usable], after[usable]))
+        arrays.append((points[usable], before[usable], after[usable]))
     points, before, after = (
-        np.concatenate(parts) for parts in zip(*found, strict=True)
+        np.concatenate(parts) for parts in zip(*arrays, strict=True)
     )
     name = names[0] if len(names) == 1 else "length"
     return Measured(points, before, after, unit, name)
@@ -183,13 +183,13 @@ def _measured(result: CalibrationResult) -> Measured:
 
 def _mean(result: CalibrationResult, measured: Measured, stage: int) -> str:
     """Mean error before or after, that of the report where it has one, in words."""
-    mean, said = float(np.mean((measured.before, measured.after)[stage])), "on average"
+    mean, where = float(np.mean((measured.before, measured.after)[stage])), "on average"
     for error in result.errors:
         if error.name == measured.name:
             mean = error.shown[stage].mean
-            said = "on average" if "validation" in error.stages else "where fitted"
+            where = "on average" if "validation" in error.stages else "where fitted"
     unit, factor = unit_of(measured.unit)
-    return f"{significant(factor * mean)} {unit} {said}"
+    return f"{significant(factor * mean)} {unit} {where}"
 
 
 def _in_link(result: CalibrationResult, part: MeasurementErrors, link: str) -> Floats:
@@ -260,17 +260,17 @@ def _triangles(shape: Shape, T: Floats, extent: float) -> Floats:
     surface, pose = shape.surface, T @ shape.placement
     if len(surface.triangles) > FEW:
         surface = simplified(surface, extent / DETAIL)
-    found = (surface.vertices @ pose[:3, :3].T + pose[:3, 3])[surface.triangles]
+    corners = (surface.vertices @ pose[:3, :3].T + pose[:3, 3])[surface.triangles]
     while True:
-        edges = np.linalg.norm(found - np.roll(found, -1, axis=1), axis=2)
+        edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
         large = edges.max(axis=1) > extent / COARSEST
         if not large.any():
-            return np.asarray(found)
+            return np.asarray(corners)
         first, which = edges[large].argmax(axis=1), np.arange(int(large.sum()))
-        a, b, c = (found[large][which, (first + k) % 3] for k in range(3))
+        a, b, c = (corners[large][which, (first + k) % 3] for k in range(3))
         middle = 0.5 * (a + b)
         halves = [np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)]
-        found = np.concatenate([found[~large], *halves])
+        corners = np.concatenate([corners[~large], *halves])
 
 
 def _muted(color: Color, measured: bool) -> Color:

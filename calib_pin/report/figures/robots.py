@@ -55,10 +55,10 @@ def poses_tested(tests: Mapping[str, Acceptance], limit: LimitSetup) -> Drawn | 
     if limit.position is not None or limit.repeatability is not None:
         entries["limit"] = LIMIT
     key(figure, entries)
-    said = "AP and RP of every pose with 95 % intervals."
+    caption = "AP and RP of every pose with 95 % intervals."
     if "limit" in entries:
-        said += " A limit is met where all of an interval lies below it."
-    return Drawn("Accuracy and repeatability by pose", said, figure)
+        caption += " A limit is met where all of an interval lies below it."
+    return Drawn("Accuracy and repeatability by pose", caption, figure)
 
 
 def _poses(
@@ -85,8 +85,8 @@ def _poses(
     if len(numbers) <= FEW:
         axes.set_xticks(numbers, [f"P{number}" for number in numbers], fontsize=8)
     axes.grid(visible=False, axis="x")
-    found = np.concatenate(shown)
-    positive = found[np.isfinite(found) & (found > 0.0)]
+    values = np.concatenate(shown)
+    positive = values[np.isfinite(values) & (values > 0.0)]
     if len(positive) and positive.max() > 20.0 * positive.min():
         log_axis(axes, "y", positive)
     else:

@@ -55,14 +55,14 @@ def tip_in_workspace(result: CalibrationResult) -> Drawn | None:
     tip = result.accuracy.tip
     if tip is None or len(tip.points) == 0 or not np.isfinite(tip.position).all():
         return None
-    said = "Of unmodeled errors it has what they do to the fit, not what they add"
+    text = "Of unmodeled errors it has what they do to the fit, not what they add"
     if weak := result.identifiability.weak:
-        said += f"; it excludes the {weak} directions held at nominal"
-    found = result.statistics
-    if found.stated_sigma and found.chi2 > chi2_interval(found.dof)[1]:
-        said += (
+        text += f"; it excludes the {weak} directions held at nominal"
+    fit = result.statistics
+    if fit.stated_sigma and fit.chi2 > chi2_interval(fit.dof)[1]:
+        text += (
             "; it holds for the stated sigma, while the measurements scatter "
-            f"{number(found.sigma0)} times as much"
+            f"{number(fit.sigma0)} times as much"
         )
     unit, factor = unit_of("m")
     label = f"uncertainty [{unit}], rms"
@@ -70,7 +70,7 @@ def tip_in_workspace(result: CalibrationResult) -> Drawn | None:
     return Drawn(
         "Tool-point accuracy over the workspace",
         f"Predicted tool-point uncertainty (1 sigma) "
-        f"{_spread(tip.points, tip.position)}, in the frame of the instrument. {said}.",
+        f"{_spread(tip.points, tip.position)}, in the frame of the instrument. {text}.",
         figure,
     )
 

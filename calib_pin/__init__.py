@@ -87,13 +87,13 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'calib_pin' has no attribute '{name}'")
     module = import_module(f"calib_pin.{_HOMES[name]}")
-    found = getattr(module, name)
-    if isinstance(found, FunctionType):
+    value = getattr(module, name)
+    if isinstance(value, FunctionType):
         from calib_pin.setup.arguments import checked
 
-        found = checked(found)
-        setattr(module, name, found)  # Under this name it is pickled.
-    return globals().setdefault(name, found)
+        value = checked(value)
+        setattr(module, name, value)  # Under this name it is pickled.
+    return globals().setdefault(name, value)
 
 
 def __dir__() -> list[str]:

@@ -48,7 +48,7 @@ def printable(text: str) -> str:
 def one_line(message: str) -> str:
     """A message on one line, with names and values in quotes shortened."""
     line = printable(re.sub(r"[ \t\r\n]+", " ", message).strip())
-    return _cut(_QUOTED.sub(lambda found: _cut(found[0], VALUE), line), MESSAGE)
+    return _cut(_QUOTED.sub(lambda match: _cut(match[0], VALUE), line), MESSAGE)
 
 
 def words_of(error: BaseException) -> str:

@@ -156,8 +156,8 @@ class ParameterSet:
         Raises:
             OptionError: If a pattern matches nothing.
         """
-        found = _matching_each(tuple(patterns), self.names)
-        return self.without(set().union(*set(found)))
+        matches = _matching_each(tuple(patterns), self.names)
+        return self.without(set().union(*set(matches)))
 
     def without(self, positions: Iterable[int]) -> ParameterSet:
         """The set with the parameters at some positions not estimated."""
@@ -175,8 +175,8 @@ class ParameterSet:
             OptionError: If a glob matches nothing or an interval excludes zero.
         """
         changes: dict[int, dict[str, float]] = {}
-        found = _matching_each(tuple(bounds), self.names)
-        for (pattern, limit), positions in zip(bounds.items(), found, strict=True):
+        matches = _matching_each(tuple(bounds), self.names)
+        for (pattern, limit), positions in zip(bounds.items(), matches, strict=True):
             lower, upper = limit if isinstance(limit, tuple) else (-limit, limit)
             if not lower <= 0.0 <= upper:
                 reason = f"bounds of '{pattern}' exclude zero, the nominal robot"
@@ -190,8 +190,8 @@ class ParameterSet:
         Raises:
             OptionError: If a glob matches nothing.
         """
-        found = _matching_each(tuple(priors), self.names)
-        entries = zip(priors.values(), found, strict=True)
+        matches = _matching_each(tuple(priors), self.names)
+        entries = zip(priors.values(), matches, strict=True)
         changes = {k: {"prior": s} for s, positions in entries for k in positions}
         return self._replace(changes)
 
@@ -215,7 +215,7 @@ def matching(pattern: str, names: Sequence[str]) -> list[int]:
 
 
 def by_joint(
-    stated: Iterable[tuple[str, Value]],
+    entries: Iterable[tuple[str, Value]],
     joints: Sequence[str],
     column: str,
     file: str | None = None,
@@ -223,7 +223,7 @@ def by_joint(
     """Values by joint, of those by names or globs; later ones win.
 
     Args:
-        stated: Names or globs, each with its value.
+        entries: Names or globs, each with its value.
         joints: The joints that there are.
         column: Key of the setup file that states them, for messages.
         file: The setup file.
@@ -232,12 +232,12 @@ def by_joint(
         OptionError: If one means no joint.
     """
     result = dict[str, Value]()
-    for pattern, value in stated:
-        found = matching(pattern, joints)
-        if not found:
+    for pattern, value in entries:
+        matches = matching(pattern, joints)
+        if not matches:
             reason, allowed = f"no joint matches '{pattern}'", ", ".join(joints)
             raise OptionError(reason, file=file, column=column, allowed=allowed)
-        result |= {joints[k]: value for k in found}
+        result |= {joints[k]: value for k in matches}
     return result
 
 

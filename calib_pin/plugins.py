@@ -82,19 +82,19 @@ def extensions(group: str) -> Mapping[str, Any]:
     Raises:
         CalibPinError: If one cannot be loaded, or two have the same name.
     """
-    found: dict[str, Any] = {}
+    members: dict[str, Any] = {}
     entries = every_entry_point().select(group=group)
     for entry in sorted(entries, key=lambda entry: entry.name):
-        said = f"the plug-in '{entry.name}' of {group} ({entry.value})"
+        subject = f"the plug-in '{entry.name}' of {group} ({entry.value})"
         try:
             member = entry.load()
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            raise CalibPinError(f"{said} cannot be loaded: {reason}") from error
+            raise CalibPinError(f"{subject} cannot be loaded: {reason}") from error
         # An editable installation may show the same package twice.
-        if found.setdefault(entry.name, member) is not member:
-            raise CalibPinError(f"{said} is there twice; uninstall one")
-    return found
+        if members.setdefault(entry.name, member) is not member:
+            raise CalibPinError(f"{subject} is there twice; uninstall one")
+    return members
 
 
 class Members(Mapping[str, T]):

@@ -50,7 +50,7 @@ def steps_of(unit: str) -> tuple[float, float | None] | None:
         >>> steps_of("steps/4096"), steps_of("steps/1228.8@512"), steps_of("deg")
         ((4096.0, None), (1228.8, 512.0), None)
     """
-    found = _STEPS.fullmatch(unit)
-    if found is None or not float(found[1]):
+    match = _STEPS.fullmatch(unit)
+    if match is None or not float(match[1]):
         return None
-    return float(found[1]), None if found[2] is None else float(found[2])
+    return float(match[1]), None if match[2] is None else float(match[2])

@@ -102,8 +102,8 @@ def acceptance_poses(
 
     Examples:
         >>> import calib_pin
-        >>> found = acceptance_poses(calib_pin.load_chain("space6"), np.eye(4))
-        >>> found.edge in EDGES, found.q.shape
+        >>> poses = acceptance_poses(calib_pin.load_chain("space6"), np.eye(4))
+        >>> poses.edge in EDGES, poses.q.shape
         (True, (5, 6))
     """
     joints = Joints.of(chain)
@@ -130,8 +130,8 @@ def acceptance_poses(
     for edge in EDGES:
         centers = _cubes(evaluate, T[:, :3, 3], joints, edge, region)
         for turns, center in product(wanted, centers):
-            found = _posed(evaluate, center, edge, turns, joints, oriented, free)
-            for T_5, q_5 in found:
+            options = _posed(evaluate, center, edge, turns, joints, oriented, free)
+            for T_5, q_5 in options:
                 way = q_5[[pose - 1 for pose in (1, *ORDER)]]
                 if moves is None or all(moves(a, b) for a, b in pairwise(way)):
                     return AcceptancePoses(center, edge, T_5, q_5, oriented)
@@ -185,8 +185,8 @@ def _cubes(
     targets = np.tile(np.eye(4), (len(chosen), len(grid), 1, 1))
     targets[:, :, :3, 3] = chosen[:, None] + 0.5 * edge * grid
     every = targets.reshape(-1, 4, 4)
-    found = search(Task.of(evaluate, every, joints, orientation=False)).reached
-    return chosen[found.reshape(len(chosen), len(grid)).all(axis=1)]
+    reached = search(Task.of(evaluate, every, joints, orientation=False)).reached
+    return chosen[reached.reshape(len(chosen), len(grid)).all(axis=1)]
 
 
 def _posed(
@@ -202,17 +202,17 @@ def _posed(
     first = np.tile(np.eye(4), (len(turns), 1, 1))
     first[:, :3, :3], first[:, :3, 3] = turns, center
     middle = search(Task.of(evaluate, first, joints, orientation=oriented))
-    for T_1, q_1, there in zip(first, middle.q, middle.reached, strict=True):
-        if not there:
+    for T_1, q_1, reached in zip(first, middle.q, middle.reached, strict=True):
+        if not reached:
             continue
         for plane in _planes():
             T = np.tile(T_1, (5, 1, 1))
             T[1:, :3, 3] += (0.5 - INSET) * edge * plane
             # Near the center, so that an elbow stays where it is.
             near = np.tile(q_1, (5, 1))
-            found = reach(Task.of(evaluate, T, joints, near, oriented))
-            if found.reached.all() and (free is None or free(found.q).all()):
-                yield T, found.q
+            solutions = reach(Task.of(evaluate, T, joints, near, oriented))
+            if solutions.reached.all() and (free is None or free(solutions.q).all()):
+                yield T, solutions.q
 
 
 def _planes() -> Iterator[Floats]:

@@ -102,12 +102,12 @@ def block_of(
             "the calibration is of several chains; say which one with --chain",
             allowed=", ".join(model.measured_chains),
         )
-    found = [key for key in model.terms if key.chain in model.measured_chains]
+    keys = [key for key in model.terms if key.chain in model.measured_chains]
     for kind, name in (("chain", chain), ("station", station), ("tool", tool)):
         if name is not None:
-            require_known(kind, name, dict.fromkeys(getattr(k, kind) for k in found))
-            found = [key for key in found if getattr(key, kind) == name]
-    return found[0]
+            require_known(kind, name, dict.fromkeys(getattr(k, kind) for k in keys))
+            keys = [key for key in keys if getattr(key, kind) == name]
+    return keys[0]
 
 
 def model_errors(result: CalibrationResult) -> dict[str, dict[str, Any]]:
@@ -115,13 +115,13 @@ def model_errors(result: CalibrationResult) -> dict[str, dict[str, Any]]:
 
     Of the robot that commands are for, see `CalibrationResult.applied`.
     """
-    found, as_it_is = {}, result.verdict == "no-gain"
+    errors, as_it_is = {}, result.verdict == "no-gain"
     for error in result.errors:
         size = error.validation_before if as_it_is else error.validation_after
         if size is not None and error.unit in ("m", "rad"):
             about = {"unit": error.unit, "method": result.validation.method}
-            found[error.name] = {**about, "mean": size.mean, "max": size.max}
-    return found
+            errors[error.name] = {**about, "mean": size.mean, "max": size.max}
+    return errors
 
 
 def with_payload(

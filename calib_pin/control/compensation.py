@@ -57,8 +57,8 @@ class Compensation(Brief, Solutions):
     @property
     def corrections(self) -> Floats:
         """Differences from the nominal commands, of rows that both reach, (K, n)."""
-        found = (self.q - self.nominal)[self.reached]
-        return np.asarray(found[np.isfinite(found).all(axis=1)])
+        dq = (self.q - self.nominal)[self.reached]
+        return np.asarray(dq[np.isfinite(dq).all(axis=1)])
 
     @property
     def complete(self) -> bool:
@@ -112,8 +112,8 @@ def compensate(
         ...     calib_pin.robot_file("space6", "measurements.csv"), chain
         ... )
         >>> model = calib_pin.calibrate(chain, rows, setup).model.of()
-        >>> found = compensate(model, model.poses(rows.q), rows.q)
-        >>> bool(found.position.max() < 1e-9)
+        >>> commands = compensate(model, model.poses(rows.q), rows.q)
+        >>> bool(commands.position.max() < 1e-9)
         True
     """
     real = kinematics(model, frame=frame, point=point)
@@ -122,21 +122,22 @@ def compensate(
     start = start if start is None else as_array("start", start, len(targets), count)
     before = before if before is None else as_array("before", before, count)
     task = Task.of(real, targets, joints, start, orientation)
-    found = _in_parts(search, task, progress)
+    solutions = _in_parts(search, task, progress)
     if start is None:
-        kept = np.flatnonzero(found.reached)
-        driven = joints.driven(found.q[kept])
+        kept = np.flatnonzero(solutions.reached)
+        driven = joints.driven(solutions.q[kept])
         unwound = joints.unwound(driven)
         turned = (unwound != driven).any(axis=1)
         rows = kept[turned]
         # Corrections need not be periodic: another turn is another descent.
         others = reach(replace(task.rows(rows), start=unwound[turned]))
-        found = found.replaced(rows[others.reached], others.rows(others.reached))
+        better = others.reached
+        solutions = solutions.replaced(rows[better], others.rows(better))
     imagined = kinematics(model, frame=frame, point=point, nominal=True)
-    nominal = reach(Task.of(imagined, targets, joints, found.q, orientation))
+    nominal = reach(Task.of(imagined, targets, joints, solutions.q, orientation))
     plain = np.where(nominal.reached[:, None], nominal.q, np.nan)
-    result = _compensation(model, task, found, plain)
-    return _from_sides(model, targets, result, before, frame, point)
+    commands = _compensation(model, task, solutions, plain)
+    return _from_sides(model, targets, commands, before, frame, point)
 
 
 @serial_blas
@@ -163,14 +164,14 @@ def follow(
     targets = model.chain.poses(q)
     real = kinematics(model, frame="base", point="tip")
     task = Task.of(real, targets, Joints.of(model.chain), q, orientation)
-    found = _compensation(model, task, _in_parts(reach, task, progress), q)
-    return _from_sides(model, targets, found, before, "base", "tip")
+    commands = _compensation(model, task, _in_parts(reach, task, progress), q)
+    return _from_sides(model, targets, commands, before, "base", "tip")
 
 
 def _from_sides(
     model: CalibratedChain,
     targets: Floats,
-    found: Compensation,
+    commands: Compensation,
     before: Floats | None,
     frame: Frame,
     point: Point,
@@ -182,25 +183,25 @@ def _from_sides(
     these are of joints that hardly move at all.
     """
     if not has_sides(model):
-        return found
-    joints, (kept,) = Joints.of(model.chain), np.nonzero(found.reached)
+        return commands
+    joints, (kept,) = Joints.of(model.chain), np.nonzero(commands.reached)
     for _ in range(ROUNDS):
-        q = found.q[kept]
+        q = commands.q[kept]
         ahead = q[:1] if before is None else before[None]
         sides = approached(np.concatenate([ahead, q]))[1:]
-        changed = (sides != found.sides[kept]).any(axis=1)
+        changed = (sides != commands.sides[kept]).any(axis=1)
         if not changed.any():
             break
         ways, which = np.unique(sides[changed], axis=0, return_inverse=True)
         for k, side in enumerate(ways):
             rows = kept[changed][which.reshape(-1) == k]
-            own, T = found.rows(rows), targets[rows]
+            part, T = commands.rows(rows), targets[rows]
             real = kinematics(model, frame=frame, point=point, side=side)
-            task = Task.of(real, T, joints, own.q, own.oriented)
-            moved = _compensation(model, task, reach(task), own.nominal)
+            task = Task.of(real, T, joints, part.q, part.oriented)
+            moved = _compensation(model, task, reach(task), part.nominal)
             moved = replace(moved, sides=np.tile(side, (len(rows), 1)))
-            found = found.replaced(rows, moved)
-    return found
+            commands = commands.replaced(rows, moved)
+    return commands
 
 
 def _in_parts(
@@ -216,7 +217,7 @@ def _in_parts(
 
 
 def _compensation(
-    model: CalibratedChain, task: Task, found: Solutions, nominal: Floats
+    model: CalibratedChain, task: Task, solutions: Solutions, nominal: Floats
 ) -> Compensation:
     joints, before = task.joints, np.full((2, len(nominal)), np.nan)
     (known,) = np.nonzero(np.isfinite(nominal).all(axis=1))
@@ -225,12 +226,12 @@ def _compensation(
         for sizes, part in zip(before, np.split(e, [3], axis=1), strict=True):
             sizes[known] = np.linalg.norm(part, axis=1)
     return Compensation(
-        **vars(found),
+        **vars(solutions),
         nominal=nominal,
         position_before=before[0],
         orientation_before=before[1],
-        at_limit=np.asarray(joints.at_limit(joints.driven(found.q)).any(axis=1)),
-        outside=model.outside(found.q),
-        sides=np.zeros(found.q.shape, np.int8),
+        at_limit=np.asarray(joints.at_limit(joints.driven(solutions.q)).any(axis=1)),
+        outside=model.outside(solutions.q),
+        sides=np.zeros(solutions.q.shape, np.int8),
         oriented=task.orientation,
     )

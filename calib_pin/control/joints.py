@@ -74,12 +74,12 @@ class Joints:
         lower = np.where(space.limited, space.lower, -np.inf)
         upper = np.where(space.limited, space.upper, np.inf)
         columns = JointColumns.of(chain)
-        own = [space.joints.index(drive) for drive in columns.joints]
+        drives = [space.joints.index(drive) for drive in columns.joints]
         # After a turn of its leader a mimic joint may stand elsewhere.
         turned = columns.factors - np.round(columns.factors)
         of_turn = np.where(chain.revolute[:, None], turned, columns.factors)
         whole = (np.abs(of_turn) < 1e-12).all(axis=0)
-        return Joints(lower[own], upper[own], columns.revolute & whole, columns)
+        return Joints(lower[drives], upper[drives], columns.revolute & whole, columns)
 
     def positions(self, q: Floats) -> Floats:
         """Positions of the joints of the chain, shape (N, n) -> (N, m)."""

@@ -156,10 +156,10 @@ def search(task: Task) -> Solutions:
     joints, steps, guess = task.joints, FULL, task.start
     if not task.given:
         steps, guess = EXACT, joints.turned(_nearest(task, 1)[:, 0], guess)
-    found = _descended(task, guess, steps)
-    lost = np.flatnonzero(~found.reached)
+    solutions = _descended(task, guess, steps)
+    lost = np.flatnonzero(~solutions.reached)
     if not len(lost):
-        return _commanded(found, joints)
+        return _commanded(solutions, joints)
     pool = _nearest(task.rows(lost), OPTIONS.spread * sum(OPTIONS.rounds))[
         :, OPTIONS.spread - 1 :: OPTIONS.spread
     ]
@@ -170,26 +170,26 @@ def search(task: Task) -> Solutions:
         tries = _descended(each, guess, steps)
         best = tries.score.reshape(-1, count).argmin(axis=1)
         tries = tries.rows(count * np.arange(len(lost)) + best)
-        better = tries.score < found.score[lost]
-        found = found.replaced(lost[better], tries.rows(better))
+        better = tries.score < solutions.score[lost]
+        solutions = solutions.replaced(lost[better], tries.rows(better))
         lost, pool = lost[~tries.reached], pool[~tries.reached]
-    return _commanded(found, joints)
+    return _commanded(solutions, joints)
 
 
 def _descended(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
     """Solutions from a guess, in the turns nearest to the start."""
-    found = descend(task, guess, steps)
-    turned = task.joints.turned(found.q, task.start)
-    (far,) = np.nonzero((turned != found.q).any(axis=1))
+    solutions = descend(task, guess, steps)
+    turned = task.joints.turned(solutions.q, task.start)
+    (far,) = np.nonzero((turned != solutions.q).any(axis=1))
     # Corrections need not be periodic: another turn is another descent.
     others = descend(task.rows(far), turned[far], steps)
-    closer = others.reached | ~found.reached[far]
-    return found.replaced(far[closer], others.rows(closer))
+    closer = others.reached | ~solutions.reached[far]
+    return solutions.replaced(far[closer], others.rows(closer))
 
 
-def _commanded(found: Solutions, joints: Joints) -> Solutions:
+def _commanded(solutions: Solutions, joints: Joints) -> Solutions:
     """Solutions as positions of all joints of the chain."""
-    return replace(found, q=joints.positions(found.q))
+    return replace(solutions, q=joints.positions(solutions.q))
 
 
 def _nearest(task: Task, count: int) -> Floats:
@@ -267,8 +267,8 @@ def descend(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
         way = way * (task.start[rows.index] - rows.q)
         damping = rows.damping * squared + OPTIONS.floor
         rows.dq = _step(task.joints, rows.q, rows.J, rows.e, way, damping)
-        left = ((rows.e - times(rows.J, rows.dq)) ** 2).sum(axis=1)
-        stalled = ~exact & (squared - left <= OPTIONS.stalled * squared)
+        predicted = ((rows.e - times(rows.J, rows.dq)) ** 2).sum(axis=1)
+        stalled = ~exact & (squared - predicted <= OPTIONS.stalled * squared)
         # Before it gives up, a row tries without being pulled to the start.
         rows.pull[stalled] *= 0.25
         moves = sliding & (np.abs(rows.dq).max(axis=1, initial=0.0) > OPTIONS.settled)
@@ -338,17 +338,17 @@ def _move(task: Task, rows: _Rows, sliding: Booleans) -> None:
     e, J = task.rows(rows.index).errors(q)
     error, before = np.linalg.norm(e, axis=1), np.linalg.norm(rows.e, axis=1)
     better = error < before
-    taken = better | (sliding & (error < 2.0 * OPTIONS.near))
+    accepted = better | (sliding & (error < 2.0 * OPTIONS.near))
     away, was = (
         np.linalg.norm(at - task.start[rows.index], axis=1) for at in (q, rows.q)
     )
     # Where the error is small, a step along the self-motion must come closer.
     # Nobody sees rounding.
     worse = (away > (1.0 + 1e-12) * was) & (before < 0.1 * np.abs(rows.dq).max(axis=1))
-    shorter = np.where(sliding & (~taken | worse), 0.5, 1.5)
+    shorter = np.where(sliding & (~accepted | worse), 0.5, 1.5)
     rows.pull = np.minimum(shorter * rows.pull, 1.0)
     eased = np.maximum(0.5 * rows.damping, OPTIONS.damping[1])
     rows.damping = np.where(better | sliding, eased, 8.0 * rows.damping)
-    rows.q = np.where(taken[:, None], q, rows.q)
-    rows.e = np.where(taken[:, None], e, rows.e)
-    rows.J = np.where(taken[:, None, None], J, rows.J)
+    rows.q = np.where(accepted[:, None], q, rows.q)
+    rows.e = np.where(accepted[:, None], e, rows.e)
+    rows.J = np.where(accepted[:, None, None], J, rows.J)

@@ -143,25 +143,25 @@ class Spectral:
         """Exponents of successive descents; one where the cost is smooth."""
         return SHARPER if np.isinf(self.exponent) else (self.exponent,)
 
-    def cost(self, found: Information) -> float:
+    def cost(self, information: Information) -> float:
         """The cost of the singular values."""
-        return self._means(found.singular_values**2, self.exponent)[0]
+        return self._means(information.singular_values**2, self.exponent)[0]
 
-    def value(self, found: Information, count: int) -> float:
+    def value(self, information: Information, count: int) -> float:
         """The index, or the condition number, of a count of configurations."""
-        s = found.singular_values
+        s = information.singular_values
         if self.name == "condition":
             return float(s[0] / s[-1])
         return observability(s, count)[self.name]
 
-    def slope(self, found: Information, sharpness: float) -> tuple[float, Floats]:
+    def slope(self, information: Information, sharpness: float) -> tuple[float, Floats]:
         """A smooth cost and its derivative by the information matrix, (m, m).
 
         By the chain rule through eigenvalues, S and M.
         """
-        V, f = found.right_vectors, found.nuisances
-        cost, by_eigenvalue = self._means(found.singular_values**2, sharpness)
-        absorbed = found.inverse[:f, :f] @ found.factor[:f, f:]
+        V, f = information.right_vectors, information.nuisances
+        cost, by_eigenvalue = self._means(information.singular_values**2, sharpness)
+        absorbed = information.inverse[:f, :f] @ information.factor[:f, f:]
         EV = np.concatenate([-absorbed @ V, V])
         return cost, (EV * by_eigenvalue) @ EV.T
 
@@ -189,19 +189,20 @@ class Prediction:
     tried: int = 1
     sharpnesses: tuple[float, ...] = (np.inf,)
 
-    def cost(self, found: Information) -> float:
+    def cost(self, information: Information) -> float:
         """Logarithm of the error."""
-        return float(np.log(self.value(found, 0)))
+        return float(np.log(self.value(information, 0)))
 
-    def value(self, found: Information, count: int) -> float:
+    def value(self, information: Information, count: int) -> float:
         """The error [m]."""
-        return float(np.sqrt(np.sum((self.tests @ found.inverse) * found.inverse)))
+        R_inverse = information.inverse
+        return float(np.sqrt(np.sum((self.tests @ R_inverse) * R_inverse)))
 
-    def slope(self, found: Information, sharpness: float) -> tuple[float, Floats]:
+    def slope(self, information: Information, sharpness: float) -> tuple[float, Floats]:
         """`d trace(A M^-1) = -trace(M^-1 A M^-1 dM)`."""
-        C = found.inverse @ found.inverse.T
-        left = float(np.sum(self.tests * C))
-        return 0.5 * float(np.log(left)), -0.5 / left * (C @ self.tests @ C)
+        C = information.inverse @ information.inverse.T
+        trace = float(np.sum(self.tests * C))
+        return 0.5 * float(np.log(trace)), -0.5 / trace * (C @ self.tests @ C)
 
 
 def _power_mean(x: Floats, exponent: float) -> tuple[float, Floats]:
@@ -273,9 +274,9 @@ class Selection:
     @property
     def value(self) -> float:
         """The value of the criterion."""
-        if self._found is None:
+        if self._information is None:
             return np.inf
-        return self.criterion.value(self._found, self.measured + len(self.chosen))
+        return self.criterion.value(self._information, self.measured + len(self.chosen))
 
     def best_to_add(self) -> tuple[int, float]:
         """The candidate to add and the cost after that."""
@@ -301,23 +302,25 @@ class Selection:
         # Summed anew each time: differences of information matrices lose digits.
         U = self.rows[self.chosen].reshape(-1, self.rows.shape[2])
         self._M = self.known + U.T @ U
-        self._found, self.cost = self._judged(self._M)
+        self._information, self.cost = self._judged(self._M)
 
     def _judged(self, M: Floats) -> tuple[Information | None, float]:
         """An information matrix factored, and its cost; infinite where singular."""
-        found = Information.of(M, self.nuisances)
-        return found, np.inf if found is None else self.criterion.cost(found)
+        information = Information.of(M, self.nuisances)
+        if information is None:
+            return None, np.inf
+        return information, self.criterion.cost(information)
 
-    def _best(self, some: Indices, sign: float) -> tuple[int, float]:
-        if self._found is None:
-            return int(some[0]), np.inf
+    def _best(self, candidates: Indices, sign: float) -> tuple[int, float]:
+        if self._information is None:
+            return int(candidates[0]), np.inf
         # The first sharpness counts several small eigenvalues, not the least alone.
         sharpness = self.criterion.sharpnesses[0]
-        _, B = self.criterion.slope(self._found, sharpness)
-        U = self.rows[some]
+        _, B = self.criterion.slope(self._information, sharpness)
+        U = self.rows[candidates]
         count, d, m = U.shape
         # As one table: products of many small ones take several times as long.
-        both = self._found.inverse, B
+        both = self._information.inverse, B
         Y, by_U = ((U.reshape(-1, m) @ A).reshape(U.shape) for A in both)
         I_G = np.eye(d) + sign * Y @ np.swapaxes(Y, 1, 2)
         alone = np.zeros(count, bool)
@@ -327,11 +330,11 @@ class Selection:
         pairs = by_U @ np.swapaxes(U, 1, 2)
         order = sign * np.trace(np.linalg.solve(I_G, pairs), axis1=1, axis2=2)
         order[alone] = np.inf
-        tried = min(self.criterion.tried, len(some))
+        tried = min(self.criterion.tried, len(candidates))
         first = np.argpartition(order, tried - 1)[:tried]
         costs = [
             self._judged(self._M + sign * self.rows[k].T @ self.rows[k])[1]
-            for k in some[first]
+            for k in candidates[first]
         ]
         best = int(np.argmin(costs))
-        return int(some[first][best]), costs[best]
+        return int(candidates[first][best]), costs[best]

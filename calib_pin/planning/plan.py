@@ -37,7 +37,7 @@ from calib_pin.planning.planned_problem import (
     predict,
 )
 from calib_pin.planning.rows import IdentificationRows
-from calib_pin.planning.search import METHODS, Found, Progress, Search
+from calib_pin.planning.search import METHODS, Design, Progress, Search
 from calib_pin.planning.workspace import (
     TIDY,
     Aim,
@@ -97,9 +97,9 @@ def visits(
         places.setdefault(workspace.aims.each[one].key[1:], []).append(k)
     order, closed, ahead = np.empty(0, np.intp), tuple[int, ...](), start
     for members in map(np.array, places.values()):
-        found, shut = shortest_order(q[members], ahead, is_free)
+        path, shut = shortest_order(q[members], ahead, is_free)
         closed += tuple(len(order) + place for place in shut)
-        order = np.concatenate([order, members[found]])
+        order = np.concatenate([order, members[path]])
         ahead = q[order[-1]]
     return q[order], aim[order], closed
 
@@ -161,10 +161,10 @@ def shortest_order(
 
 def _nearest_neighbors(way: Floats) -> list[int]:
     """A path from the first place that goes on to the nearest one."""
-    path, left = [0], np.arange(len(way)) > 0
-    while left.any():
-        path.append(int(np.where(left, way[path[-1]], np.inf).argmin()))
-        left[path[-1]] = False
+    path, unvisited = [0], np.arange(len(way)) > 0
+    while unvisited.any():
+        path.append(int(np.where(unvisited, way[path[-1]], np.inf).argmin()))
+        unvisited[path[-1]] = False
     return path
 
 
@@ -326,8 +326,8 @@ def plan(
     Examples:
         >>> import calib_pin
         >>> chain = calib_pin.load_chain("space6")
-        >>> found = calib_pin.plan(chain, "position", 12, method="exchange")
-        >>> found.q.shape, found.value < found.random
+        >>> plan = calib_pin.plan(chain, "position", 12, method="exchange")
+        >>> plan.q.shape, plan.value < plan.random
         ((12, 6), True)
     """
     setup = setup_of(setup)
@@ -361,7 +361,7 @@ def plan(
         )
     # A part of an even spread is one too.
     first = slice(max(candidates, count))
-    found = Candidates(spread.q[first], spread.aim[first], spread.drawn[first])
+    pool = Candidates(spread.q[first], spread.aim[first], spread.drawn[first])
     structure, rows, known = identification(problem, workspace.aims, spread, data)
     at = TipTests.of(rows, spread, tests)
     search = Search(
@@ -369,7 +369,7 @@ def plan(
         workspace,
         Prediction(at.position) if criterion == "prediction" else CRITERIA[criterion],
         known,
-        found,
+        pool,
         count,
         rng,
         progress,
@@ -379,18 +379,18 @@ def plan(
     return _finished(search, best, structure, at, data)
 
 
-def sides_of(found: Plan) -> Mapping[str, tuple[int, ...]]:
+def sides_of(plan: Plan) -> Mapping[str, tuple[int, ...]]:
     """Side from which each joint shall come to each configuration, by joint.
 
     Nothing where that makes no difference.
     """
-    columns = zip(*(aim.side for aim in found.aims), strict=True)
-    return dict(zip(found.problem.chains.joints, columns, strict=False))
+    columns = zip(*(aim.side for aim in plan.aims), strict=True)
+    return dict(zip(plan.problem.chains.joints, columns, strict=False))
 
 
 def _finished(
     search: Search,
-    best: Found,
+    best: Design,
     structure: Structure,
     tests: TipTests,
     measured: Observations | None,
@@ -409,8 +409,8 @@ def _finished(
     size, count = len(search.candidates.q), search.count
     draws = (rng.choice(size, count, replace=False) for _ in range(RANDOM_SETS))
     predicted = predict(information, rows.basis, tests, problem.parameters)
-    told = robot_errors(problem, structure, predicted)
-    predicted = replace(predicted, robot_errors=told)
+    errors = robot_errors(problem, structure, predicted)
+    predicted = replace(predicted, robot_errors=errors)
     parameters, groups = estimates(problem.parameters, structure, predicted)
     return Plan(
         problem=problem,
@@ -441,22 +441,22 @@ def _rounded(workspace: Workspace, q: Floats, aim: Indices) -> Floats:
     return np.where(workspace.inside(tidy, aim)[:, None], tidy, q)
 
 
-def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
+def _steps(search: Search, best: Design, tests: TipTests) -> tuple[Step, ...]:
     """The criterion against the number of configurations.
 
     Members leave the set one by one, each time the one whose loss costs least; then
     the best candidates join it until it has doubled.
     """
-    own = search.rows.rows(best.q, best.aim)
-    table = np.concatenate([own, search.table])
-    members = tuple(range(len(own)))
+    rows = search.rows.rows(best.q, best.aim)
+    table = np.concatenate([rows, search.table])
+    members = tuple(range(len(rows)))
     tip = Prediction(tests.position)
     subset = search.selection(members, table)
 
     def step() -> Step:
-        found = search.information(table[subset.chosen])
-        position = np.inf if found is None else tip.value(found, len(subset.chosen))
-        return Step(len(subset.chosen), subset.value, position)
+        information, size = search.information(table[subset.chosen]), len(subset.chosen)
+        position = np.inf if information is None else tip.value(information, size)
+        return Step(size, subset.value, position)
 
     steps = [step()]
     while subset.chosen:
@@ -465,10 +465,10 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
             break
         steps.insert(0, step())
     subset.reset(list(members))
-    more = min(len(own), len(search.table))
+    more = min(len(rows), len(search.table))
     for k in range(more):
         # Who stops the search does not want to wait for what more would bring.
-        if search.told("table", k / more):
+        if search.report("table", k / more):
             break
         subset.add(subset.best_to_add()[0])
         steps.append(step())

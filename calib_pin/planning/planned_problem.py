@@ -78,19 +78,19 @@ def planned_problem(
     """The problem about the frames of the setup, or those that measurements show."""
     if measured is not None:
         problem = make_problem(chains, measured, setup)
-        found, result = register(problem, np.zeros(len(problem.parameters)))
-        if reason := registration_reason(found, result):
+        registered, result = register(problem, np.zeros(len(problem.parameters)))
+        if reason := registration_reason(registered, result):
             reason = f"the measurements to add to are too few: {reason}"
             raise InputError(reason, file=measured.files[0] or None)
         # Rows may reach farther than the window that the setup states.
         reach = setup.ranger.range[1]
         return replace(
-            found,
+            registered,
             terms={
                 key: replace(term, measurement=replace(term.measurement, reach=reach))
                 if isinstance(term.measurement, PlaneDistance)
                 else term
-                for key, term in found.terms.items()
+                for key, term in registered.terms.items()
             },
         )
     problem = nominal_problem(chains, keys, setup)
@@ -190,21 +190,21 @@ class TipTests:
             tests: Test configurations, shape (N, n) [rad, m]; default the first
                 candidates of each chain.
         """
-        found = []
+        moments = []
         terms = {key.chain: term for key, term in rows.problem.terms.items()}
         chain_of = np.array([aim.key.chain for aim in rows.aims.each])[spread.aim]
         for chain in dict.fromkeys(chain_of.tolist()):
             q = spread.q[chain_of == chain][:SAMPLES] if tests is None else tests
             term = terms[chain]
-            error, own = term.error, q[:, term.columns]
+            error, local = term.error, q[:, term.columns]
             sides = sides_tried(rows.problem)[:, term.columns]
-            held = Conditions(direction=np.resize(sides, own.shape))
+            held = Conditions(direction=np.resize(sides, local.shape))
             zero = np.zeros(len(error.screws))
-            poses = error.linearize(own, zero, error.basis(own, held))
+            poses = error.linearize(local, zero, error.basis(local, held))
             J = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
             J = (J @ rows.basis[term.of_error]).reshape(len(q), 2, 3, -1)
-            found.append(np.einsum("npdi,npdj->pij", J, J, optimize=True) / len(q))
-        return TipTests(*np.mean(found, axis=0))
+            moments.append(np.einsum("npdi,npdj->pij", J, J, optimize=True) / len(q))
+        return TipTests(*np.mean(moments, axis=0))
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ class Predicted:
 
 
 def predict(
-    found: Information, basis: Floats, tests: TipTests, of: ParameterSet
+    information: Information, basis: Floats, tests: TipTests, of: ParameterSet
 ) -> Predicted:
     """Covariance of a fit; what it will not be able to tell stays at nominal there.
 
@@ -243,17 +243,17 @@ def predict(
     which nobody knows before: of a variance v it leaves `v / (1 + v / size^2)`.
 
     Args:
-        found: The information.
+        information: The information.
         basis: Its columns in parameters, shape (P, m).
         tests: Where the tip's error is predicted.
         of: The parameters.
     """
-    f = found.nuisances
-    s, right = found.singular_values, found.right_vectors
+    f = information.nuisances
+    s, right = information.singular_values, information.right_vectors
     strong = s * WEAK > 1.0
-    kept = np.eye(len(found.factor))[:, : f + int(strong.sum())]
+    kept = np.eye(len(information.factor))[:, : f + int(strong.sum())]
     kept[f:, f:] = right[:, strong]
-    R = found.factor @ kept
+    R = information.factor @ kept
     covariance = kept @ np.linalg.inv(R.T @ R) @ kept.T
     scaled = basis / of.scales[:, None]
     robot = scaled[:, f:] @ right

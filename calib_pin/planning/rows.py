@@ -161,16 +161,16 @@ class LookRows:
             counted target by target.
         """
         term, each, size = self.look.term, self.look.each, len(self.sigma)
-        own = q[:, term.columns]
-        basis = term.error.basis(own, self.look.conditions(aim))
-        poses = term.error.linearize(own, np.zeros(len(term.error.screws)), basis)
+        local = q[:, term.columns]
+        basis = term.error.basis(local, self.look.conditions(aim))
+        poses = term.error.linearize(local, np.zeros(len(term.error.screws)), basis)
         # Where only one is measured, `Workspace` allows only what sees it.
         measured = np.arange(len(q))
         if self.look.at_once:
             measured = np.flatnonzero(self.look.seen(q, aim))
         place, names = self._measured(aim, measured)
         instrument = self._instrument
-        linear = term.linearized(poses.T[place], instrument, own[place], names)
+        linear = term.linearized(poses.T[place], instrument, local[place], names)
         J = np.zeros((len(q) * each, size, 6 + len(instrument)))
         both = np.concatenate([linear.J_pose, linear.J_instrument], axis=2)
         J[measured] = both / self.sigma[:, None]
@@ -213,11 +213,8 @@ class IdentificationRows:
         Returns:
             Rows, shape (N, d, m), zero where fewer are measured.
         """
-        found = [
-            (where, look.rows(q[where], aim[where]))
-            for look, where in self._looking(aim)
-        ]
-        result, _ = self._stacked(len(q), found)
+        parts = [(at, look.rows(q[at], aim[at])) for look, at in self._looking(aim)]
+        result, _ = self._stacked(len(q), parts)
         if result.shape[1] > result.shape[2]:
             result = np.asarray(np.linalg.qr(result, mode="r"))
         return result
@@ -229,17 +226,17 @@ class IdentificationRows:
             q: Configurations, shape (N, n) [rad, m].
             aim: Position of what is measured there among `aims`, shape (N,).
         """
-        found = [
+        parts = [
             (where, *look.linearize(q[where], aim[where]))
             for look, where in self._looking(aim)
         ]
-        rows, columns = self._stacked(len(q), [(at, rows) for at, rows, _ in found])
+        rows, columns = self._stacked(len(q), [(at, rows) for at, rows, _ in parts])
         n = q.shape[1]
         ends = self.problem.chains.follow(np.concatenate([np.zeros((1, n)), np.eye(n)]))
 
         def pullback(by_rows: Floats) -> Floats:
             total = np.zeros(q.shape)
-            for (where, _, back), of_look in zip(found, columns, strict=True):
+            for (where, _, back), of_look in zip(parts, columns, strict=True):
                 total[where] += back(by_rows[where[:, None], of_look])
             # A mimic joint moves with its leader, and not by itself.
             return np.asarray(total @ (ends[1:] - ends[0]).T)
@@ -265,23 +262,23 @@ class IdentificationRows:
     def _stacked(
         self,
         count: int,
-        found: Sequence[tuple[NDArray[np.intp], Floats]],
+        parts: Sequence[tuple[NDArray[np.intp], Floats]],
     ) -> tuple[Floats, list[Indices]]:
         """Rows of all instruments below one another, and where those of each stand.
 
         Args:
             count: Number N of configurations.
-            found: Configurations of each instrument, and its rows there.
+            parts: Configurations of each instrument, and its rows there.
 
         Returns:
             Rows, shape (N, d, m), and by instrument positions below d, shape (k, d').
         """
         used, columns = np.zeros(count, np.int64), []
-        for where, rows in found:
+        for where, rows in parts:
             columns.append(used[where, None] + np.arange(rows.shape[1]))
             used[where] += rows.shape[1]
         result = np.zeros((count, used.max(initial=0), self.basis.shape[1]))
-        for (where, rows), of_look in zip(found, columns, strict=True):
+        for (where, rows), of_look in zip(parts, columns, strict=True):
             result[where[:, None], of_look] = rows
         return result, columns
 

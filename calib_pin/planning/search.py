@@ -56,8 +56,8 @@ EXPLORING, REFINING = (1e-3, 60), (1e-6, 200)
 
 
 @dataclass(frozen=True)
-class Found:
-    """The set that a method has found.
+class Design:
+    """A set of configurations, the end of a method.
 
     Attributes:
         q: Configurations, shape (K, n) [rad, m].
@@ -109,15 +109,15 @@ class Search:
         """Rows of the candidates, shape (C, d, m)."""
         return self.rows.rows(self.candidates.q, self.candidates.aim)
 
-    def run(self, method: str) -> Found:
+    def run(self, method: str) -> Design:
         """Search with a method of `METHODS`.
 
         Raises:
             OptionError: If the set cannot determine everything.
         """
         _ = self._determined  # The one clear line comes before the work.
-        found = METHODS[method](self)
-        return replace(found, status=Status.STOPPED) if self.stopped else found
+        best = METHODS[method](self)
+        return replace(best, status=Status.STOPPED) if self.stopped else best
 
     def information(self, rows: Floats) -> Information | None:
         """Information of rows (..., m) together with what is known."""
@@ -126,8 +126,8 @@ class Search:
 
     def _cost(self, rows: Floats) -> float:
         """Cost of rows (..., m); infinite where they do not determine everything."""
-        found = self.information(rows)
-        return np.inf if found is None else self.criterion.cost(found)
+        information = self.information(rows)
+        return np.inf if information is None else self.criterion.cost(information)
 
     def selection(
         self, chosen: Sequence[int] | Indices = (), table: Floats | None = None
@@ -137,36 +137,36 @@ class Search:
         known, nuisances = self.known, self.rows.nuisances
         return Selection(table, nuisances, self.criterion, known, chosen, self.measured)
 
-    def by_greedy(self) -> Found:
+    def by_greedy(self) -> Design:
         """Add the best candidate until there are enough."""
         return self._of("greedy", self._greedy("greedy"))
 
-    def by_exchange(self) -> Found:
+    def by_exchange(self) -> Design:
         """DETMAX, from what is best greedily or by its determinant."""
         starts = self._greedy("start"), self._determined
-        start = min(starts, key=lambda some: self._cost(self.table[[*some]]))
+        start = min(starts, key=lambda chosen: self._cost(self.table[[*chosen]]))
         result = exchange(
             self.selection(start),
-            lambda steps, cost: self.told("exchange", steps / (steps + 200.0)),
+            lambda steps, cost: self.report("exchange", steps / (steps + 200.0)),
         )
         return self._of("exchange", result.chosen, result.status)
 
-    def _by_genes(self) -> Found:
+    def _by_genes(self) -> Design:
         """A genetic algorithm over subsets of the candidates (case B)."""
 
         def costs(subsets: NDArray[np.intp]) -> Floats:
-            return np.array([self._cost(self.table[one]) for one in subsets])
+            return np.array([self._cost(self.table[subset]) for subset in subsets])
 
         result = genetic_selection(
             costs,
             len(self.candidates.q),
             self.count,
             self.rng,
-            callback=lambda k, x, cost: self.told("ga", k / (k + 100.0)),
+            callback=lambda k, x, cost: self.report("ga", k / (k + 100.0)),
         )
         return self._of("ga", result.chosen, result.status)
 
-    def _by_swarm(self) -> Found:
+    def _by_swarm(self) -> Design:
         """The improved particle swarm on the configurations themselves (case C)."""
         options = ParticleSwarm()
         # All particles measure the same, what a set does that determines all.
@@ -187,14 +187,14 @@ class Search:
             self.rng,
             options,
             x0=self.candidates.q[np.array(starts)].reshape(len(starts), -1),
-            callback=lambda k, x, cost: self.told("pso", k / options.iterations),
+            callback=lambda k, x, cost: self.report("pso", k / options.iterations),
         )
         if not result.fun < FORBIDDEN:
             return self._of("pso", self._determined, result.status)
         q = self.workspace.settled(result.x.reshape(self.count, n), aim)
-        return Found(q, aim, result.fun, "pso", result.status)
+        return Design(q, aim, result.fun, "pso", result.status)
 
-    def _by_gradient(self) -> Found:
+    def _by_gradient(self) -> Design:
         """Descents along the gradient from random sets of candidates."""
         if not self.rows.differentiable:
             raise OptionError(
@@ -204,13 +204,13 @@ class Search:
             )
         return self._descended(self._of("gradient", self._determined))
 
-    def automatic(self) -> Found:
+    def automatic(self) -> Design:
         """Exchange, then the gradient from its set and from random ones."""
         best = self.by_exchange()
         descends = self.rows.differentiable and not self.stopped
         return self._descended(best) if descends else best
 
-    def _descended(self, best: Found) -> Found:
+    def _descended(self, best: Design) -> Design:
         """Go a little down from many sets, then to the ground from the best ones.
 
         Args:
@@ -222,31 +222,31 @@ class Search:
             self._of("gradient", self.rng.choice(size, self.count, replace=False))
             for _ in range(min(self.starts, max(1, most)))
         ]
-        sets = [one for one in (best, *drawn) if np.isfinite(one.cost)]
+        sets = [design for design in (best, *drawn) if np.isfinite(design.cost)]
         explored = self._descents(sets, stages[:1], EXPLORING, 0.0)
-        explored.sort(key=lambda one: one.cost)
+        explored.sort(key=lambda design: design.cost)
         refined = self._descents(explored[:FINALISTS], stages, REFINING, 0.5)
-        return min([best, *explored, *refined], key=lambda one: one.cost)
+        return min([best, *explored, *refined], key=lambda design: design.cost)
 
     def _descents(
         self,
-        starts: Sequence[Found],
+        starts: Sequence[Design],
         sharpnesses: Sequence[float],
         limits: tuple[float, int],
         begin: float,
-    ) -> list[Found]:
+    ) -> list[Design]:
         """Ends of descents, of those that are done when the search is stopped."""
-        found = list[Found]()
+        ends = list[Design]()
         for start in starts:
             if self.stopped:
                 break
-            found.append(self._down(start, sharpnesses, limits))
-            self.told("gradient", begin + 0.5 * len(found) / len(starts))
-        return found
+            ends.append(self._down(start, sharpnesses, limits))
+            self.report("gradient", begin + 0.5 * len(ends) / len(starts))
+        return ends
 
     def _down(
-        self, start: Found, sharpnesses: Sequence[float], limits: tuple[float, int]
-    ) -> Found:
+        self, start: Design, sharpnesses: Sequence[float], limits: tuple[float, int]
+    ) -> Design:
         """The best end of descents with a sharper and sharper cost.
 
         Each begins where the one before ended.
@@ -261,10 +261,10 @@ class Search:
 
         def smooth(sharpness: float, q: Floats) -> tuple[float, Floats]:
             rows, pullback = self.rows.linearize(settled(q), aim)
-            found = self.information(rows)
-            if found is None:
+            information = self.information(rows)
+            if information is None:
                 return np.inf, np.zeros_like(q)
-            cost, by_M = self.criterion.slope(found, sharpness)
+            cost, by_M = self.criterion.slope(information, sharpness)
             return cost, pullback(2.0 * rows @ by_M)
 
         for sharpness in sharpnesses:
@@ -279,7 +279,7 @@ class Search:
             q = settled(result.x)
             cost = self._cost(self.rows.rows(q, aim))
             if cost < best.cost:
-                best = Found(q, aim, cost, "gradient", result.status)
+                best = Design(q, aim, cost, "gradient", result.status)
         return best
 
     def _greedy(self, stage: str) -> tuple[int, ...]:
@@ -295,7 +295,7 @@ class Search:
         result = greedy(
             self.selection(chosen[:least]),
             self.count,
-            lambda steps, cost: self.told(stage, steps / more),
+            lambda steps, cost: self.report(stage, steps / more),
         )
         return result.chosen if len(result.chosen) == self.count else chosen
 
@@ -311,11 +311,11 @@ class Search:
         # The nuisances count here: a plane that nobody measures is not determined.
         subset = Selection(self.table, 0, CRITERIA["O1"], self.known + ridge)
 
-        def told(steps: int, cost: float) -> None:
+        def progress(steps: int, cost: float) -> None:
             # A set that is too small is of no use to who stops the search.
-            self.told("start", steps / self.count)
+            self.report("start", steps / self.count)
 
-        greedy(subset, self.count, told)
+        greedy(subset, self.count, progress)
         chosen = tuple(subset.chosen)
         if np.isfinite(self.selection(chosen).cost):
             return chosen
@@ -351,19 +351,19 @@ class Search:
         method: str,
         chosen: Sequence[int] | Indices,
         status: Status = Status.CONVERGED,
-    ) -> Found:
+    ) -> Design:
         at = list(chosen)
         q, aim = self.candidates.q[at], self.candidates.aim[at]
-        return Found(q, aim, self._cost(self.table[at]), method, status)
+        return Design(q, aim, self._cost(self.table[at]), method, status)
 
-    def told(self, stage: str, part: float) -> bool:
+    def report(self, stage: str, part: float) -> bool:
         """Tell the progress; whether the search is to stop."""
         if self.progress is not None and self.progress(stage, min(part, 1.0)):
             self.stopped = True
         return self.stopped
 
 
-METHODS: Mapping[str, Callable[[Search], Found]] = {
+METHODS: Mapping[str, Callable[[Search], Design]] = {
     "auto": Search.automatic,
     "exchange": Search.by_exchange,
     "greedy": Search.by_greedy,

@@ -61,11 +61,11 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
             base = frame
         else:
             tool = frame
-    found = {"base_frame": base, "tool_frame": tool, "camera": camera} | sections
+    changes = {"base_frame": base, "tool_frame": tool, "camera": camera} | sections
     # The points of a board stand among the targets.
-    found |= {"stations": stations, "tools": tools, "board": None}
+    changes |= {"stations": stations, "tools": tools, "board": None}
     try:
-        return replace(setup, **found)
+        return replace(setup, **changes)
     except OptionError:
         # A fit to what was read wrong may end farther off than anything is.
         return setup
@@ -76,7 +76,7 @@ def suggestions(
     chains: Chain | Chains,
     measured: str | Sequence[BlockKey],
     setup: Setup,
-    found: Identification,
+    result: Identification,
     *,
     seed: int = 0,
 ) -> tuple[Suggestion, ...]:
@@ -86,25 +86,25 @@ def suggestions(
         chains: The nominal chain, or several.
         measured: Name of the measurement model, or the blocks that are measured.
         setup: Estimated and known quantities; of a fit see `calibrated_setup`.
-        found: The identifiability now.
+        result: The identifiability now.
         seed: Seed of the random configurations.
 
     Returns:
         Those that gain anything; all that a measurement of the tool can tell is last.
         None for more than `LARGEST` parameters.
     """
-    if found.identifiability.parameters > LARGEST:
+    if result.identifiability.parameters > LARGEST:
         return ()
     keys = (BlockKey(measured),) if isinstance(measured, str) else tuple(measured)
-    known = {p.name for p in found.parameters if p.status == "identifiable"}
-    now = found.identifiability.robot_rank
+    known = {p.name for p in result.parameters if p.status == "identifiable"}
+    now = result.identifiability.robot_rank
     others = {}
-    for words, blocks, stated in _changes(keys, setup, found):
-        other = _identified(chains, blocks, stated, setup.fixed, seed)
+    for words, blocks, variant in _changes(keys, setup, result):
+        other = _identified(chains, blocks, variant, setup.fixed, seed)
         if other is not None and other.identifiability.robot_rank > now:
             others[words] = other
     most = max((o.identifiability.robot_rank for o in others.values()), default=now)
-    result = []
+    remedies = []
     for words, other in others.items():
         count = other.identifiability.robot_rank
         gained = tuple(
@@ -113,11 +113,11 @@ def suggestions(
             if p.status == "identifiable" and p.name not in known
         )
         complete = EVERYTHING in others and count == most
-        result.append(Suggestion(words, count, gained, complete))
+        remedies.append(Suggestion(words, count, gained, complete))
     # Where one of the others tells as much, that is simpler.
-    if any(r.complete and r.change != EVERYTHING for r in result):
-        result = [r for r in result if r.change != EVERYTHING]
-    return tuple(result)
+    if any(r.complete and r.change != EVERYTHING for r in remedies):
+        remedies = [r for r in remedies if r.change != EVERYTHING]
+    return tuple(remedies)
 
 
 def with_suggestions(result: CalibrationResult) -> CalibrationResult:
@@ -128,10 +128,10 @@ def with_suggestions(result: CalibrationResult) -> CalibrationResult:
 
 
 def _changes(
-    keys: Sequence[BlockKey], setup: Setup, found: Identification
+    keys: Sequence[BlockKey], setup: Setup, result: Identification
 ) -> Iterator[tuple[str, Sequence[BlockKey], Setup]]:
     """Possible changes: words, what is measured, and setup."""
-    free = [p.name.rsplit(".", 2) for p in found.parameters if p.status != "fixed"]
+    free = [p.name.rsplit(".", 2) for p in result.parameters if p.status != "fixed"]
     kinds = {owner if kind == "frame" else kind for owner, kind, _ in free}
     points = "target" in kinds
     base, tool = not kinds & {"base", "station"}, not kinds & {"tool"}
@@ -214,9 +214,9 @@ def _held(
     if tool is not None:
         moved = aside or pin.SE3.Identity()
         tools = {key.tool: ToolSetup() for key in keys if key.tool} | dict(setup.tools)
-        for name, stated in tools.items():
-            if stated.on is None:
-                held = frame_setup(frame_pose(stated) * moved, known=tool)
+        for name, entry in tools.items():
+            if entry.on is None:
+                held = frame_setup(frame_pose(entry) * moved, known=tool)
                 tools[name] = ToolSetup(held.xyz, held.rpy, held.estimate)
         end = frame_setup(frame_pose(setup.tool_frame) * moved, known=tool)
         setup = replace(setup, tool_frame=end, tools=tools)
@@ -231,10 +231,10 @@ def _identified(
     seed: int,
 ) -> Identification | None:
     """The identifiability then; None where the setup does not suffice to say."""
-    stated = replace(setup, learned=None, fixed=(), bounds={}, prior={})
+    variant = replace(setup, learned=None, fixed=(), bounds={}, prior={})
     try:
-        names = nominal_problem(chains, keys, stated).parameters.names
-        stated = restricted(replace(stated, fixed=fixed), names)
-        return identify(chains, keys, stated, seed=seed)
+        names = nominal_problem(chains, keys, variant).parameters.names
+        variant = restricted(replace(variant, fixed=fixed), names)
+        return identify(chains, keys, variant, seed=seed)
     except CalibPinError:
         return None

@@ -172,11 +172,11 @@ class Aims:
                 for key in (key for key in group if key not in shared)
                 for place, name in enumerate(group[key])
             ]
-            for own, place, name in single or [(shared[0], 0, only)]:
+            for block, place, name in single or [(shared[0], 0, only)]:
                 aims.append(Aim(next(iter(group)), name))
                 for key, of_aim in codes.items():
                     together = 0 if key in shared else -1
-                    of_aim.append(place if key == own else together)
+                    of_aim.append(place if key == block else together)
         sides = sides_tried(problem)
         every = sides.tolist() or [()]
         looks = [
@@ -350,18 +350,18 @@ class Workspace:
         Raises:
             InputError: If none of many is allowed; says what refused them.
         """
-        shift, taken = rng.random(len(self.lower)), 0
+        shift, draws = rng.random(len(self.lower)), 0
         q, aim, drawn = np.empty((0, len(shift))), np.empty(0, int), np.empty(0, int)
         refused: dict[str, int] = {}
         budget = max(LEAST_DRAWS, DRAWS * count)
         # Where nothing is allowed, more of the same would be a loop.
-        while len(q) < count and taken < (budget if len(q) else LEAST_DRAWS):
-            part = max(len(q) / count, taken / budget)
+        while len(q) < count and draws < (budget if len(q) else LEAST_DRAWS):
+            part = max(len(q) / count, draws / budget)
             enough = progress is not None and progress("candidates", part)
             if enough and len(q) >= max(least, 1):
                 break
-            new, of_new, places, reasons = self._block(shift, taken)
-            taken += BLOCK
+            new, of_new, places, reasons = self._block(shift, draws)
+            draws += BLOCK
             for reason, number in reasons.items():
                 refused[reason] = refused.get(reason, 0) + number
             q, aim = np.concatenate([q, new]), np.concatenate([aim, of_new])
@@ -369,11 +369,11 @@ class Workspace:
         if not len(q):
             why = ", ".join(f"{n} {reason}" for reason, n in refused.items() if n)
             allowed = "wider limits, a larger region, or fewer obstacles"
-            if refused.get("not measurable") == taken:
+            if refused.get("not measurable") == draws:
                 lacking = lacking_frames(self.problem, self.problem.terms)
                 allowed = f"a setup with {lacking}" if lacking else allowed
             raise InputError(
-                f"none of {taken} configurations within the joint limits can be "
+                f"none of {draws} configurations within the joint limits can be "
                 f"planned: {why}",
                 file=self.problem.setup.file or None,
                 allowed=allowed,
@@ -410,21 +410,21 @@ class Workspace:
         """Configurations by what first refuses them, each of shape (N,)."""
         beyond = np.asarray(((q < self.lower) | (q > self.upper)).any(axis=1))
         refusals: dict[str, Booleans] = {"beyond the limits": beyond}
-        left = ~beyond
+        remaining = ~beyond
         if self.problem.setup.region is not None:
-            refusals["outside the region"] = left & ~self._within(q, aim)
-            left &= ~refusals["outside the region"]
+            refusals["outside the region"] = remaining & ~self._within(q, aim)
+            remaining &= ~refusals["outside the region"]
         visible = np.zeros(len(q), bool)
         for look in self.aims.looks:
             rows = np.flatnonzero(look.of_aim[aim] >= 0)
             some = look.seen(q[rows], aim[rows]).any(axis=1)
             # One that measures a certain target must see that; of others any will do.
             visible[rows] = visible[rows] | some if look.at_once else some
-        refusals["not measurable"] = left & ~visible
-        left &= visible
+        refusals["not measurable"] = remaining & ~visible
+        remaining &= visible
         if self.collisions is not None:
             free = np.ones(len(q), bool)
-            free[left] = self.collisions.free(q[left])
+            free[remaining] = self.collisions.free(q[remaining])
             refusals["in collision"] = ~free
         return refusals
 
@@ -435,8 +435,8 @@ class Workspace:
         for key in dict.fromkeys(one.key for one in self.aims.each):
             error = self.problem.terms[key].error
             rows = np.flatnonzero([self.aims.each[k].key == key for k in aim])
-            own = q[rows][:, self.problem.terms[key].columns]
-            F = error.tip_poses(own, np.zeros(len(error.screws)))
+            local = q[rows][:, self.problem.terms[key].columns]
+            F = error.tip_poses(local, np.zeros(len(error.screws)))
             points = F @ self.points.get(key, error.tool).homogeneous
             within[rows] = region.contains(points[:, :3, 3])
         return within

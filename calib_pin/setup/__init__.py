@@ -393,8 +393,8 @@ PLACE = re.compile(r"(.*:)?0*[1-9][0-9]{0,15}")
 
 
 def _places(value: Any) -> tuple[str, ...]:
-    found = value if isinstance(value, list | tuple) else [value]
-    whole = [int(v) if isinstance(v, float) and v.is_integer() else v for v in found]
+    entries = value if isinstance(value, list | tuple) else [value]
+    whole = [int(v) if isinstance(v, float) and v.is_integer() else v for v in entries]
     if not all(PLACE.fullmatch(str(place)) for place in whole):
         raise ValueError("lines, such as [12, 31] or [day1.csv:12]")
     return tuple(map(str, whole))
@@ -534,8 +534,8 @@ def _entry(value: str) -> str:
 
 
 def _date(value: str) -> str:
-    found = DATE.fullmatch(value)
-    year, month, day = map(int, found.groups()) if found else (1, 0, 0)
+    match = DATE.fullmatch(value)
+    year, month, day = map(int, match.groups()) if match else (1, 0, 0)
     if not (1 <= month <= 12 and 1 <= day <= monthrange(year, month)[1]):
         raise ValueError("a date, such as 2026-11-23")
     return value

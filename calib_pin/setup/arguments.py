@@ -175,8 +175,8 @@ def checked(function: _Function) -> _Function:
 
 @cache
 def _hints(of: Any) -> dict[str, Any]:
-    found = typing.get_type_hints(of, include_extras=True)
-    return {k: hint for k, hint in found.items() if get_origin(hint) != typing.ClassVar}
+    hints = typing.get_type_hints(of, include_extras=True)
+    return {k: hint for k, hint in hints.items() if get_origin(hint) != typing.ClassVar}
 
 
 class Key(NamedTuple):
@@ -199,25 +199,25 @@ def keys_of(kind: Any) -> dict[str, Key]:
     if hasattr(kind, "_fields"):
         defaults = kind._field_defaults
         return {n: Key((n,), "", defaults.get(n, MISSING)) for n in kind._fields}
-    found = dict[str, Key]()
+    keys = dict[str, Key]()
     for f in fields(kind):
-        if (stated := f.metadata.get("key", f.name)) is not None:
-            make, path = f.default_factory, tuple(filter(None, stated.split(".")))
+        if (dotted := f.metadata.get("key", f.name)) is not None:
+            make, path = f.default_factory, tuple(filter(None, dotted.split(".")))
             default = f.default if make is MISSING else make()
-            found[f.name] = Key(path, f.metadata.get("by", ""), default)
-    return found
+            keys[f.name] = Key(path, f.metadata.get("by", ""), default)
+    return keys
 
 
 @cache
 def _below(kind: Any, above: Path) -> dict[str | int, tuple[str, bool]]:
     """The keys below some keys of a record: a field, and whether others are further."""
-    found = dict[str | int, tuple[str, bool]]()
+    keys = dict[str | int, tuple[str, bool]]()
     for name, key in keys_of(kind).items():
         if key.path[: len(above)] == above and len(key.path) > len(above):
             step, *more = key.path[len(above) :]
-            there, further = found.get(step, ("", False))
-            found[step] = there if more else name, further or bool(more)
-    return found
+            owner, further = keys.get(step, ("", False))
+            keys[step] = owner if more else name, further or bool(more)
+    return keys
 
 
 @dataclass(frozen=True)
@@ -305,22 +305,22 @@ class Taker:
             elif isinstance(mark, Value):
                 limits = mark
         if limits is not None and not self.document:
-            found = limits.taken(value, kind)
+            result = limits.taken(value, kind)
         else:
-            found = self.taken(value, kind, path)
+            result = self.taken(value, kind, path)
         for mark in marks:
             if isinstance(mark, Family):
-                self._require_known(found, mark, path)
+                self._require_known(result, mark, path)
             elif callable(mark):
-                found = mark(found)
-        return found
+                result = mark(result)
+        return result
 
-    def _require_known(self, found: Any, mark: Family, path: Path) -> None:
+    def _require_known(self, value: Any, mark: Family, path: Path) -> None:
         """Refuse names that their family does not have, and those that repeat."""
         if (known := self.families.get(mark.name)) is None:
             return
-        listed = isinstance(found, tuple)
-        names = found if listed else found.split(mark.joined or None)
+        listed = isinstance(value, tuple)
+        names = value if listed else value.split(mark.joined or None)
         wrong = [k for k, n in enumerate(names) if n not in known or n in names[:k]]
         if wrong or not names:
             allowed = ", ".join(known)
@@ -357,21 +357,21 @@ class Taker:
         Raises:
             Refused: If a key is missing, unknown, or not of its type.
         """
-        found = dict(known)
+        entries = dict(known)
         for name, key in keys_of(kind).items():
             if not key.path and name not in known:
-                found[name] = self.taken(value, _hints(kind)[name], path)
-        self._fill(found, value, kind, path, ())
+                entries[name] = self.taken(value, _hints(kind)[name], path)
+        self._fill(entries, value, kind, path, ())
         for name, key in keys_of(kind).items():
-            if name not in found and key.default is MISSING:
+            if name not in entries and key.default is MISSING:
                 raise Refused((*path, *key.path), None, "{} is missing")
-        result = kind(**found)
+        result = kind(**entries)
         if isinstance(result, Section):
             result._check()
         return result
 
     def _fill(
-        self, found: Any, value: Mapping[str, Any], kind: Any, path: Path, above: Path
+        self, entries: Any, value: Mapping[str, Any], kind: Any, path: Path, above: Path
     ) -> None:
         """Take fields in the order of the file, of all those whose keys are `above`.
 
@@ -389,18 +389,18 @@ class Taker:
             name, further = below.get(key) or below[REST]
             if key not in below:
                 one = self.taken(item, get_args(hints[name])[1], here)
-                found.setdefault(name, {})[key] = one
-            elif name and name not in found:
+                entries.setdefault(name, {})[key] = one
+            elif name and name not in entries:
                 hint, by = hints[name], keys_of(kind)[name].by
                 if by:
                     hint = Mapping[str, get_args(hint)[0]]  # type: ignore[misc]
                     item = self.taken(item, Mapping[str, Mapping[str, Any]], here)
-                    item = {own: {by: own, **record} for own, record in item.items()}
+                    item = {n: {by: n, **record} for n, record in item.items()}
                 one = self.taken(item, hint, here)
-                found[name] = tuple(one.values()) if by else one
+                entries[name] = tuple(one.values()) if by else one
             if further:
                 item = self.taken(item, Mapping[str, Any], here)
-                self._fill(found, item, kind, here, place)
+                self._fill(entries, item, kind, here, place)
 
     def _several(self, value: Any, kind: Any, inner: Sequence[Any], path: Path) -> Any:
         """A sequence; a single value counts as a sequence of one."""
@@ -418,8 +418,8 @@ class Taker:
             each = [m.allowed(get_args(hints[0])[0]) for m in marks if type(m) is Value]
             raise ValueError(" of ".join([f"{len(hints)} values", *each]))
         places = [path if one else (*path, k) for k in range(len(values))]
-        found = tuple(map(self.taken, values, hints, places))
-        return found if kind is tuple or one else values
+        result = tuple(map(self.taken, values, hints, places))
+        return result if kind is tuple or one else values
 
 
 def _array(value: Any, kind: Any, document: bool) -> Any:

@@ -51,12 +51,12 @@ class RobotType:
         here, there = ([joint.name for joint in of.joints] for of in (self, other))
         if here != there:
             return f"its joints are {enumerated(map(repr, there))}"
-        for own, joint in zip(self.joints, other.joints, strict=True):
+        for first, second in zip(self.joints, other.joints, strict=True):
             for word in ("axis", "placement"):
-                numbers: list[Row] = [getattr(own, word), getattr(joint, word)]
+                numbers: list[Row] = [getattr(first, word), getattr(second, word)]
                 apart = [abs(a - b) for a, b in zip(*numbers, strict=False)]
                 if len({*map(len, numbers)}) > 1 or not max(apart, default=0) <= SAME:
-                    return f"its joint '{own.name}' has another nominal {word}"
+                    return f"its joint '{first.name}' has another nominal {word}"
         return ""
 
 

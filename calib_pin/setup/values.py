@@ -97,17 +97,17 @@ class Value:
         value = value.tolist() if hasattr(value, "tolist") else value
         entries = value if count and isinstance(value, list | tuple) else [value]
         try:
-            found = [number(entry) for entry in entries]
+            numbers = [number(entry) for entry in entries]
         except ValueError:
-            found = []
-        if (whole := self.shorter.get(len(found))) is not None:
-            found = [*whole(*found)]
-        fits = len(found) == max(count, 1)
-        fits &= all(self.least <= entry <= self.most for entry in found)
-        fits &= not self.rising or sorted(set(found)) == found
-        if not fits or (kind is int and not found[0].is_integer()):
+            numbers = []
+        if (whole := self.shorter.get(len(numbers))) is not None:
+            numbers = [*whole(*numbers)]
+        fits = len(numbers) == max(count, 1)
+        fits &= all(self.least <= entry <= self.most for entry in numbers)
+        fits &= not self.rising or sorted(set(numbers)) == numbers
+        if not fits or (kind is int and not numbers[0].is_integer()):
             raise ValueError(self.allowed(kind))
-        return tuple(found) if count else kind(found[0])
+        return tuple(numbers) if count else kind(numbers[0])
 
     def allowed(self, kind: Any) -> str:
         """Allowed numbers, in words."""

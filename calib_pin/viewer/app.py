@@ -67,9 +67,9 @@ class Widget:
     do: Callable[..., None] = field(default=lambda: None, compare=False)
 
 
-def words(said: str, tone: str = "plain") -> Widget:
+def words(text: str, tone: str = "plain") -> Widget:
     """Words alone."""
-    return Widget("words", value=said, tone=tone)
+    return Widget("words", value=text, tone=tone)
 
 
 @dataclass(frozen=True)

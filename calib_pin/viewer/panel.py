@@ -227,8 +227,8 @@ def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
         for name, handle in vectors.items():
             handle.points = lines(positions[name], float(factor))
         swatches = "".join(swatch(STAGES[name], name) for name in vectors)
-        told = f"magnified {factor} times: {'; '.join(shown)}"
-        legend.content = text(f"{swatches}<br>{told}" if swatches else told)
+        caption = f"magnified {factor} times: {'; '.join(shown)}"
+        legend.content = text(f"{swatches}<br>{caption}" if swatches else caption)
 
     controls.on(choice, magnify)
     magnify(chosen)
@@ -266,12 +266,12 @@ def _add_map(controls: Controls, stage: Stage, rows: Rows) -> None:
         errors = rows.stages[robot.value]
         every = errors.sizes[quantity.value]
         shown = np.isfinite(every)
-        sizes, colors, told = every[shown], UNKNOWN, "no measurement has it"
+        sizes, colors, caption = every[shown], UNKNOWN, "no measurement has it"
         unit, factor = DISPLAY[errors.units[quantity.value]]
         if len(sizes):
             colors = MAP(Normalize()(sizes), bytes=True)[:, :3]
             least, most = factor * sizes.min(), factor * sizes.max()
-            told = f'<div style="{BAR}"></div>{least:.3g} to {most:.3g} {unit}'
+            caption = f'<div style="{BAR}"></div>{least:.3g} to {most:.3g} {unit}'
         # Points and colors in one: a browser may draw between two messages.
         stage.api.add_point_cloud(
             "/map/points",
@@ -281,7 +281,7 @@ def _add_map(controls: Controls, stage: Stage, rows: Rows) -> None:
             point_shape="circle",
             precision="float32",
         )
-        legend.content = text(told)
+        legend.content = text(caption)
 
     for choice in (quantity, robot):
         controls.on(choice, lambda _: color())
@@ -299,7 +299,7 @@ def _about(rows: Rows, row: int) -> str:
     for name, quantity in next(iter(rows.stages.values())).units.items():
         unit, factor = DISPLAY[quantity]
         sizes = {stage: e.sizes[name][row] for stage, e in rows.stages.items()}
-        found = [f"{s} {factor * x:.3g} {unit}" for s, x in sizes.items() if x < np.inf]
-        if found:
-            lines.append(f"{name}: {', '.join(found)}")
+        parts = [f"{s} {factor * x:.3g} {unit}" for s, x in sizes.items() if x < np.inf]
+        if parts:
+            lines.append(f"{name}: {', '.join(parts)}")
     return "<br>".join(map(html.escape, lines))

@@ -101,7 +101,7 @@ class Body:
                 there is, where it is empty.
         """
         moved = q.copy()
-        own = {joint: k for k, joint in enumerate(self.skeleton.joints)}
+        index = {joint: k for k, joint in enumerate(self.skeleton.joints)}
         model = self.model
         chains = [] if model is None else [model.of(k) for k in model.measured_chains]
         for chain in chains:
@@ -114,8 +114,8 @@ class Body:
             )
             turned = commanded[0] + self.factor * (turned - commanded[0])
             for joint, position in zip(joints, turned, strict=True):
-                if joint in own:  # One that follows another follows it as it is.
-                    moved[own[joint]] = position
+                if joint in index:  # One that follows another follows it as it is.
+                    moved[index[joint]] = position
         return self.skeleton.placements(moved)
 
 
@@ -166,8 +166,8 @@ class Scene:
         The first are their columns in configurations of the chains, the second are
         their places among the joints of the bodies.
         """
-        own, joints = self.bodies[0].skeleton.joints, enumerate(self.chains.joints)
-        pairs = [(k, own.index(joint)) for k, joint in joints if joint in own]
+        names, joints = self.bodies[0].skeleton.joints, enumerate(self.chains.joints)
+        pairs = [(k, names.index(joint)) for k, joint in joints if joint in names]
         columns, places = np.array(pairs, np.intp).reshape(-1, 2).T
         return columns, places
 
@@ -258,8 +258,8 @@ def make_scene(
         if reason := ready[0].reason:
             tell(f"the errors before cannot be trusted: {reason}")
         ready += [] if model is None else [prepared(model, data)]
-        found = [stage_errors(robot, drawn_link(chains)) for robot in ready]
-        rows = Rows(data, dict(zip(("before", "after"), found, strict=False)))
+        errors = [stage_errors(robot, drawn_link(chains)) for robot in ready]
+        rows = Rows(data, dict(zip(("before", "after"), errors, strict=False)))
     if not chains.names and (plan is not None or setup.base):
         named = ("",) if plan is None else read_table(plan).labels("chain").distinct
         chains = chains.named(named)

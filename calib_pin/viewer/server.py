@@ -162,13 +162,13 @@ def _answer(
 ) -> Response | None:
     """The answer that needs no look at the content; None for a good request."""
     port = connection.local_address[1]
-    own = [f"{name}:{port}" for name in ("localhost", HOST)]
+    hosts = [f"{name}:{port}" for name in ("localhost", HOST)]
     host, origin = map(request.headers.get_all, ("Host", "Origin"))
     given, tab = _given(request)
     socket_wanted = "Upgrade" in request.headers
     if (
         len(host) != 1
-        or host[0] not in own
+        or host[0] not in hosts
         or ((origin or socket_wanted) and origin != [f"http://{host[0]}"])
         or not hmac.compare_digest(given.encode(), token.encode())
     ):
@@ -184,9 +184,9 @@ def _answer(
     # The page opens its socket without the token unless its address says where.
     known = {"token": f"{token}.{tab or secrets.token_urlsafe(8)}"}
     known["websocket"] = f"ws://{host[0]}/?{urlencode(known)}"
-    found = connection.respond(HTTPStatus.FOUND, "")
-    found.headers["Location"] = f"/?{urlencode(known)}"
-    return found
+    redirect = connection.respond(HTTPStatus.FOUND, "")
+    redirect.headers["Location"] = f"/?{urlencode(known)}"
+    return redirect
 
 
 def _unheard() -> contextlib.AbstractContextManager[object]:

@@ -26,7 +26,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.planned_problem import TipTests, identification
-from calib_pin.planning.search import Found, Search
+from calib_pin.planning.search import Design, Search
 from calib_pin.planning.workspace import Candidates, Workspace
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.tool_accuracy import SAMPLES
@@ -75,9 +75,9 @@ UNITS = {"prediction": (1e3, "predicted error [mm]"), "condition": (1.0, "condit
 class OneExchange(Search):
     """A search whose descents begin with the exchange that was made already."""
 
-    _exchange: Found | None = None
+    _exchange: Design | None = None
 
-    def by_exchange(self) -> Found:
+    def by_exchange(self) -> Design:
         """The exchange, once."""
         self._exchange = self._exchange or super().by_exchange()
         return self._exchange

@@ -85,8 +85,8 @@ def _stopped_by_sigterm() -> Iterator[None]:
         raise _Terminated
 
     # Only the main thread may set handlers, and what is ignored stays ignored.
-    mine = threading.current_thread() is threading.main_thread()
-    if not mine or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return
     signal.signal(signal.SIGTERM, stop)

@@ -128,8 +128,8 @@ ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm")
 
 def images_in(folder: Path) -> list[Path]:
     """The images in a folder; none in what is no folder."""
-    there = folder.iterdir() if folder.is_dir() else ()
-    return [path for path in there if path.suffix.lower() in ENDINGS]
+    paths = folder.iterdir() if folder.is_dir() else ()
+    return [path for path in paths if path.suffix.lower() in ENDINGS]
 
 
 def images_of(

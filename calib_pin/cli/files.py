@@ -305,8 +305,8 @@ def beside(file: Path, robot: str) -> str:
 
     A xacro file has its arguments behind it.
     """
-    there = exists(file.parent / robot.split(" ")[0])
-    return str(file.parent / robot) if there else robot
+    local = exists(file.parent / robot.split(" ")[0])
+    return str(file.parent / robot) if local else robot
 
 
 def require_folders(folders: Sequence[Path]) -> None:

@@ -67,8 +67,8 @@ def _calibrated(asked: Fleet, table: Path) -> int:
             fitted = {name for name, (row, _) in done.items() if row.fitted}
             known = [j if j.before in fitted else replace(j, before="") for j in wave]
             shared = Path.cwd(), asked
-            for one in workers.map(jobs.calibrate_job, shared, known, jobs.lost_job):
-                done[one.row.job] = one
+            for entry in workers.map(jobs.calibrate_job, shared, known, jobs.lost_job):
+                done[entry.row.job] = entry
                 if bar is not None:
                     bar(f"{len(done)} of {len(every)}", len(done) / len(every))
         stage(bar, "types")

@@ -255,8 +255,8 @@ def _value(key: str, text: str, folder: Path) -> Any:
 
 def folder_name(serial: str) -> str:
     """The name of a folder by a serial number."""
-    kept = (c if c.isalnum() or c in "._- " else "_" for c in serial)
-    return "".join(kept).lstrip(".")
+    characters = (c if c.isalnum() or c in "._- " else "_" for c in serial)
+    return "".join(characters).lstrip(".")
 
 
 def _name(job: Job, number: int, every: Sequence[Job]) -> str:
@@ -352,10 +352,10 @@ def request_of(job: Job, output: Path) -> Request:
     """
     files: list[Path] = []
     for file in job.measurements:
-        alike = sorted(file.parent.glob(file.name)) if "*" in file.name else [file]
-        if not alike:
+        matches = sorted(file.parent.glob(file.name)) if "*" in file.name else [file]
+        if not matches:
             raise InputError("no file has such a name", file=file)
-        files += alike
+        files += matches
     start = job.start
     if start == PREVIOUS:
         start = job.previous or _before(job, output)

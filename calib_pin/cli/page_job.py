@@ -143,15 +143,15 @@ class Job:
         name = split_arguments(word.strip())[0]
         if name in ("", NOTHING):
             return
-        path, there = Path(name), self._folder / name
-        if not there.is_file() and (self._start / path.expanduser()).exists():
-            path = there = self._start / path.expanduser()
+        path, source = Path(name), self._folder / name
+        if not source.is_file() and (self._start / path.expanduser()).exists():
+            path = source = self._start / path.expanduser()
         ending = path.suffix.lower()
-        if there.is_dir():
+        if source.is_dir():
             self.choose(package_dir=[path])
-        elif ending in SETUPS and there.is_file():
-            self.choose(text=there.read_text("utf-8", "replace"), changes={})
-        elif ending in ROBOTS or not (ending or there.exists()):
+        elif ending in SETUPS and source.is_file():
+            self.choose(text=source.read_text("utf-8", "replace"), changes={})
+        elif ending in ROBOTS or not (ending or source.exists()):
             self.scene, robot = None, word.strip().replace(name, str(path), 1)
             self.choose(robot=robot, changes={})
         else:

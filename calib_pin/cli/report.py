@@ -24,14 +24,14 @@ def report(asked: Report) -> int:
     files.require_folders(asked.package_dir or [])
     file = document_file(asked.calibration)
     result, document = read_written(file)
-    robot, there = result.model.chains.robot, document.get("files", {})
+    robot, written = result.model.chains.robot, document.get("files", {})
     page = asked.output or file.parent / REPORT
-    renews = asked.output is None and REPORT in there
+    renews = asked.output is None and REPORT in written
     pictures = results.figure_files(asked)
     inputs: list[str | Path] = [file, file.parent / MEASUREMENTS, robot.file]
     files.check_outputs([page, pdf, *pictures], inputs, asked.force or renews)
     files.check_outputs([pdf], inputs, asked.force)
-    if MEASUREMENTS not in there:
+    if MEASUREMENTS not in written:
         printing.notice(
             f"{file} has no {MEASUREMENTS}: nothing is known of single measurements"
         )

@@ -49,8 +49,8 @@ def check_results(
     if folder is not None:
         paths = [*result_files(folder, robot), *written_before(folder / DOCUMENT)]
         # The nominal robot of a folder may be calibrated again: it stays as it is.
-        kept = [folder / NOMINAL] * urdf.is_source(folder / NOMINAL, robot)
-        outputs |= dict.fromkeys(path for path in paths if path not in kept)
+        sources = [folder / NOMINAL] * urdf.is_source(folder / NOMINAL, robot)
+        outputs |= dict.fromkeys(path for path in paths if path not in sources)
     check_outputs(outputs, inputs, force)
 
 

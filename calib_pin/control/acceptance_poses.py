@@ -132,8 +132,8 @@ def acceptance_poses(
         for turns, center in product(wanted, centers):
             options = _posed(evaluate, center, edge, turns, joints, oriented, free)
             for T_5, q_5 in options:
-                way = q_5[[pose - 1 for pose in (1, *ORDER)]]
-                if moves is None or all(moves(a, b) for a, b in pairwise(way)):
+                tour = q_5[[pose - 1 for pose in (1, *ORDER)]]
+                if moves is None or all(moves(a, b) for a, b in pairwise(tour)):
                     return AcceptancePoses(center, edge, T_5, q_5, oriented)
     raise OptionError(
         f"no cube of {1e3 * EDGES[-1]:.0f} mm was found of which the robot reaches "

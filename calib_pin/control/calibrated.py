@@ -225,7 +225,7 @@ def _deviations(
 def has_sides(model: CalibratedChain) -> bool:
     """Whether it matters from which side joints come: there is lost motion."""
     n = len(model.chain.joints)
-    one, none = np.ones((1, n), np.int8), np.zeros((1, n))
-    basis = model.error.basis(none, Conditions(direction=one))
+    side, none = np.ones((1, n), np.int8), np.zeros((1, n))
+    basis = model.error.basis(none, Conditions(direction=side))
     moved = (basis - model.error.basis(none)) * model.theta[varying(model.error)]
     return bool(moved.any())

@@ -124,11 +124,11 @@ def compensate(
     task = Task.of(real, targets, joints, start, orientation)
     solutions = _in_parts(search, task, progress)
     if start is None:
-        kept = np.flatnonzero(solutions.reached)
-        driven = joints.driven(solutions.q[kept])
+        reached = np.flatnonzero(solutions.reached)
+        driven = joints.driven(solutions.q[reached])
         unwound = joints.unwound(driven)
         turned = (unwound != driven).any(axis=1)
-        rows = kept[turned]
+        rows = reached[turned]
         # Corrections need not be periodic: another turn is another descent.
         others = reach(replace(task.rows(rows), start=unwound[turned]))
         better = others.reached
@@ -184,17 +184,17 @@ def _from_sides(
     """
     if not has_sides(model):
         return commands
-    joints, (kept,) = Joints.of(model.chain), np.nonzero(commands.reached)
+    joints, (reached,) = Joints.of(model.chain), np.nonzero(commands.reached)
     for _ in range(ROUNDS):
-        q = commands.q[kept]
+        q = commands.q[reached]
         ahead = q[:1] if before is None else before[None]
         sides = approached(np.concatenate([ahead, q]))[1:]
-        changed = (sides != commands.sides[kept]).any(axis=1)
+        changed = (sides != commands.sides[reached]).any(axis=1)
         if not changed.any():
             break
         ways, which = np.unique(sides[changed], axis=0, return_inverse=True)
         for k, side in enumerate(ways):
-            rows = kept[changed][which.reshape(-1) == k]
+            rows = reached[changed][which.reshape(-1) == k]
             part, T = commands.rows(rows), targets[rows]
             real = kinematics(model, frame=frame, point=point, side=side)
             task = Task.of(real, T, joints, part.q, part.oriented)

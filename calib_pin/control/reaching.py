@@ -207,9 +207,9 @@ def _nearest(task: Task, count: int) -> Floats:
     known, wanted = features(T, samples), features(task.targets, task.start)
     # Half the squared distance, without the part that all samples share.
     distances = 0.5 * (known**2).sum(axis=1) - wanted @ known.T
-    some = np.argpartition(distances, count, axis=1)[:, :count]
-    order = np.take_along_axis(distances, some, axis=1).argsort(axis=1)
-    return np.asarray(samples[np.take_along_axis(some, order, axis=1)])
+    nearest = np.argpartition(distances, count, axis=1)[:, :count]
+    order = np.take_along_axis(distances, nearest, axis=1).argsort(axis=1)
+    return np.asarray(samples[np.take_along_axis(nearest, order, axis=1)])
 
 
 # Descents.
@@ -263,10 +263,10 @@ def descend(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
         # At the end joints stop where they are.
         sliding = (iteration < slides) & (squared < OPTIONS.near**2)
         sliding &= rows.pull > 1e-3
-        way = np.where(sliding, rows.pull, 0.0)[:, None]
-        way = way * (task.start[rows.index] - rows.q)
+        pull = np.where(sliding, rows.pull, 0.0)[:, None]
+        pull = pull * (task.start[rows.index] - rows.q)
         damping = rows.damping * squared + OPTIONS.floor
-        rows.dq = _step(task.joints, rows.q, rows.J, rows.e, way, damping)
+        rows.dq = _step(task.joints, rows.q, rows.J, rows.e, pull, damping)
         predicted = ((rows.e - times(rows.J, rows.dq)) ** 2).sum(axis=1)
         stalled = ~exact & (squared - predicted <= OPTIONS.stalled * squared)
         # Before it gives up, a row tries without being pulled to the start.
@@ -288,7 +288,7 @@ def descend(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
 
 
 def _step(
-    joints: Joints, q: Floats, J: Floats, e: Floats, way: Floats, damping: Floats
+    joints: Joints, q: Floats, J: Floats, e: Floats, pull: Floats, damping: Floats
 ) -> Floats:
     """Steps that stay within the limits, shape (A, n).
 
@@ -300,19 +300,19 @@ def _step(
         q: Joint positions, shape (A, n).
         J: Derivative of the components of the target, shape (A, m, n).
         e: Errors, shape (A, m).
-        way: Step that is wanted beside them, shape (A, n).
+        pull: Step that is wanted beside them, shape (A, n).
         damping: Squares of singular values below it are not inverted, shape (A,).
     """
     m, n = J.shape[1:]
-    held, moves, e = np.zeros(q.shape, bool), way.copy(), e.copy()
-    dq, some = np.empty_like(q), np.arange(len(q))
+    held, moves, e = np.zeros(q.shape, bool), pull.copy(), e.copy()
+    dq, active = np.empty_like(q), np.arange(len(q))
     for k in range(n + 1):
-        free = np.where(held[some, None], 0.0, J[some])
+        free = np.where(held[active, None], 0.0, J[active])
         S = free @ np.swapaxes(free, 1, 2)
-        S[:, range(m), range(m)] += damping[some, None]
-        rest = e[some] - times(J[some], moves[some])
+        S[:, range(m), range(m)] += damping[active, None]
+        rest = e[active] - times(J[active], moves[active])
         y = np.linalg.solve(S, rest[:, :, None])[:, :, 0]
-        dq[some] = moves[some] + times(np.swapaxes(free, 1, 2), y)
+        dq[active] = moves[active] + times(np.swapaxes(free, 1, 2), y)
         if k == 0:
             # Before limits are looked at: many would be in the way of a long step.
             longest = np.abs(dq).max(axis=1, initial=OPTIONS.longest)[:, None]
@@ -322,10 +322,10 @@ def _step(
         leaves = ~held & (np.abs(dq) > room)
         parts = np.full(q.shape, np.inf)
         np.divide(room, np.abs(dq), out=parts, where=leaves)
-        some = np.flatnonzero(leaves.any(axis=1))
-        if not len(some):
+        active = np.flatnonzero(leaves.any(axis=1))
+        if not len(active):
             break
-        first = some, parts[some].argmin(axis=1)
+        first = active, parts[active].argmin(axis=1)
         held[first], moves[first] = True, (np.sign(dq) * room)[first]
     # Held joints may have been in the way of a step that was shorter before.
     longest = np.abs(dq).max(axis=1, initial=OPTIONS.longest)[:, None]

@@ -93,8 +93,8 @@ def visits(
         q = turned
     # A tool is mounted and an instrument placed only once.
     places: dict[tuple[str, ...], list[int]] = {}
-    for k, one in enumerate(aim):
-        places.setdefault(workspace.aims.each[one].key[1:], []).append(k)
+    for k, index in enumerate(aim):
+        places.setdefault(workspace.aims.each[index].key[1:], []).append(k)
     order, closed, ahead = np.empty(0, np.intp), tuple[int, ...](), start
     for members in map(np.array, places.values()):
         path, shut = shortest_order(q[members], ahead, is_free)
@@ -134,47 +134,47 @@ def shortest_order(
         True
     """
     places = q if start is None else np.concatenate([start[None], q])
-    way = np.abs(places[:, None] - places[None]).max(axis=2)
+    distances = np.abs(places[:, None] - places[None]).max(axis=2)
     fixed = 0 if start is None else 1
-    path = _improved(_nearest_neighbors(way), way, fixed)
+    path = _improved(_nearest_neighbors(distances), distances, fixed)
     closed: list[int] = []
     if is_free is not None:
         known: dict[tuple[int, int], bool] = {}
-        long = len(path) * float(way.max())  # Than any way of free moves.
+        long = len(path) * float(distances.max())  # Than any way of free moves.
         latest, closed = path, list(range(len(path)))
         for _ in range(ROUNDS):
             moves = [(min(move), max(move)) for move in pairwise(latest)]
             fresh = [move for move in moves if move not in known]
             known |= {(a, b): not is_free(places[a], places[b]) for a, b in fresh}
-            here = [k for k, move in enumerate(moves, 1) if known[move]]
-            if len(here) < len(closed):
-                path, closed = latest, here
+            blocked = [k for k, move in enumerate(moves, 1) if known[move]]
+            if len(blocked) < len(closed):
+                path, closed = latest, blocked
             longer = [move for move in fresh if known[move]]
             if not longer:
                 break
             for a, b in longer:
-                way[a, b] = way[b, a] = long
-            latest = _improved(latest, way, fixed)
+                distances[a, b] = distances[b, a] = long
+            latest = _improved(latest, distances, fixed)
     order = np.array([place - fixed for place in path[fixed:]], np.intp)
     return order, tuple(k - fixed for k in closed)
 
 
-def _nearest_neighbors(way: Floats) -> list[int]:
+def _nearest_neighbors(distances: Floats) -> list[int]:
     """A path from the first place that goes on to the nearest one."""
-    path, unvisited = [0], np.arange(len(way)) > 0
+    path, unvisited = [0], np.arange(len(distances)) > 0
     while unvisited.any():
-        path.append(int(np.where(unvisited, way[path[-1]], np.inf).argmin()))
+        path.append(int(np.where(unvisited, distances[path[-1]], np.inf).argmin()))
         unvisited[path[-1]] = False
     return path
 
 
-def _improved(path: list[int], way: Floats, fixed: int) -> list[int]:
+def _improved(path: list[int], distances: Floats, fixed: int) -> list[int]:
     """Reverse parts of a path as long as that makes it shorter (2-opt)."""
     count = len(path)
     # A place without distance, at both ends, stands for the open ends.
-    closed = np.zeros((len(way) + 1, len(way) + 1))
-    closed[:-1, :-1] = way
-    tour = np.array([len(way), *path, len(way)])
+    closed = np.zeros((len(distances) + 1, len(distances) + 1))
+    closed[:-1, :-1] = distances
+    tour = np.array([len(distances), *path, len(distances)])
     improved = True
     while improved:
         improved = False
@@ -418,7 +418,7 @@ def _finished(
         aims=tuple(workspace.aims.each[k] for k in aim),
         criterion=search.criterion.name,
         value=search.criterion.value(information, search.measured + len(q)),
-        random=float(np.median([search.selection(some).value for some in draws])),
+        random=float(np.median([search.selection(subset).value for subset in draws])),
         method=best.method,
         status=best.status,
         steps=_steps(search, best, tests),

@@ -290,5 +290,5 @@ def _coadjoint(V: Floats, F: Floats) -> Floats:
     """
     v, w = V[:, :3], V[:, 3:]
     f, t = F[:, :3], F[:, 3:]
-    by_shift, by_turn = (np.cross(one, w, axis=1) for one in (f, t))
+    by_shift, by_turn = (np.cross(part, w, axis=1) for part in (f, t))
     return np.concatenate([by_shift, np.cross(f, v, axis=1) + by_turn], axis=1)

@@ -172,7 +172,7 @@ class Search:
         # All particles measure the same, what a set does that determines all.
         aim = self.candidates.aim[list(self._determined)]
         n = len(self.workspace.lower)
-        fitting = [np.flatnonzero(self.candidates.aim == one) for one in aim]
+        fitting = [np.flatnonzero(self.candidates.aim == target) for target in aim]
         starts = [
             [int(self.rng.choice(some)) for some in fitting]
             for _ in range(options.particles)

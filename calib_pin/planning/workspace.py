@@ -417,9 +417,9 @@ class Workspace:
         visible = np.zeros(len(q), bool)
         for look in self.aims.looks:
             rows = np.flatnonzero(look.of_aim[aim] >= 0)
-            some = look.seen(q[rows], aim[rows]).any(axis=1)
+            sighted = look.seen(q[rows], aim[rows]).any(axis=1)
             # One that measures a certain target must see that; of others any will do.
-            visible[rows] = visible[rows] | some if look.at_once else some
+            visible[rows] = visible[rows] | sighted if look.at_once else sighted
         refusals["not measurable"] = remaining & ~visible
         remaining &= visible
         if self.collisions is not None:

@@ -153,8 +153,8 @@ def acceptance_schedule(
     moves, tail = 0.0, ", and the moves."
     if speeds is not None:
         q = poses.q[[pose - 1 for pose in ORDER]]
-        way = np.abs(np.diff(np.concatenate([q[-1:], q]), axis=0)) / speeds
-        moves = cycles * float(way.max(axis=1).sum())
+        durations = np.abs(np.diff(np.concatenate([q[-1:], q]), axis=0)) / speeds
+        moves = cycles * float(durations.max(axis=1).sum())
         tail = f";\n  the moves take {moves / 60.0:.1f} min of it at full joint speeds."
     # How well so many visits tell RP, with the same scatter along all axes, exactly.
     rng = np.random.default_rng(0)

@@ -207,7 +207,7 @@ def _counted(result: compared.Comparison) -> Iterator[str]:
     if result.moved and result.drifted is False:
         yield "The differences move the tool point by no more than noise does."
     both = result.first, result.second
-    if any(len(one.groups) > len(compared.robot_groups(one)) for one in both):
+    if any(len(record.groups) > len(compared.robot_groups(record)) for record in both):
         yield "Combinations with terms of base, tool or instrument are left out."
 
 

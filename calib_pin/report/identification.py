@@ -199,18 +199,18 @@ def offsets(result: CalibrationResult) -> Iterator[Block]:
 
 
 def _offset(offset: FoundOffset, stepped: bool) -> list[Cell | str]:
-    way = "further than it says"
+    position = "further than it says"
     # Whole steps are what a motor can store.
     steps = "-" if offset.steps is None else f"{round(offset.steps * offset.value):+d}"
     if abs(offset.value) < CLEAR * (offset.sigma or 0.0):
-        way = "where it says"
+        position = "where it says"
     elif offset.value < 0.0:
-        way = "less far than it says"
+        position = "less far than it says"
     name = offset.joint
     name += f" (column {offset.column})" * (offset.column != name)
     cells = estimate(offset.value, offset.sigma, offset.unit)
-    way += ", reversed" * bool(offset.reverses)
-    return [name, *cells, *[steps][:stepped], way]
+    position += ", reversed" * bool(offset.reverses)
+    return [name, *cells, *[steps][:stepped], position]
 
 
 def _unknown(offset: FoundOffset, suggestions: Sequence[Suggestion]) -> str:
@@ -239,10 +239,10 @@ def error_table(errors: Sequence[RobotError], title: str, keys: Sequence[str]) -
         title: Title of the table.
         keys: Some of `ESTIMATE`, or `formula|name`.
     """
-    rows, alike = [], Counter((error.kind, error.of) for error in errors)
+    rows, sizes = [], Counter((error.kind, error.of) for error in errors)
     for error in errors:
         owner = _of(error)
-        if alike[error.kind, error.of] > 1 and error.terms:  # A link with two branches.
+        if sizes[error.kind, error.of] > 1 and error.terms:  # A link with two branches.
             owner += f" to {error.terms[0].parameter.rsplit('.', 2)[0]}"
         cells = dict(
             zip(ESTIMATE, estimate(error.value, error.sigma, error.unit), strict=True)

@@ -98,8 +98,8 @@ def _chosen_steps(plan: Plan) -> list[Step]:
     """Some of the steps, more closely where there are few configurations."""
     counts = [step.count for step in plan.steps]
     wanted = np.geomspace(max(counts[0], 1), counts[-1], SHOWN - 2).round()
-    kept = {0, counts.index(len(plan.q)), *np.searchsorted(counts, wanted).tolist()}
-    return [plan.steps[k] for k in sorted(kept)]
+    indices = {0, counts.index(len(plan.q)), *np.searchsorted(counts, wanted).tolist()}
+    return [plan.steps[k] for k in sorted(indices)]
 
 
 def _tip(plan: Plan) -> Facts:

@@ -138,11 +138,11 @@ def accuracy_table(errors: Sequence[QuantityErrors], *, details: bool = True) ->
 def distance_table(distances: Sequence[FoundDistance]) -> Table:
     """Known distances beside those of the nominal and of the calibrated robot."""
     rows, (unit, factor) = [], DISPLAY["m"]
-    for one in distances:
-        sizes = one.value, one.nominal, one.found
+    for distance in distances:
+        sizes = distance.value, distance.nominal, distance.found
         cells = [Cell(f"{factor * size:.3f}", size) for size in sizes]
-        which = "fitted" if one.fitted else "validation"
-        rows.append((" - ".join(one.between), which, *cells, unit))
+        which = "fitted" if distance.fitted else "validation"
+        rows.append((" - ".join(distance.between), which, *cells, unit))
     titles = ("", "measurements|word", "known", "nominal", "calibrated", UNIT)
     return table("Known distances", titles, rows)
 
@@ -181,8 +181,8 @@ def ladder(selection: ModelSelection) -> Iterator[Block]:
         rows.append((rung.name, *cells, remark))
     titles = (f"{name} {places[k]}[{DISPLAY[unit][0]}]" for name, unit, k in columns)
     title = f"{LADDER}, near the fitted configurations and away" if far else LADDER
-    kept = [k for k, rung in enumerate(rungs) if rung is chosen]
-    yield table(title, ("", *titles, "|remark"), rows, kept)
+    marked = [k for k, rung in enumerate(rungs) if rung is chosen]
+    yield table(title, ("", *titles, "|remark"), rows, marked)
     yield note(f"The model is for use {WHERE[selection.use]}.")
     for reason in dict.fromkeys(rung.reason for rung in every if rung.reason):
         names = ", ".join(rung.name for rung in every if rung.reason == reason)

@@ -388,16 +388,16 @@ class Taker:
                 continue
             name, further = below.get(key) or below[REST]
             if key not in below:
-                one = self.taken(item, get_args(hints[name])[1], here)
-                entries.setdefault(name, {})[key] = one
+                entry = self.taken(item, get_args(hints[name])[1], here)
+                entries.setdefault(name, {})[key] = entry
             elif name and name not in entries:
                 hint, by = hints[name], keys_of(kind)[name].by
                 if by:
                     hint = Mapping[str, get_args(hint)[0]]  # type: ignore[misc]
                     item = self.taken(item, Mapping[str, Mapping[str, Any]], here)
                     item = {n: {by: n, **record} for n, record in item.items()}
-                one = self.taken(item, hint, here)
-                entries[name] = tuple(one.values()) if by else one
+                entry = self.taken(item, hint, here)
+                entries[name] = tuple(entry.values()) if by else entry
             if further:
                 item = self.taken(item, Mapping[str, Any], here)
                 self._fill(entries, item, kind, here, place)

@@ -91,9 +91,9 @@ def _curves(axes: Axes, stages: list[Floats]) -> None:
     spread = max(float(np.quantile(sizes, SHARE)) for sizes in finite)
     high = min(1.05 * float(max(s[-1] for s in finite)), 1.6 * spread) or 1.0
     for sizes, known, color in zip(stages, finite, STAGES.values(), strict=True):
-        kept = np.unique(np.linspace(0, len(known) - 1, STEPS).round().astype(int))
-        across = np.concatenate([[0.0], known[kept], [max(high, known[-1])]])
-        up = np.concatenate([[0], kept + 1, [len(known)]]) * 100.0 / len(sizes)
+        steps = np.unique(np.linspace(0, len(known) - 1, STEPS).round().astype(int))
+        across = np.concatenate([[0.0], known[steps], [max(high, known[-1])]])
+        up = np.concatenate([[0], steps + 1, [len(known)]]) * 100.0 / len(sizes)
         axes.plot(across, up, color=color, drawstyle="steps-post", linewidth=1.6)
         p95 = Accuracy.of(sizes).p95
         if math.isfinite(p95):

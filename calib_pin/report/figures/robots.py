@@ -100,15 +100,15 @@ def accuracy_by_configurations(
     """Position error, and part of the robots within the limit, by configurations."""
     from calib_pin.monte_carlo.summary import LEVELS
 
-    done = [one for one in outlooks if one.failed < one.robots]
+    done = [o for o in outlooks if o.failed < o.robots]
     if not done:
         return None
     limited = bool(np.isfinite(done[0].met[0]))
     figure, (row,) = panels(1, 1 + limited, 2.4, gap=0.8)
     axes, (unit, factor) = row[0], unit_of("m")
-    counts = np.array([one.configurations for one in done])
-    low, middle, high = factor * np.array([one.position for one in done]).T
-    share = factor * np.array([one.position_share[1] for one in done])
+    counts = np.array([o.configurations for o in done])
+    low, middle, high = factor * np.array([o.position for o in done]).T
+    share = factor * np.array([o.position_share[1] for o in done])
     band: dict[str, Any] = {"color": AFTER, "alpha": 0.25, "linewidth": 0.0}
     line: dict[str, Any] = {"color": AFTER, "marker": "o", "markersize": 4.0}
     wide: dict[str, Any] = {"color": INK, "marker": "s", "markersize": 3.5}
@@ -134,7 +134,7 @@ def accuracy_by_configurations(
     )
     if limited:
         chances = row[1]
-        share, least, most = 100.0 * np.array([one.met for one in done]).T
+        share, least, most = 100.0 * np.array([o.met for o in done]).T
         chances.errorbar(counts, share, [share - least, most - share], **line)
         chances.axhline(100.0 * LEVELS[-1], color=INK, linewidth=0.8, linestyle=":")
         chances.set_ylim(-3.0, 104.0)

@@ -52,7 +52,7 @@ def accept(asked: Accept) -> int:
                 rows,
                 used,
                 registration=asked.register,
-                named=_named(rows_in, used.columns),
+                named=_visit_numbers(rows_in, used.columns),
                 doubts=doubts,
             )
     for doubt in doubts:
@@ -80,7 +80,7 @@ def accept(asked: Accept) -> int:
     return 0 if passed and not last.doubts else 2
 
 
-def _named(
+def _visit_numbers(
     files: list[Path], columns: Mapping[str, str]
 ) -> dict[str, dict[tuple[str, int], int]]:
     """Numbers in columns `pose` and `cycle`, by file and line.

@@ -43,7 +43,7 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
         raise OptionError("give --board, or a setup file with 'board' (--setup)")
     detector = boards.Detector(board)
     if asked.draw is not None:
-        return _drawn(asked, asked.draw, detector)
+        return _draw_board(asked, asked.draw, detector)
     output, extra = asked.output, asked.setup_output
     every_path = asked.images or []
     images = [image for path in every_path for image in (images_in(path) or [path])]
@@ -98,7 +98,7 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     return 0
 
 
-def _drawn(asked: Detect, file: Path, detector: Detector) -> int:
+def _draw_board(asked: Detect, file: Path, detector: Detector) -> int:
     """Write the board to print."""
     files.check_outputs([file], [asked.setup], asked.force)
     picture = encode_png(detector.drawn(SHEET), SHEET / detector.board.square)

@@ -44,16 +44,16 @@ TRIALS, NUMBERS, CURVES = (f"monte-carlo.{kind}" for kind in ("csv", "json", "ht
 def fleet(asked: Fleet) -> int:
     """Do what `Fleet` asks for."""
     if asked.table is not None:
-        return _calibrated(asked, asked.table)
+        return _calibrate(asked, asked.table)
     if asked.monte_carlo is not None:
-        return _simulated(asked, asked.monte_carlo)
+        return _simulate(asked, asked.monte_carlo)
     raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
 
 
 # --- calibrations -------------------------------------------------------------------
 
 
-def _calibrated(asked: Fleet, table: Path) -> int:
+def _calibrate(asked: Fleet, table: Path) -> int:
     """Calibrate the robots of a table."""
     output, every = asked.output, jobs.read_jobs(table, notice)
     _check(table, every, output, asked.force or asked.resume)
@@ -159,7 +159,7 @@ def priors(folder: Path, populations: Sequence[PopulationPrior]) -> dict[Path, b
 # --- simulations --------------------------------------------------------------------
 
 
-def _simulated(asked: Fleet, file: Path) -> int:
+def _simulate(asked: Fleet, file: Path) -> int:
     """Simulate the robots of a study; its trials are written as they come."""
     setup, resume = read_setup(file), asked.resume
     study, name = _study(file, setup, asked.seed)

@@ -214,7 +214,7 @@ class Job:
         chains = open_chains(chosen, setup := Setup())
         self.read = read = Read(chains.robot, text=chosen.text)
         if self.scene is None or not files:
-            self.scene = self._drawn(chains, setup)
+            self.scene = self._make_scene(chains, setup)
         if not files:
             return
         self._bar("read", None)
@@ -238,7 +238,7 @@ class Job:
         if fault is not None and not chosen.changes:
             notice(f"no setup file could be drafted: {fault}")
         read.inputs = inputs
-        self.scene = self._drawn(inputs.chains, inputs.setup)
+        self.scene = self._make_scene(inputs.chains, inputs.setup)
 
     def _state(self, text: str) -> None:
         """Write the setup file, and read it."""
@@ -273,7 +273,7 @@ class Job:
                 archive.writestr(f"{OUT}/{name}", data)
         self.files = {ALL: stream.getvalue(), **files}
         self.result, model = result, result.model
-        self.scene = self._drawn(model.chains, inputs.setup, model)
+        self.scene = self._make_scene(model.chains, inputs.setup, model)
 
     def _look(self) -> None:
         """Look whether there is more in the files, and read it."""
@@ -282,9 +282,9 @@ class Job:
         if events := [*self._watch.look()]:
             self._events += events
             self.read.inputs = inputs = open_inputs(before.request, OUT, force=True)
-            self.scene = self._drawn(inputs.chains, inputs.setup)
+            self.scene = self._make_scene(inputs.chains, inputs.setup)
 
-    def _drawn(
+    def _make_scene(
         self, chains: Chains, setup: Setup, model: CalibratedModel | None = None
     ) -> Scene:
         inputs, folders = self.read.inputs, self.chosen.package_dir or ()
@@ -300,11 +300,11 @@ class Job:
         if self._watch is not None and self._stage is None:
             self._do(self._look, "")
         yield Section("Result", [*self._result()])
-        yield Section("Now", [*self._now()])
-        yield Section("While it is measured", [*self._followed()])
+        yield Section("Now", [*self._status_widgets()])
+        yield Section("While it is measured", [*self._follow_widgets()])
         yield Section("Chosen", [*self._listed()])
         yield Section("Found in the files", [*self._setup_choices()])
-        yield Section("Robot and measurements", [*self._asked()])
+        yield Section("Robot and measurements", [*self._source_widgets()])
         yield Section(
             "Columns and units", [*self._columns()], "columns" in self.chosen.changes
         )
@@ -312,7 +312,7 @@ class Job:
         view = [] if self.scene is None else [Widget("scene", value=self.scene)]
         yield Section("View", view, expanded=False)
 
-    def _now(self) -> Iterator[Widget]:
+    def _status_widgets(self) -> Iterator[Widget]:
         read, working = self.read, self._stage
         if working is not None and working[0]:
             yield Widget("progress", *working)
@@ -335,7 +335,7 @@ class Job:
         elif read.inputs is not None:
             yield Widget("button", "Calibrate again", do=self.calibrate)
 
-    def _followed(self) -> Iterator[Widget]:
+    def _follow_widgets(self) -> Iterator[Widget]:
         """The latest rows of files that another program writes, and where to go."""
         paths = self.chosen.measurements if self.read.inputs else ()
         if self._watch is None and paths and all(path.is_absolute() for path in paths):
@@ -362,7 +362,7 @@ class Job:
             do = partial(self.add, str(known[robot].with_name("measurements.csv")))
             yield Widget("button", "take its example measurements", do=do)
 
-    def _asked(self) -> Iterator[Widget]:
+    def _source_widgets(self) -> Iterator[Widget]:
         """Where files come from; always the same, so that uploads are not disturbed."""
         prompt = "Drop files here: robot (URDF, xacro), measurements (CSV), setup file"
         names, path = (NOTHING, *bundled_robots()), ("or a path here",)

@@ -40,7 +40,7 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     files.check_outputs([asked.output], [*inputs, *(asked.to or [])], asked.force)
     if asked.accept:
         setup = replace(setup, model="position")
-    chains, keys, rows, setup = _opened(asked, setup, older)
+    chains, keys, rows, setup = _open_inputs(asked, setup, older)
     collisions, command, poses = None, printing.command_line(words), None
     if not asked.ignore_collisions:
         collisions = load_collisions(
@@ -83,7 +83,7 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     return 0
 
 
-def _opened(
+def _open_inputs(
     asked: Plan, setup: Setup, older: CalibrationResult | None
 ) -> tuple[Chains, Sequence[BlockKey], Observations | None, Setup]:
     """The chains, what is measured there, what was measured before, and the setup."""

@@ -49,7 +49,7 @@ def watched(asked: Watch) -> guidance.Watch:
     def read() -> Any:
         try:
             inputs = open_inputs(asked, None)
-            return inputs.chains, _so_far(inputs), inputs.measurements
+            return inputs.chains, _setup_so_far(inputs), inputs.measurements
         finally:
             pop_notices()
 
@@ -59,7 +59,7 @@ def watched(asked: Watch) -> guidance.Watch:
     return guidance.Watch(read, followed, proposals, asked.limit, asked.seed)
 
 
-def _so_far(inputs: Inputs) -> Setup:
+def _setup_so_far(inputs: Inputs) -> Setup:
     """The setup, with what an older calibration tells of the rows so far."""
     older, noise = inputs.older, inputs.request.process_noise
     if older is None:

@@ -130,7 +130,7 @@ def acceptance_poses(
     for edge in EDGES:
         centers = _cubes(evaluate, T[:, :3, 3], joints, edge, region)
         for turns, center in product(wanted, centers):
-            options = _posed(evaluate, center, edge, turns, joints, oriented, free)
+            options = _pose_sets(evaluate, center, edge, turns, joints, oriented, free)
             for T_5, q_5 in options:
                 tour = q_5[[pose - 1 for pose in (1, *ORDER)]]
                 if moves is None or all(moves(a, b) for a, b in pairwise(tour)):
@@ -189,7 +189,7 @@ def _cubes(
     return chosen[reached.reshape(len(chosen), len(grid)).all(axis=1)]
 
 
-def _posed(
+def _pose_sets(
     evaluate: Kinematics,
     center: Floats,
     edge: float,

@@ -144,7 +144,7 @@ def reach(task: Task) -> Solutions:
         >>> bool(search(Task.of(evaluate, T, joints)).reached.all())
         True
     """
-    return _commanded(_descended(task, task.start, FULL), task.joints)
+    return _with_all_joints(_descend_to_start(task, task.start, FULL), task.joints)
 
 
 def search(task: Task) -> Solutions:
@@ -156,10 +156,10 @@ def search(task: Task) -> Solutions:
     joints, steps, guess = task.joints, FULL, task.start
     if not task.given:
         steps, guess = EXACT, joints.turned(_nearest(task, 1)[:, 0], guess)
-    solutions = _descended(task, guess, steps)
+    solutions = _descend_to_start(task, guess, steps)
     lost = np.flatnonzero(~solutions.reached)
     if not len(lost):
-        return _commanded(solutions, joints)
+        return _with_all_joints(solutions, joints)
     pool = _nearest(task.rows(lost), OPTIONS.spread * sum(OPTIONS.rounds))[
         :, OPTIONS.spread - 1 :: OPTIONS.spread
     ]
@@ -167,16 +167,16 @@ def search(task: Task) -> Solutions:
         tried, pool = pool[:, :count], pool[:, count:]
         each = task.rows(np.repeat(lost, count))
         guess = joints.turned(tried.reshape(-1, tried.shape[2]), each.start)
-        tries = _descended(each, guess, steps)
+        tries = _descend_to_start(each, guess, steps)
         best = tries.score.reshape(-1, count).argmin(axis=1)
         tries = tries.rows(count * np.arange(len(lost)) + best)
         better = tries.score < solutions.score[lost]
         solutions = solutions.replaced(lost[better], tries.rows(better))
         lost, pool = lost[~tries.reached], pool[~tries.reached]
-    return _commanded(solutions, joints)
+    return _with_all_joints(solutions, joints)
 
 
-def _descended(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
+def _descend_to_start(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
     """Solutions from a guess, in the turns nearest to the start."""
     solutions = descend(task, guess, steps)
     turned = task.joints.turned(solutions.q, task.start)
@@ -187,7 +187,7 @@ def _descended(task: Task, guess: Floats, steps: tuple[int, int]) -> Solutions:
     return solutions.replaced(far[closer], others.rows(closer))
 
 
-def _commanded(solutions: Solutions, joints: Joints) -> Solutions:
+def _with_all_joints(solutions: Solutions, joints: Joints) -> Solutions:
     """Solutions as positions of all joints of the chain."""
     return replace(solutions, q=joints.positions(solutions.q))
 

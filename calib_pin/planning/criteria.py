@@ -302,9 +302,9 @@ class Selection:
         # Summed anew each time: differences of information matrices lose digits.
         U = self.rows[self.chosen].reshape(-1, self.rows.shape[2])
         self._M = self.known + U.T @ U
-        self._information, self.cost = self._judged(self._M)
+        self._information, self.cost = self._evaluate(self._M)
 
-    def _judged(self, M: Floats) -> tuple[Information | None, float]:
+    def _evaluate(self, M: Floats) -> tuple[Information | None, float]:
         """An information matrix factored, and its cost; infinite where singular."""
         information = Information.of(M, self.nuisances)
         if information is None:
@@ -333,7 +333,7 @@ class Selection:
         tried = min(self.criterion.tried, len(candidates))
         first = np.argpartition(order, tried - 1)[:tried]
         costs = [
-            self._judged(self._M + sign * self.rows[k].T @ self.rows[k])[1]
+            self._evaluate(self._M + sign * self.rows[k].T @ self.rows[k])[1]
             for k in candidates[first]
         ]
         best = int(np.argmin(costs))

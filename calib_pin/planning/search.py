@@ -202,15 +202,15 @@ class Search:
                 "joint corrections and some measurement models do not have",
                 allowed="exchange, greedy, pso, ga",
             )
-        return self._descended(self._of("gradient", self._determined))
+        return self._descend(self._of("gradient", self._determined))
 
     def automatic(self) -> Design:
         """Exchange, then the gradient from its set and from random ones."""
         best = self.by_exchange()
         descends = self.rows.differentiable and not self.stopped
-        return self._descended(best) if descends else best
+        return self._descend(best) if descends else best
 
-    def _descended(self, best: Design) -> Design:
+    def _descend(self, best: Design) -> Design:
         """Go a little down from many sets, then to the ground from the best ones.
 
         Args:

@@ -141,12 +141,12 @@ def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Blo
             "The same folds selected the model; separate measurements (--validation) "
             "are a stricter check."
         )
-    yield note(" ".join([*notes, *_registered(result)]))
+    yield note(" ".join([*notes, *_registration_notes(result)]))
     if result.distances:
         yield distance_table(result.distances)
 
 
-def _registered(result: CalibrationResult) -> Iterator[str]:
+def _registration_notes(result: CalibrationResult) -> Iterator[str]:
     """Sentences on what was registered for the nominal robot as well."""
     of_robot = {p.name for p in result.model.given if not p.nuisance}
     owners: dict[str, dict[str, None]] = {}

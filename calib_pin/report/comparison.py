@@ -190,10 +190,10 @@ def parameter_changes(result: compared.Comparison) -> Iterator[Block]:
         title += f"{compared.BOUND:.0f} standard deviations"
         titles = ("", "B - A", "std. dev.", "ratio", tables.UNIT)
         yield table(title, titles, rows)
-    yield note(" ".join(_counted(result)))
+    yield note(" ".join(_agreement(result)))
 
 
-def _counted(result: compared.Comparison) -> Iterator[str]:
+def _agreement(result: compared.Comparison) -> Iterator[str]:
     """Sentences on how many agree, and what is not compared."""
     if result.differences:
         agree = [d for d in result.differences if d not in result.moved]

@@ -53,7 +53,7 @@ def identified(
     for status in ("weak", "unidentifiable", "fixed"):
         names = [p.name for p in result.parameters if p.status == status]
         yield from listed(STATUS[status] + REMARKS.get(status, ""), names)
-    yield from _remedied(result)
+    yield from _suggestion_blocks(result)
 
 
 def summary(result: Identification, *, advised: bool) -> Line:
@@ -106,7 +106,7 @@ def of_place(group: CoupledGroup) -> bool:
     return kind in ("socket", "sphere", "anchor")
 
 
-def _remedied(result: Identification) -> Iterator[Block]:
+def _suggestion_blocks(result: Identification) -> Iterator[Block]:
     """Suggested measurements, and how many robot parameters each would identify."""
     known, weak = result.identifiability.robot_rank, result.identifiability.weak
     rows = [("no change", known - weak)]

@@ -32,7 +32,7 @@ def plan_report(plan: Plan) -> Iterator[Block]:
         yield Line(
             f"No configuration can measure {', '.join(plan.unmeasurable)}.", "bad"
         )
-    yield from (note(sentence) for sentence in _made(plan))
+    yield from (note(sentence) for sentence in _assumptions(plan))
     yield _steps(plan)
     yield _tip(plan)
     known = [e for e in plan.predicted.robot_errors if e.status == "identifiable"]
@@ -42,7 +42,7 @@ def plan_report(plan: Plan) -> Iterator[Block]:
     yield from listed(f"{STATUS['weak']} (held at nominal)", weak)
 
 
-def _made(plan: Plan) -> Iterator[str]:
+def _assumptions(plan: Plan) -> Iterator[str]:
     """How the configurations were chosen, and what they assume."""
     if plan.places:
         shares = Counter(zip(*plan.places.values(), strict=True))

@@ -27,7 +27,7 @@ class Factored(Selection):
     def _best(self, some: Indices, sign: float) -> tuple[int, float]:
         """The best of all trials by their costs."""
         costs = [
-            self._judged(self._M + sign * self.rows[k].T @ self.rows[k])[1]
+            self._evaluate(self._M + sign * self.rows[k].T @ self.rows[k])[1]
             for k in some
         ]
         return int(some[np.argmin(costs)]), min(costs)

@@ -29,7 +29,7 @@ NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
 
 def accept(asked: Accept) -> int:
     """Do what `Accept` asks for."""
-    rows_in, output = asked.measurements, asked.output
+    paths, output = asked.measurements, asked.output
     calibrated, chains, used = files.open_subject(asked, None, "limit", "report")
     limit, entries = used.limit, used.report
     if calibrated is not None and entries is calibrated.model.setup.report:
@@ -43,16 +43,16 @@ def accept(asked: Accept) -> int:
         made, without, why = made[:-1], made[-1:], error.reason
     file = files.calibration_file(asked)
     doubts = [doubt] if (doubt := results.doubt_of(calibrated, file)) else []
-    files.check_outputs(made, [file or asked.robot, asked.setup, *rows_in], asked.force)
+    files.check_outputs(made, [file or asked.robot, asked.setup, *paths], asked.force)
     with printing.progress_bar(quiet=asked.quiet) as bar:
-        measured, rows = files.open_rows(asked, rows_in, chains, used, bar=bar)
-        with stated_in(str(rows_in[0])):
+        measured, rows = files.open_rows(asked, paths, chains, used, bar=bar)
+        with stated_in(str(paths[0])):
             outcome = acceptance.tested(
                 calibrated or measured,
                 rows,
                 used,
                 registration=asked.register,
-                named=_visit_numbers(rows_in, used.columns),
+                named=_visit_numbers(paths, used.columns),
                 doubts=doubts,
             )
     for doubt in doubts:

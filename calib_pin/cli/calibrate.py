@@ -105,30 +105,30 @@ def open_inputs(
         InputError: If the input cannot be used.
         OptionError: If an option cannot, or results must not be written there.
     """
-    rows_in = request.measurements
+    paths = request.measurements
     further = [] if request.validation is None else [request.validation]
     older, setup = files_of.open_older(
-        request.start, files_of.setup_for(request), used=[*rows_in, *further]
+        request.start, files_of.setup_for(request), used=[*paths, *further]
     )
     chains = files_of.open_chains(request, setup)
     # None of them may be written.
     started = [] if request.start is None else [document_file(request.start)]
-    inputs = [request.robot, request.setup, *started, *rows_in, *further]
+    inputs = [request.robot, request.setup, *started, *paths, *further]
     results.check_results(output, pictures, chains.robot, inputs, force)
-    files_of.require_distinct([*rows_in, *further])
-    chains, rows = files_of.open_rows(request, rows_in, chains, setup, bar=bar)
-    unseen = None
+    files_of.require_distinct([*paths, *further])
+    chains, rows = files_of.open_rows(request, paths, chains, setup, bar=bar)
+    validation = None
     if further:
         same = replace(setup, model="+".join(rows.models))
         sockets = map(place_of, rows.target.distinct)
-        _, unseen = files_of.open_rows(
+        _, validation = files_of.open_rows(
             request, further, chains, same, quiet=True, sockets=sockets
         )
     if rows.validate.any() and (further or request.holdout is not None):
         option = "--validation" if further else "--holdout"
         reason = "the measurements that 'set' marks for validation are not used with"
         printing.notice(f"{reason} {option}")
-    return Inputs(request, setup, chains, rows, unseen, output, pictures, older)
+    return Inputs(request, setup, chains, rows, validation, output, pictures, older)
 
 
 def calibrated(

@@ -19,18 +19,18 @@ from calib_pin.validation.result import Evaluation
 
 def evaluate(asked: Evaluate) -> int:
     """Do what `Evaluate` asks for."""
-    rows_in, sockets = asked.measurements, list[str]()
+    paths, sockets = asked.measurements, list[str]()
     calibrated, chains, setup = open_subject(asked, asked.chain)
     file = calibration_file(asked)
     doubt = doubt_of(calibrated, file)
     if calibrated is not None and file is not None:
         references = calibrated.model.references.values()
         sockets = [reference.name for reference in references]
-        for used in used_files(file, rows_in):
+        for used in used_files(file, paths):
             notice(f"{used}: the calibration has used it already, to fit or to check")
     with progress_bar() as bar:
         measured, rows = open_rows(
-            asked, rows_in, chains, setup, sockets=sockets, bar=bar
+            asked, paths, chains, setup, sockets=sockets, bar=bar
         )
         stage(bar, "evaluate")
         subject = measured if calibrated is None else calibrated.model

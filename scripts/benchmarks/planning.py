@@ -24,13 +24,13 @@ TOOL = FrameSetup((0.05, 0.03, 0.1))
 class Factored(Selection):
     """A subset that factors the information matrix of every trial anew."""
 
-    def _best(self, some: Indices, sign: float) -> tuple[int, float]:
+    def _best(self, candidates: Indices, sign: float) -> tuple[int, float]:
         """The best of all trials by their costs."""
         costs = [
             self._evaluate(self._M + sign * self.rows[k].T @ self.rows[k])[1]
-            for k in some
+            for k in candidates
         ]
-        return int(some[np.argmin(costs)]), min(costs)
+        return int(candidates[np.argmin(costs)]), min(costs)
 
 
 class Fresh(Search):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -176,6 +177,13 @@ def test_clear_arguments_are_taken() -> None:
     assert one.complete and len(one) == 1
     heights = Measurements(["lift"], [[0.1], [0.2]], "plane-distance", [1.0, 2.0])
     assert heights.values.shape == (2, 1)
+
+
+def test_a_copy_of_a_result_is_whole() -> None:
+    result = known().result
+    for other in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result)):
+        assert other.covariance.rows == result.covariance.rows != ()
+        assert calib_pin.format_report(other) == calib_pin.format_report(result)
 
 
 def test_annotations_may_be_aliases() -> None:

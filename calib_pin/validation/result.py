@@ -270,6 +270,14 @@ class NamedArray(np.ndarray):
         """Leave the names behind: a part or a product has others."""
         self.rows, self.columns = (), ()
 
+    def __reduce__(self) -> Any:
+        """Take the names along to another process, or into a file."""
+        return NamedArray.of, (np.array(self), self.rows, self.columns)
+
+    def __deepcopy__(self, memo: object) -> NamedArray:
+        """A copy with the names, unlike that of a plain array."""
+        return NamedArray.of(np.array(self), self.rows, self.columns)
+
 
 class QuantityError(NamedTuple):
     """Errors of one quantity of held-out measurements, in its unit."""

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from calib_pin.io.urdf import robot_file as robot_file
     from calib_pin.kinematics.chain import Chain as Chain
     from calib_pin.observations.blocks import Observations as Observations
+    from calib_pin.observations.conditions import Conditions as Conditions
     from calib_pin.observations.measurements import Measurements as Measurements
     from calib_pin.planning.plan import plan as plan
     from calib_pin.plugins import register as register
@@ -52,6 +53,7 @@ _HOMES = {
     "CalibPinError": "errors",
     "CalibrationResult": "validation.result",
     "Chain": "kinematics.chain",
+    "Conditions": "observations.conditions",
     "Measurements": "observations.measurements",
     "Observations": "observations.blocks",
     "Setup": "setup",
@@ -86,13 +88,12 @@ def __getattr__(name: str) -> Any:
     """Import a public name on first use: Pinocchio alone takes a second to load."""
     if name not in _HOMES:
         raise AttributeError(f"module 'calib_pin' has no attribute '{name}'")
-    module = import_module(f"calib_pin.{_HOMES[name]}")
-    value = getattr(module, name)
+    value = getattr(import_module(f"calib_pin.{_HOMES[name]}"), name)
     if isinstance(value, FunctionType):
-        from calib_pin.setup.arguments import checked
+        from calib_pin.setup.arguments import public
 
-        value = checked(value)
-        setattr(module, name, value)  # Under this name it is pickled.
+        value = public(value)
+        value.__module__ = __name__  # Under this name it is pickled.
     return globals().setdefault(name, value)
 
 

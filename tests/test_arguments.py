@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 from typing_extensions import TypeAliasType
@@ -76,6 +77,12 @@ WRONG: dict[str, Callable[[SimpleNamespace], object]] = {
     "unknown model": lambda k: of(k, model="positions"),
     "other joints": lambda k: of(k, joints=[*k.joints[:6], "elbow"]),
     "zero quaternion": lambda k: of(k, model="pose", values=np.zeros((30, 7))),
+    "long quaternion": lambda k: of(k, model="pose", values=np.ones((30, 7))),
+    "masked": lambda k: measured(k, values=np.ma.masked_less(k.y, 0.0)),
+    "negative weights": lambda k: measured(k, weight=np.full(30, -1.0)),
+    "half a direction": lambda k: calib_pin.Conditions(direction=0.5 * k.q),
+    "no rows": lambda k: of(k, q=k.q[:0], values=k.y[:0]),
+    "model of no chain": lambda k: k.model.of("arm"),
     "sigma of one axis": lambda k: of(k, sigma=np.full((30, 1), 1e-4)),
     "one word as setup": lambda k: by(k, "joint-offset"),
     "unknown key": lambda k: by(k, {"parametres": []}),
@@ -160,6 +167,7 @@ def test_clear_arguments_are_taken() -> None:
     reading = replace(OFFSETS, reading=ReadingSetup(scale=0.001))
     for found in (
         calibrated(k, k.chain, listed),
+        of(k, q=k.q.astype(object)),
         calibrated(k, "pa10"),
         by(k, Setup(parameters="joint-offset")),
         by(k, {"parameters": ["joint-offset"]}),
@@ -177,6 +185,39 @@ def test_clear_arguments_are_taken() -> None:
     assert one.complete and len(one) == 1
     heights = Measurements(["lift"], [[0.1], [0.2]], "plane-distance", [1.0, 2.0])
     assert heights.values.shape == (2, 1)
+
+
+def test_arrays_are_read_as_files_are() -> None:
+    """Quaternions have length one, and joints come from where they stood before."""
+    k, setup = known(), replace(OFFSETS, tool_frame=FrameSetup(estimate=False))
+    turned = np.array([pin.SE3ToXYZQUAT(pin.SE3(T)) for T in k.T])
+    longer = turned * np.repeat([1.0, 1.005], (3, 4))
+    thetas = [
+        calibrated(k, k.chain, measured(k, model="pose", values=poses), setup)
+        for poses in (turned, longer)
+    ]
+    assert np.allclose(*(found.model.theta for found in thetas), rtol=0.0, atol=1e-12)
+    lost = Setup(parameters=("joint-offset", "hysteresis"), tip="tool")
+    moved = np.sign(np.diff(k.q, axis=0, prepend=k.q[:1]))
+    stated = measured(k, conditions=calib_pin.Conditions(direction=moved))
+    found, same = (calibrated(k, k.chain, r, lost) for r in (k.rows, stated))
+    assert np.array_equal(found.model.theta, same.model.theta)
+
+
+def test_errors_name_arguments() -> None:
+    k = known()
+    with pytest.raises(calib_pin.CalibPinError, match="name one with tip=;"):
+        calib_pin.load_chain("example:ur10_robot")
+    with pytest.raises(TypeError, match=r"calibrate\(\) .* argument 'parameters'"):
+        calibrated(k, parameters="dh")
+
+
+def test_a_robot_may_be_the_text_of_its_urdf() -> None:
+    k = known()
+    chain = calib_pin.load_chain(k.chain.robot.source.decode(), tip="tool")
+    assert np.array_equal(chain.poses(k.q), k.chain.poses(k.q))
+    with pytest.raises(calib_pin.CalibPinError, match=r"^robot_description:1: "):
+        calib_pin.load_chain("<robot>")
 
 
 def test_a_copy_of_a_result_is_whole() -> None:

@@ -75,7 +75,7 @@ def test_rows_that_do_not_go_together() -> None:
         calib_pin.calibrate(chain, rows, validation=rows, holdout=0.2)
     with pytest.raises(InputError):
         calib_pin.calibrate(chain, replace(rows, validate=np.ones(20, bool)))
-    poses = calib_pin.Measurements(chain.joints, rows.q, "pose", np.ones((20, 7)))
+    poses = calib_pin.Measurements(chain.joints, rows.q, "pose", np.full((20, 7), 0.5))
     with pytest.raises(InputError, match="'pose'"):
         calib_pin.calibrate(chain, rows, validation=poses)
 

@@ -23,7 +23,7 @@ from calib_pin.estimation.terms import (
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import declared, measurement_model, require_values
+from calib_pin.measurement_models import as_declared, declared, measurement_model
 from calib_pin.measurement_models.references import Plane, ReferenceObject
 from calib_pin.observations import (
     UNSTATED,
@@ -171,7 +171,7 @@ def fitting(
             reason = "the joints are not those of the chains"
             raise data.error(0, reason, allowed=", ".join(chains.joints))
         for block in data.blocks:
-            require_values(block)
+            as_declared(block)
     return chains, [of_joints(data, chains.joints) for data in measured]
 
 

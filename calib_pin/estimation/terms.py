@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.errors import OptionError
+from calib_pin.errors import OptionError, require_known
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models import Linearization, MeasurementModel, declared
@@ -344,10 +344,16 @@ class Terms:
         return result
 
     def of_chain(self, name: str | None = None) -> Term:
-        """The first term of a chain, by default of the first that has joints."""
+        """The first term of a chain, by default of the first that has joints.
+
+        Raises:
+            OptionError: If there is no such chain.
+        """
         if name is None:
             return next(iter(self.by_chain.values()), self.only)
-        return next(term for term in self.terms.values() if term.key.chain == name)
+        first = {term.key.chain: term for term in [*self.terms.values()][::-1]}
+        require_known("chain", name, first)
+        return first[name]
 
     def rebased(self, theta: Floats) -> tuple[Self, Floats]:
         """The same terms about other values of frames and instruments.

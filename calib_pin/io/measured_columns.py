@@ -28,7 +28,7 @@ from calib_pin.kinematics.joint_space import FREE_TRAVEL
 from calib_pin.kinematics.tree import turns
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.measurement_models.declaration import DIAL
-from calib_pin.measurement_models.orientations import quaternions
+from calib_pin.measurement_models.orientations import NORM, normalized, quaternions
 from calib_pin.observations import AT, Conditions, Indices, Labels
 from calib_pin.setup import STATED, JointMap, OrientationSetup
 
@@ -146,16 +146,11 @@ def read_quaternions(
     """
     kinds = [(name, ORIENTATION[name]) for name in STATED[way]]
     given = quaternions(table.values(kinds), way, reading)
-    with np.errstate(over="ignore"):
-        norm = np.linalg.norm(given, axis=1)
+    norm, unit = normalized(given)
     off = abs(norm - 1.0)
-    if off[row := int(np.argmax(off))] > 1e-2:
+    if off[row := int(np.argmax(off))] > NORM:
         reason = f"the norm of the quaternion is {norm[row]:.6g}"
         raise table.error(reason, STATED[way][-1], "0.99 to 1.01", row)
-    # Dividing a unit quaternion once more may change its last bit, and a file that was
-    # written from here must read back as it was.
-    norm[off < 1e-14] = 1.0
-    unit = given / norm[:, None]
     return np.asarray(np.where(unit[:, 3:] < 0.0, -unit, unit))
 
 

@@ -34,6 +34,8 @@ ARGUMENT = re.compile(r"([^\W\d]\w*):=(.*)", re.DOTALL)
 
 _GAP = re.compile(r"\s+(?=[^\W\d]\w*:=)")
 _EXAMPLE = "example:"
+_DESCRIPTION = "robot_description"
+"""Stands for the file of a robot that is given as text, as ROS calls it."""
 _MUJOCO = (".xml", ".mjcf")
 
 
@@ -109,7 +111,7 @@ def load_chain(
     Args:
         name_or_path: Path of a URDF, a xacro file with its arguments or one of MuJoCo,
             the name of a bundled robot, or `example:` and that of one of
-            example-robot-data.
+            example-robot-data; or the text of a URDF, as a node of ROS has it.
         base: Link the chain starts at; default the root.
         tip: Link the chain ends at; default the only leaf.
 
@@ -166,7 +168,7 @@ def load_robot(
         name_or_path: Path of a URDF, a xacro file or one of MuJoCo, else the name of a
             bundled robot, else `example:` and the file name of a robot of
             example-robot-data. Behind the path of a xacro file may stand its arguments,
-            `arm.xacro size:=10`.
+            `arm.xacro size:=10`. Or the text of a URDF.
         package_dirs: Folders of the packages that a xacro file names; then come those
             of ROS and the folders above the file.
 
@@ -183,6 +185,8 @@ def load_robot(
         'panda_link0'
     """
     name = str(name_or_path)
+    if name.lstrip().startswith("<"):
+        return straightened(parse_robot(name.strip().encode(), _DESCRIPTION))
     path, (file, arguments) = locate_robot(name), split_arguments(name)
     if arguments and not is_xacro(path):
         reason = f"{next(iter(arguments))}:= is an argument for a xacro file"

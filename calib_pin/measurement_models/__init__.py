@@ -7,6 +7,7 @@ point of another package, see `plugins`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from calib_pin.measurement_models.declaration import (
 )
 from calib_pin.measurement_models.distance import PointDistance, RelativeDistance
 from calib_pin.measurement_models.fixed_point import FixedPoint
+from calib_pin.measurement_models.orientations import NORM, normalized
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
@@ -42,9 +44,9 @@ __all__ = [
     "Linearization",
     "MeasurementModel",
     "Quantity",
+    "as_declared",
     "declared",
     "measurement_model",
-    "require_values",
 ]
 
 
@@ -81,12 +83,12 @@ def declared(name: str) -> Declaration:
     return MEASUREMENT_MODELS[name].declaration
 
 
-def require_values(data: Measurements) -> None:
-    """Refuse measurements that have not the columns of their model.
+def as_declared(data: Measurements) -> Measurements:
+    """Measurements with the columns of their model, and quaternions of length one.
 
     Raises:
         OptionError: If there is no such model.
-        InputError: If columns differ, or a quaternion is zero.
+        InputError: If columns differ, or a quaternion has another length.
     """
     kind = declared(data.model)
     for name, columns in (("values", kind.values), ("sigma", kind.components)):
@@ -96,8 +98,16 @@ def require_values(data: Measurements) -> None:
         if table is not None and table.shape[1] not in widths:
             reason = f"'{name}' of a {data.model} has {table.shape[1]} columns"
             raise data.error(0, reason, allowed=", ".join(columns) or "none")
-    if kind.oriented and not (nonzero := data.values[:, -4:].any(axis=1)).all():
-        raise data.error(int(np.argmin(nonzero)), "'values': the quaternion is zero")
+    if not kind.oriented:
+        return data
+    norm, unit = normalized(data.values[:, -4:])
+    off = abs(norm - 1.0)
+    if (off > NORM).any():
+        row = int(off.argmax())
+        reason = f"'values': the norm of the quaternion is {norm[row]:.6g}"
+        raise data.error(row, reason, allowed="0.99 to 1.01")
+    values = np.hstack([data.values[:, :-4], unit])
+    return data if np.array_equal(values, data.values) else replace(data, values=values)
 
 
 def measurement_model(

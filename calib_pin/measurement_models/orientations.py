@@ -9,6 +9,9 @@ import numpy as np
 from calib_pin.kinematics.spatial import Floats, from_quaternion, so3_log
 from calib_pin.setup import OrientationSetup
 
+NORM = 1e-2
+"""Largest difference of the norm of a quaternion from one: it has few digits."""
+
 
 def quaternions(
     numbers: Floats, columns: str, reading: OrientationSetup | None = None
@@ -25,6 +28,16 @@ def quaternions(
     numbers = numbers if columns == "quaternion" else numbers * reading.factor
     result = _quaternions(numbers, reading.hold or columns)
     return inverse(result) if reading.inverse else result
+
+
+def normalized(given: Floats) -> tuple[Floats, Floats]:
+    """Norms of quaternions, shape (N,), and the unit quaternions, shape (N, 4)."""
+    with np.errstate(over="ignore"):
+        norm = np.linalg.norm(given, axis=1)
+    # Dividing a unit quaternion once more may change its last bit, and a file that was
+    # written from here must read back as it was.
+    divisor = np.where((abs(norm - 1.0) < 1e-14) | (norm == 0.0), 1.0, norm)
+    return norm, np.asarray(given / divisor[:, None])
 
 
 def inverse(quaternions: Floats) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.kinematics.spatial import from_quaternion
-from calib_pin.measurement_models import declared
+from calib_pin.measurement_models import as_declared, declared
 from calib_pin.measurement_models.orientations import inverse
 from calib_pin.observations import (
     Booleans,
@@ -26,6 +26,7 @@ from calib_pin.observations import (
     Measurements,
     Observations,
     apart,
+    with_directions,
 )
 from calib_pin.setup import AXES, ConvertedSetup, ReadingSetup
 
@@ -60,6 +61,7 @@ def as_stated(data: Observations, reading: ReadingSetup) -> Observations:
     """Measurements read as a setup says; those of files have been read so already.
 
     Raises:
+        InputError: If they have not the columns of their models.
         OptionError: If orientations without a file are to be read otherwise.
     """
     if any(data.files.distinct):
@@ -68,7 +70,8 @@ def as_stated(data: Observations, reading: ReadingSetup) -> Observations:
         raise OptionError(
             "'reading.orientation' is for files; give quaternions qx qy qz qw"
         )
-    return read_otherwise(data, reading)
+    data = Observations(tuple(map(as_declared, data.blocks)))
+    return with_directions(read_otherwise(data, reading))
 
 
 def with_positions(data: Observations, q: Floats) -> Observations:

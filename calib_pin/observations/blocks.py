@@ -270,6 +270,8 @@ def fitted_and_held_out(data: Observations) -> tuple[Observations, Observations]
     Raises:
         InputError: If no measurement is left to fit.
     """
+    if not len(data):
+        raise InputError("there are no measurements")
     if data.validate.all():
         reason = "no measurement is left to fit: all are marked for validation"
         raise InputError(reason, column="set")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.observations.labels import SAME, Floats, Labels
+from calib_pin.setup.arguments import settle
 
 Signs = NDArray[np.int8]
 Source = Literal["", "order", "time", "columns"]
@@ -57,8 +58,9 @@ class Conditions:
     source: Source = ""
 
     def __post_init__(self) -> None:
-        """Take names as labels."""
+        """Take names as labels, and numbers as arrays."""
         object.__setattr__(self, "payload", Labels.of(self.payload))
+        settle(self)
 
     def of(self, count: int, joints: int) -> Conditions:
         """The same with a payload for each of some rows.

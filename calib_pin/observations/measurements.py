@@ -188,8 +188,13 @@ class Measurements(Brief, SourcedRows):
         put("conditions", self.conditions.of(count, len(self.joints)))
         if self.start.size and self.start.shape != self.q.shape:
             raise InputError(f"start has shape {self.start.shape}, not that of q")
-        if not (np.isfinite(self.q).all() and np.isfinite(self.values).all()):
-            raise InputError("measurements must be finite numbers")
+        for name in ("q", "values"):
+            known = np.isfinite(getattr(self, name)).all(axis=1)
+            if not known.all():
+                row = int(known.argmin())
+                raise self.error(row, f"'{name}' must be finite numbers")
+        if not (np.isfinite(self.weight).all() and (self.weight >= 0.0).all()):
+            raise InputError("weights must be finite numbers, 0 or more")
         if self.sigma is not None and not (
             np.isfinite(self.sigma).all() and (self.sigma > 0.0).all()
         ):

@@ -17,9 +17,9 @@ class _Report(ModuleType):
     def __call__(self, *arguments: Any, **options: Any) -> None:
         """See `report.html.report`."""
         from calib_pin.report.html import report
-        from calib_pin.setup.arguments import checked
+        from calib_pin.setup.arguments import public
 
-        checked(report)(*arguments, **options)
+        public(report)(*arguments, **options)
 
 
 sys.modules[__name__].__class__ = _Report

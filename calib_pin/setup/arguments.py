@@ -13,6 +13,7 @@ have a name may be a mapping by it, `metadata={"by": "name"}`.
 from __future__ import annotations
 
 import math
+import re
 import typing
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -26,7 +27,7 @@ from typing import Any, NamedTuple, TypeVar, get_args, get_origin
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import VALUE, OptionError, nearest
+from calib_pin.errors import VALUE, CalibPinError, OptionError, nearest
 from calib_pin.setup.values import REST, Family, OneOf, Section, Value, Written
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -51,6 +52,8 @@ _CLASSES = {
     int: int | np.integer,
     float: int | float | np.number,
 }
+
+_OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
 
 LARGEST = float(np.finfo(float).max)
 
@@ -165,12 +168,38 @@ def checked(function: _Function) -> _Function:
 
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:
-        given, hints = signature(function).bind(*args, **options), _hints(function)
+        try:
+            given, hints = signature(function).bind(*args, **options), _hints(function)
+        except TypeError as error:
+            raise TypeError(f"{function.__name__}() {error}") from None
         for name in given.arguments.keys() & hints.keys():
             given.arguments[name] = taken(name, given.arguments[name], hints[name])
         return function(*given.args, **given.kwargs)
 
     return call  # type: ignore[return-value]
+
+
+def public(function: _Function) -> _Function:
+    """Decorate a function of the package for those who call it from Python.
+
+    It takes arguments as its annotations have them, and its errors name an argument,
+    `tip=`, where the command has an option, `--tip`.
+    """
+    inner = checked(function)
+
+    @wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        try:
+            return inner(*args, **options)
+        except CalibPinError as error:
+            error.args = tuple(_OPTION.sub(_argument, str(text)) for text in error.args)
+            raise
+
+    return call  # type: ignore[return-value]
+
+
+def _argument(option: re.Match[str]) -> str:
+    return f"{option[1].replace('-', '_')}="
 
 
 @cache
@@ -428,6 +457,11 @@ def _array(value: Any, kind: Any, document: bool) -> Any:
         ValueError, TypeError, OverflowError
     ):  # Its rows may be of several lengths.
         array = np.array(value, float) if document else np.asarray(value)
-        if array.dtype.kind in kinds or not array.size:
+        if array.dtype == object:  # A table of pandas is one of objects easily.
+            array = np.array(array.tolist())
+        whole = kinds == "iu" and array.dtype.kind == "f" and not (array % 1.0).any()
+        fits = array.dtype.kind in kinds or not array.size or whole
+        if fits and not np.ma.is_masked(value):
             return array.astype(kind, copy=False)
-    raise ValueError("an array of numbers")
+    what = {"b": "true and false", "iu": "whole numbers"}.get(kinds, "numbers")
+    raise ValueError(f"an array of {what}, none of them masked or missing")

@@ -30,6 +30,17 @@ print(result)  # The first lines of the report.
 poses, covariance = result.predict(rows.q)
 ```
 
+Measurements need no file. Rows are in the order in which they were measured:
+
+```python
+import numpy as np
+
+q = chain.random_configurations(40, np.random.default_rng(1))  # rad, m
+measured = chain.poses(q + 1e-3)[:, :3, 3]  # m
+rows = calib_pin.Measurements(chain.joints, q, "position", measured)
+print(calib_pin.calibrate(chain, rows).verdict)
+```
+
 ## Threads and processes
 
 Threads may share robots, measurements, setups and results: each has data of Pinocchio
@@ -46,6 +57,7 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
         "write_measurements",
         "Measurements",
         "Observations",
+        "Conditions",
     ),
     "Setup": ("read_setup", "Setup"),
     "Calibration": ("calibrate", "CalibrationResult", "identify", "evaluate"),

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from calib_pin.observations.measurements import Measurements as Measurements
     from calib_pin.planning.plan import plan as plan
     from calib_pin.plugins import register as register
+    from calib_pin.report.folder import write_result as write_result
     from calib_pin.report.html import report as report
     from calib_pin.report.text import format_report as format_report
     from calib_pin.setup import Setup as Setup
@@ -77,6 +78,7 @@ _HOMES = {
     "robot_file": "io.urdf",
     "simulate": "simulation",
     "write_measurements": "io.measurements",
+    "write_result": "report.folder",
     "write_urdf": "io.results",
 }
 """Where each public name lives; imported when it is first used."""

@@ -26,6 +26,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.planning.suggestions import with_suggestions
 from calib_pin.report import blocks, text
+from calib_pin.report.folder import result_contents, result_files
 from calib_pin.setup import Setup
 from calib_pin.validation.model_selection import USES
 from calib_pin.validation.result import CalibrationResult, Provenance
@@ -59,7 +60,7 @@ def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
             printing.show(report)
     if verbose:
         robot = result.model.chains.robot
-        files = [] if folder is None else results.result_files(folder, robot)
+        files = [] if folder is None else result_files(folder, robot)
         wrote = [f"wrote {path}" for path in files if path in contents]
         wrote += results.figure_notes(contents, pictures)
         printing.say_written(wrote)
@@ -171,7 +172,7 @@ def calibrated(
         created = datetime.now(UTC).isoformat(timespec="seconds")
         command = tuple(words) or request.words(folder)
         made = Provenance.at(created, command, seconds)
-        contents = results.result_contents(
+        contents = result_contents(
             result, folder, made, drawn if page else None, contents
         )
     return result, contents

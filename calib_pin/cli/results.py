@@ -13,22 +13,16 @@ from calib_pin.cli.files import check_outputs, exists
 from calib_pin.cli.options import Pictured
 from calib_pin.cli.printing import Bar, notice, stage
 from calib_pin.errors import counted
-from calib_pin.io import json_text, measurement_errors, results, urdf
-from calib_pin.io.files import listed, sha256, write_files
-from calib_pin.io.measurement_errors import MEASUREMENTS
-from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name, written_before
+from calib_pin.io import urdf
+from calib_pin.io.files import write_files
+from calib_pin.io.results import DOCUMENT, NOMINAL, written_before
 from calib_pin.kinematics.robot import Robot
+from calib_pin.report.folder import outdated, result_files
 from calib_pin.setup import ReportSetup
-from calib_pin.validation.result import CalibrationResult, Provenance
+from calib_pin.validation.result import CalibrationResult
 
 if TYPE_CHECKING:  # Drawing loads slowly, and is not always asked for.
     from calib_pin.report.figures import Drawn
-
-
-def result_files(folder: Path, robot: Robot) -> list[Path]:
-    """Where the results of a robot go, the corrected one first."""
-    names = (urdf_name(robot.name), NOMINAL, DOCUMENT, MEASUREMENTS, REPORT)
-    return [folder / name for name in names]
 
 
 def check_results(
@@ -54,46 +48,6 @@ def check_results(
     check_outputs(outputs, inputs, force)
 
 
-def result_contents(
-    result: CalibrationResult,
-    folder: Path,
-    made: Provenance,
-    figures: Sequence[Drawn] | None,
-    pictures: Mapping[Path, bytes],
-) -> dict[Path, bytes]:
-    """All files of a result, of which the last one knows the hashes of the others.
-
-    The corrected URDF is there if it can be trusted, and is the nominal one where
-    there is no gain; the page is there if figures for it are given, however few.
-    """
-    from calib_pin.report.html import html_report
-
-    document = results.calibration_document(result, made)
-    # The same input and seed lead to the same id.
-    unlike = {"solver": ["seconds"], "provenance": ["command", "created"]}
-    blank = {key: dict.fromkeys(names) for key, names in unlike.items()}
-    document["run"] = sha256(json_text.encode(json_text.merged(document, blank)))[:16]
-    robot = result.model.chains.robot
-    corrected, nominal, main, rows, page = result_files(folder, robot)
-    contents = {nominal: robot.source}
-    if result.verdict == "no-gain":
-        contents[corrected] = robot.source
-    elif result.geometry is not None:
-        contents[corrected] = results.encode_urdf(result.geometry, corrected)
-    contents[rows] = measurement_errors.encode_errors(result, document["run"])
-    if figures is not None:
-        contents[page] = html_report(result, document, figures=figures)
-    contents |= pictures
-    document["files"] = {
-        name: None if path == page else sha256(data)
-        for path, data in contents.items()
-        if (name := listed(path, folder))
-    }
-    if urdf.is_source(nominal, robot):
-        del contents[nominal]  # It is an input, and stays as it is.
-    return {**contents, main: json_text.encode(document)}
-
-
 @contextmanager
 def write_results(
     result: CalibrationResult,
@@ -107,9 +61,8 @@ def write_results(
     Files of an earlier run that are not rewritten would pass for a result of this
     one, so they are removed.
     """
-    corrected, nominal, main, _, page = result_files(folder, result.model.chains.robot)
-    names = {listed(path, folder) for path in (*contents, nominal)}
-    old = [p for p in written_before(main) if listed(p, folder) not in names]
+    corrected, *_, page = result_files(folder, result.model.chains.robot)
+    old = outdated(folder, contents)
     with write_files(contents, force=force, folder=folder, removed=old):
         yield
     for path in old:

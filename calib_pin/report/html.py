@@ -152,16 +152,24 @@ def report(
     """
     if isinstance(result, CalibrationResult):
         result = with_suggestions(result)
-        made = result.provenance
-        if not made.calib_pin:
-            made = Provenance.at(datetime.now(UTC).isoformat(timespec="seconds"))
-        document = calibration_document(result, made)
+        document = calibration_document(result, made_now(result))
     else:
         result, document = read_written(result)
-    shapes = robot_shapes(result.model.chains.robot).parts
-    figures = list(drawn("calibration", result, shapes=shapes))
-    page = html_report(result, document, figures=figures)
+    page = html_report(result, document, figures=report_figures(result))
     write_atomically(Path(file), page, force=force)
+
+
+def made_now(result: CalibrationResult) -> Provenance:
+    """How a result came about, as it says, or else at this time by a program."""
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    made = result.provenance
+    return made if made.calib_pin else Provenance.at(now)
+
+
+def report_figures(result: CalibrationResult) -> list[Drawn]:
+    """The figures of the page of a calibration."""
+    shapes = robot_shapes(result.model.chains.robot).parts
+    return [*drawn("calibration", result, shapes=shapes)]
 
 
 def provenance_blocks(document: Mapping[str, Any]) -> Iterator[Block]:

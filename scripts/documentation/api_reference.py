@@ -28,6 +28,8 @@ rows = calib_pin.read_measurements(file, chain)
 result = calib_pin.calibrate("space7", rows, {"parameters": ["placement"]})
 print(result)  # The first lines of the report.
 poses, covariance = result.predict(rows.q)
+calib_pin.write_result(result, "out")  # Whole, as the command does; and back:
+result = calib_pin.read_result("out")
 ```
 
 Measurements need no file. Rows are in the order in which they were measured:
@@ -64,6 +66,7 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
     "Results": (
         "format_report",
         "report",
+        "write_result",
         "write_urdf",
         "read_result",
         "read_calibration",

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.cli.results import result_contents
+import calib_pin
 from calib_pin.io.measurement_errors import decode_errors, encode_errors
 from calib_pin.io.results import read_written
 from calib_pin.planning.suggestions import with_suggestions
 from calib_pin.report.figures import Drawn
 from calib_pin.report.figures import drawn as draw_all
 from calib_pin.report.figures.errors import cumulative_errors, errors_per_measurement
+from calib_pin.report.folder import result_contents
 from calib_pin.report.html import html_report
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
@@ -59,6 +60,17 @@ def test_page_and_figures_from_files_are_the_same_bytes(
     page = html_report(found, document, figures=again)
     assert page == (folder / "report.html").read_bytes()
     assert plain_text(report(found)) == plain_text(report(result))
+
+
+def test_a_program_writes_a_result_and_reads_it(calibrated_robot, tmp_path):
+    result, folder = lost_motion(calibrated_robot), tmp_path / "out"
+    calib_pin.write_result(result, folder)
+    assert calib_pin.read_result(folder).reason == result.reason
+    with pytest.raises(calib_pin.CalibPinError, match="exists already; force= "):
+        calib_pin.write_result(result, folder)
+    measured = replace(result, files=(str(folder / "measurements.csv"),))
+    with pytest.raises(calib_pin.CalibPinError, match="never replaced"):
+        calib_pin.write_result(measured, folder, force=True)
 
 
 def test_conditions_come_back(calibrated_robot):

@@ -6,7 +6,7 @@ Five lines from a URDF and a file of measurements to a corrected URDF:
     rows = calib_pin.read_measurements("tracker.csv", chain)
     result = calib_pin.calibrate(chain, rows)
     print(calib_pin.format_report(result))
-    calib_pin.write_urdf(result.model, "arm_calibrated.urdf")
+    calib_pin.write_urdf(result.geometry, "arm_calibrated.urdf")
 
 Lengths are in meters, angles in radians, twists in the order (linear, angular).
 """

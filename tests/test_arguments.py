@@ -142,6 +142,9 @@ WRONG: dict[str, Callable[[SimpleNamespace], object]] = {
     "few true errors": lambda k: calib_pin.simulate(k.problem, [0], k.rng, count=5),
     "no result": lambda k: calib_pin.compare(k.result, k.model),
     "urdf of a result": lambda k: calib_pin.write_urdf(k.result, "x.urdf"),
+    "urdf of no gain": lambda k: calib_pin.write_urdf(
+        replace(k.result, verdict="no-gain").geometry, "x.urdf"
+    ),
     "read nothing": lambda k: calib_pin.read_setup(None),
     "clearance": lambda k: calib_pin.load_collisions(k.chain, clearance="1 mm"),
     "family": lambda k: calib_pin.register("models", "x", object),

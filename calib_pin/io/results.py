@@ -494,20 +494,24 @@ def learned_model(
 
 
 def write_urdf(
-    model: CalibratedModel, path: str | Path, *, force: bool = False
+    model: CalibratedModel | None, path: str | Path, *, force: bool = False
 ) -> None:
     """Write the corrected URDF of a calibrated robot.
 
     Args:
-        model: The calibrated robot, `CalibrationResult.geometry`.
+        model: The calibrated robot, `CalibrationResult.geometry`: its `model` is the
+            fit, whatever the verdict on it.
         path: The new file.
         force: Replace an existing file; the robot's own file is never replaced.
 
     Raises:
-        OptionError: If the file exists or is the robot's own, or the model has
-            corrections that a URDF cannot hold.
+        OptionError: If there is none, as the verdict is not `good`; if the file exists
+            or is the robot's own, or the model has corrections that a URDF cannot hold.
         OutputError: If it cannot be written or does not agree with the model.
     """
+    if model is None:
+        reason = "there is no corrected geometry; see 'verdict' and 'reason'"
+        raise OptionError(reason, file=path)
     write_atomically(Path(path), encode_urdf(model, path), force=force)
 
 

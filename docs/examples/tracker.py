@@ -29,7 +29,7 @@ main([*words.split(), "--truth", "true.urdf", "--force", "-o", file])
 chain = calib_pin.load_chain("space6", tip="tool")
 measurements = calib_pin.read_measurements(file, chain)
 result = calib_pin.calibrate(chain, measurements)
-calib_pin.write_urdf(result.model, "corrected.urdf", force=True)
+calib_pin.write_urdf(result.geometry, "corrected.urdf", force=True)
 error = result.errors[0].validation_after or result.errors[0].after
 print(f"{result.verdict}: {error.rms * 1e3:.3f} mm rms left")
 

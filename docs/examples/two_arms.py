@@ -31,7 +31,7 @@ chains = calib_pin.load_chains(ROBOT, stated=setup.chains, names=names)
 hands = calib_pin.read_measurements("hands.csv", chains)
 result = calib_pin.calibrate(chains, hands, setup)
 print(f"{result.verdict}: {result.reason}")
-calib_pin.write_urdf(result.model, "corrected.urdf", force=True)
+calib_pin.write_urdf(result.geometry, "corrected.urdf", force=True)
 
 # A test that needs no tracker: how do the hands stand to each other?
 true = calib_pin.load_chains("true.urdf", stated=setup.chains, names=names)

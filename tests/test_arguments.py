@@ -230,6 +230,17 @@ def test_a_copy_of_a_result_is_whole() -> None:
         assert calib_pin.format_report(other) == calib_pin.format_report(result)
 
 
+def test_a_result_stays_as_it_is() -> None:
+    """Whatever becomes of the arrays that it was made from, and of those it gives."""
+    k = known()
+    y, found = k.y.copy(), k.result.residuals
+    result, before = of(k, values=y), np.array(found)
+    y *= 1e3
+    assert np.array_equal(result.fitted.rows.only.values, k.y)
+    found *= 1e3
+    assert np.array_equal(k.result.fitted.after, before)
+
+
 def test_annotations_may_be_aliases() -> None:
     # As NDArray is one from numpy 2.5 on, which needs Python 3.12.
     of = TypeVar("of", bound=np.generic)

@@ -7,6 +7,7 @@ setup file do.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import fields, replace
 from functools import partial
 from typing import Any
@@ -70,7 +71,8 @@ def as_stated(data: Observations, reading: ReadingSetup) -> Observations:
         raise OptionError(
             "'reading.orientation' is for files; give quaternions qx qy qz qw"
         )
-    data = Observations(tuple(map(as_declared, data.blocks)))
+    # What the caller does with the arrays afterwards is not to change the result.
+    data = Observations(tuple(map(as_declared, deepcopy(data.blocks))))
     return with_directions(read_otherwise(data, reading))
 
 

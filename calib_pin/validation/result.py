@@ -261,8 +261,8 @@ class NamedArray(np.ndarray):
 
     @staticmethod
     def of(values: Any, rows: Sequence[str], columns: Sequence[str]) -> NamedArray:
-        """A view of an array of shape (len(rows), len(columns)) with names."""
-        result = np.asarray(values, float).view(NamedArray)
+        """A copy of an array of shape (len(rows), len(columns)) with names."""
+        result = np.array(values, float).view(NamedArray)
         result.rows, result.columns = tuple(rows), tuple(columns)
         return result
 
@@ -272,11 +272,11 @@ class NamedArray(np.ndarray):
 
     def __reduce__(self) -> Any:
         """Take the names along to another process, or into a file."""
-        return NamedArray.of, (np.array(self), self.rows, self.columns)
+        return NamedArray.of, (np.asarray(self), self.rows, self.columns)
 
     def __deepcopy__(self, memo: object) -> NamedArray:
         """A copy with the names, unlike that of a plain array."""
-        return NamedArray.of(np.array(self), self.rows, self.columns)
+        return NamedArray.of(self, self.rows, self.columns)
 
 
 class QuantityError(NamedTuple):

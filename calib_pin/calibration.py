@@ -45,7 +45,7 @@ from calib_pin.validation.result import (
     UrdfResult,
     Validation,
 )
-from calib_pin.validation.robot_state import started
+from calib_pin.validation.robot_state import resume
 from calib_pin.validation.splits import FOLDS, split
 from calib_pin.workers.base import SERIAL, Workers
 
@@ -128,7 +128,7 @@ def calibrate(
     _require_ends(chains, setup, training, held)
     begun = None
     if start is not None or process_noise is not None:
-        setup, begun = started(chains, training, setup, start, process_noise, ladder)
+        setup, begun = resume(chains, training, setup, start, process_noise, ladder)
     original = setup
     setup = with_time_course(chains, training, setup, seed)
     if held is not None:

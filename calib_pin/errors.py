@@ -162,7 +162,7 @@ class OutputError(CalibPinError):
 
 
 @contextmanager
-def stated_in(file: str) -> Iterator[None]:
+def in_file(file: str) -> Iterator[None]:
     """Name the file of mistakes that it states and only later work can recognize."""
     try:
         yield

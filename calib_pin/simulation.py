@@ -154,7 +154,7 @@ def simulate(
             if not len(held.payload):
                 names = Labels.of(_payloads(problem, block, len(q_block), at_once))
                 held = replace(held, payload=names)
-            at = nominal.asked(problem, block, q_block, targets, held)
+            at = nominal.unmeasured(problem, block, q_block, targets, held)
             if not at_once:
                 at = _measurable(problem, theta, at, strict)
         if at_once:
@@ -204,9 +204,9 @@ def exact_problem(
         target: Target of each measurement.
         start: Where relative measurements start, shape (K, n); default the
             configuration before each.
-        conditions: What holds at each, as for `asked`.
+        conditions: What holds at each, as for `unmeasured`.
     """
-    at = nominal.asked(problem, problem.only.key, q, target, conditions, start)
+    at = nominal.unmeasured(problem, problem.only.key, q, target, conditions, start)
     return exact_at(problem, theta, at)
 
 
@@ -261,7 +261,9 @@ def _noisy_rows(
     sigmas = np.tile(sigma, (len(rows), 1))
     if not rows.values.shape[1]:
         # Contacts have no values: that they are not exact is that the robot stands so.
-        stood = nominal.asked(problem, at.key, rows.q, rows.target, rows.conditions)
+        stood = nominal.unmeasured(
+            problem, at.key, rows.q, rows.target, rows.conditions
+        )
         moved, _ = nominal.brought_to_contact(problem, theta, stood, draws)
         return replace(rows, q=moved, sigma=sigmas)
     values = term.measurement.disturb(rows.values, draws)

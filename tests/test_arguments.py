@@ -21,7 +21,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations.blocks import Observations
 from calib_pin.observations.measurements import Measurements
 from calib_pin.setup import FrameSetup, Payload, ReadingSetup, Setup, SolverSetup
-from calib_pin.setup.arguments import taken
+from calib_pin.setup.arguments import parse
 
 OFFSETS = Setup(parameters=("joint-offset",), tip="tool")
 
@@ -246,7 +246,7 @@ def test_annotations_may_be_aliases() -> None:
     of = TypeVar("of", bound=np.generic)
     alias: Any = TypeAliasType("alias", NDArray[of], type_params=(of,))
     for hint in (alias[np.float64], alias[np.float64] | None):
-        found = taken("q", [1, 2], hint)
+        found = parse("q", [1, 2], hint)
         assert found.dtype == np.float64 and found.tolist() == [1.0, 2.0]
 
 

@@ -14,7 +14,11 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import asked, named_targets, observable_configurations
+from calib_pin.estimation.nominal import (
+    named_targets,
+    observable_configurations,
+    unmeasured,
+)
 from calib_pin.estimation.problem import Problem, measured_count
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey, Conditions, Observations
@@ -77,7 +81,7 @@ def check_jacobian(problem: Problem) -> None:
             temperature=rng.uniform(5.0, 45.0, len(q)),
             time=rng.uniform(-600.0, 4200.0, len(q)),
         )
-        at.append(asked(problem, key, q, target, held))
+        at.append(unmeasured(problem, key, q, target, held))
     # Measured values away from the prediction: the residual's own curvature counts.
     disturbed = []
     for term, data, _, _ in exact_at(problem, theta, *at).blocks:

@@ -282,7 +282,7 @@ def test_very_many_measurements_have_the_same_normal_equations(name, body, monke
     lengths[lengths == 0.0] = 1.0
     monkeypatch.setattr("calib_pin.estimation.problem.MANY", 0)
     many = replace(plain)
-    assert not many.own_of_stations
+    assert not many.station_parameters
 
     def products(r: Floats, J: Floats) -> Floats:
         columns = np.column_stack([J, r]) / lengths

@@ -10,7 +10,7 @@ import pytest
 import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import asked
+from calib_pin.estimation.nominal import unmeasured
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chains
 from calib_pin.observations import (
@@ -282,7 +282,7 @@ def test_images_show_all_corners_that_are_seen() -> None:
         image = rows.rows(rows.groups() == label)
         each = np.repeat(image.q[:1], len(names), axis=0)
         carried = (image.payload[0],) * len(names)
-        at = asked(problem, problem.only.key, each, names, Conditions(carried))
+        at = unmeasured(problem, problem.only.key, each, names, Conditions(carried))
         seen = problem.observable(theta, at)
         assert list(image.target) == [n for n, s in zip(names, seen, strict=True) if s]
     # Some images lack a corner, and beams and wires have one target all the same.
@@ -330,7 +330,7 @@ def test_a_block_by_itself_and_all_of_them_at_configurations() -> None:
     q = problem.chains.random_configurations(4, rng)
     every = simulate(problem, theta, rng, q=q, noise=0.0)
     assert len(every) == 5 * 4
-    at = (asked(problem, key, q, ("",) * 4) for key in keys)
+    at = (unmeasured(problem, key, q, ("",) * 4) for key in keys)
     exact = exact_at(problem, theta, *at)
     for block, one, key in zip(every.blocks, exact.data.blocks, keys, strict=True):
         stated = {"chain": key.chain, "station": key.station}

@@ -59,6 +59,28 @@ FILES = sorted(
 )
 
 
+VAGUE = {"found", "told", "taken", "said", "sought"}
+"""Names that say how a value came about, and not what it is."""
+
+
+def test_names() -> None:
+    functions = [
+        (path, node)
+        for path in FILES
+        if path.suffix == ".py"
+        for node in nodes_of(parsed(path))
+        if isinstance(node, ast.FunctionDef)
+    ]
+    vague = {
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path, function in functions
+        for node in ast.walk(function)
+        if getattr(node, "id", getattr(node, "arg", "")) in VAGUE
+        and isinstance(node, ast.Name | ast.arg)
+    }
+    assert vague == set()
+
+
 def test_words() -> None:
     # One pattern for all: most texts have none of them.
     words = re.compile("|".join(f"({p})" for p in REPLACED), re.I | re.M)

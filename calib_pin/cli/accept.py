@@ -10,7 +10,7 @@ from pathlib import Path
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Accept
 from calib_pin.cli.results import dated
-from calib_pin.errors import OptionError, enumerated, stated_in
+from calib_pin.errors import OptionError, enumerated, in_file
 from calib_pin.io import json_text, measurements, results
 from calib_pin.io.json_text import Json, format_keys
 from calib_pin.io.table import read_table
@@ -46,7 +46,7 @@ def accept(asked: Accept) -> int:
     files.check_outputs(made, [file or asked.robot, asked.setup, *paths], asked.force)
     with printing.progress_bar(quiet=asked.quiet) as bar:
         measured, rows = files.open_rows(asked, paths, chains, used, bar=bar)
-        with stated_in(str(paths[0])):
+        with in_file(str(paths[0])):
             outcome = acceptance.tested(
                 calibrated or measured,
                 rows,

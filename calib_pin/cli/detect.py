@@ -16,7 +16,7 @@ from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Detect, Join
 from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.io import boards, measurements
-from calib_pin.io.boards import Detector, Found, Start, encode_png
+from calib_pin.io.boards import Detector, Start, View, encode_png
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.setup import setup_document, yaml_text
 from calib_pin.io.table import Notice, Table, read_table
@@ -52,7 +52,7 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     files.require_distinct(images)
     inputs = (*images, asked.setup, asked.joints, asked.times)
     files.check_outputs((output, extra), inputs, asked.force)
-    images, rows = configurations_of(asked, sorted(images, key=numbers_in))
+    images, rows = unmeasured(asked, sorted(images, key=numbers_in))
     with printing.progress_bar(quiet=asked.quiet) as bar:
         size, views = boards.find_board(detector, images, printing.stage(bar, "images"))
     if not boards.require_stated(board, views, images):
@@ -109,7 +109,7 @@ def _draw_board(asked: Detect, file: Path, detector: Detector) -> int:
 
 
 def corner_columns(
-    images: Sequence[Path], views: Sequence[Found], cells: Mapping[str, Sequence[Any]]
+    images: Sequence[Path], views: Sequence[View], cells: Mapping[str, Sequence[Any]]
 ) -> dict[str, Any]:
     """The columns of corners found in images, with the cells of each image."""
     image_of = [k for k, view in enumerate(views) for _ in view.names]
@@ -159,7 +159,7 @@ def images_of(
         for image in sorted(new, key=numbers_in):
             try:
                 asked = Detect(images=[image], joints=joints)
-                _, cells = configurations_of(asked, [image])
+                _, cells = unmeasured(asked, [image])
                 _, views = boards.find_board(detector, [image], None)
             except InputError:
                 continue  # Its configuration, or a part of it, is not there yet.
@@ -179,7 +179,7 @@ def numbers_in(image: Path) -> list[int]:
     return [int(word or 0) for word in re.split(r"\D+", str(image))]
 
 
-def _remarks(views: dict[str, Found], start: Start, tell: Notice) -> None:
+def _remarks(views: dict[str, View], start: Start, tell: Notice) -> None:
     """Name the images without a board, and the blurred ones."""
     if without := [name for name, view in views.items() if not view.names]:
         tell(f"no board in {len(without)} images: {enumerated(without)}")
@@ -191,7 +191,7 @@ def _remarks(views: dict[str, Found], start: Start, tell: Notice) -> None:
         tell(ASSUMED)
 
 
-def configurations_of(
+def unmeasured(
     asked: Detect, images: list[Path]
 ) -> tuple[list[Path], dict[str, list[Any]]]:
     """Images of known joints, and for each the cells of the columns of their file.

@@ -16,8 +16,8 @@ from calib_pin.errors import (
     OptionError,
     RobotError,
     enumerated,
+    in_file,
     require_known,
-    stated_in,
 )
 from calib_pin.io.files import same_file
 from calib_pin.io.measured_columns import asked_models
@@ -270,7 +270,7 @@ def open_measurements(
     """
     require_distinct(files)
     known = (name for name, s in setup.sockets.items() if s.estimate is False)
-    with stated_in(setup.file):
+    with in_file(setup.file):
         rows = read_measurements(
             files,
             chains,

@@ -21,7 +21,7 @@ from calib_pin.io.json_text import Json, encode, format_keys
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.results import model_name
 from calib_pin.io.setup import prior_document, read_setup, setup_document
-from calib_pin.io.trials import kept, read_trials
+from calib_pin.io.trials import read_trials, written_trials
 from calib_pin.monte_carlo import Study, Trial, outlooks, study_of, try_robot
 from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report import fleet_text, html
@@ -172,7 +172,7 @@ def _simulate(asked: Fleet, file: Path) -> int:
         known = read_trials(trials, name, len(study.counts))[:robots]
 
     def done(further: Iterable[tuple[Trial, ...]]) -> Iterator[Trial]:
-        for k, runs in enumerate(kept(trials, name, known, further), 1):
+        for k, runs in enumerate(written_trials(trials, name, known, further), 1):
             if bar is not None:
                 bar(f"{k} of {robots} robots", k / robots)
             yield from runs

@@ -12,7 +12,7 @@ from pathlib import Path
 import calib_pin.cli.files as files_of
 from calib_pin.cli import printing
 from calib_pin.cli.asked import Init
-from calib_pin.errors import InputError, OptionError, enumerated, stated_in
+from calib_pin.errors import InputError, OptionError, enumerated, in_file
 from calib_pin.io.columns import LENGTH, Kind
 from calib_pin.io.first_look import Choose, Look, draft, first_look
 from calib_pin.io.urdf import load_robot
@@ -62,7 +62,7 @@ def looked_at(asked: Init, choose: Choose) -> tuple[Robot, Look]:
         seen = board_of(asked.board)
     start = Setup(asked.base, asked.tip, model=asked.model, board=seen)
     start = replace(start, camera=given.camera)
-    with stated_in(str(files[0])):
+    with in_file(str(files[0])):
         look = first_look(robot, files, start, choose, asked.station_per_file)
     if look.setup.camera is None and (asked.board or asked.setup):
         reason = "--board and --setup are for a camera, and there are no columns u, v"

@@ -31,7 +31,7 @@ from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.files import read_bytes, sha256
 from calib_pin.io.table import read_table
 from calib_pin.setup import DATE, Date, Entry
-from calib_pin.setup.arguments import taken
+from calib_pin.setup.arguments import parse
 from calib_pin.validation.comparison import compare
 from calib_pin.validation.fleet import Drift, FleetRow, fleet_row, with_drift
 from calib_pin.validation.robot_state import robot_evidence
@@ -65,7 +65,7 @@ def _folder(text: str) -> str:
     return name
 
 
-ENTRY, DAY = partial(taken, "", hint=Entry), partial(taken, "", hint=Date)
+ENTRY, DAY = partial(parse, "", hint=Entry), partial(parse, "", hint=Date)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ import numpy as np
 import calib_pin.cli.files as files
 from calib_pin.cli.asked import Simulate
 from calib_pin.cli.printing import command_line, notice, progress_bar, stage
-from calib_pin.errors import OptionError, counted, stated_in
+from calib_pin.errors import OptionError, counted, in_file
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import measurements, results
 from calib_pin.io.setup import read_true_errors
@@ -39,7 +39,7 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
         keys = files.block_keys(setup, *arms)
     chains = files.open_chains(asked, setup, keys)
     # With a map of joints the file has the columns of their controller.
-    with stated_in(setup.file):
+    with in_file(setup.file):
         layout = JointColumns.of(chains, setup.joints) if setup.joints else None
     problem = nominal_problem(chains, keys, setup)
     rng = np.random.default_rng(asked.seed)
@@ -68,7 +68,7 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
             q = read(file, chains, setup.joints, setup.columns)
             held = measurements.read_held(table, chains.joints, q)
             target = named.pop("target", ())
-            with stated_in(str(file)):
+            with in_file(str(file)):
                 rows = measure(q=q, target=target, places=named, conditions=held)
         comment = f"simulated by: {command_line(words)}"
         columns = measurements.measurement_columns(rows, layout)

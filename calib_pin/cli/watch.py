@@ -35,7 +35,7 @@ from calib_pin.io.measured_columns import asked_models, infer_model, needed
 from calib_pin.io.table import read_table
 from calib_pin.observations import fitted_and_held_out
 from calib_pin.setup import Setup
-from calib_pin.validation.robot_state import expected_setup, started
+from calib_pin.validation.robot_state import expected_setup, resume
 
 PAUSE = 0.2
 """Time between two looks at the files [s]."""
@@ -66,7 +66,7 @@ def _setup_so_far(inputs: Inputs) -> Setup:
         return inputs.setup
     rows = fitted_and_held_out(inputs.measurements)[0]
     try:
-        return started(inputs.chains, rows, inputs.setup, older, noise)[0]
+        return resume(inputs.chains, rows, inputs.setup, older, noise)[0]
     except OptionError:
         raise
     except InputError:  # Frames use up the rows.

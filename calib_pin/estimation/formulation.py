@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from calib_pin.errors import OptionError, enumerated, nearest, stated_in
+from calib_pin.errors import OptionError, enumerated, in_file, nearest
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.row_blocks import PLACES
 from calib_pin.estimation.terms import (
@@ -261,7 +261,7 @@ def make_terms(
         tool = frames.tool in looked_at if tool is None else tool
         station = frames.station.rpartition(".")[0]
         drifting = station if frames.station in outside else ""
-        with stated_in(setup.file):
+        with in_file(setup.file):
             error = created(key.chain, base, tool, drifting)
         # A tool that is known on another one shares its errors:
         # `X Exp(S_1 t_1) ... K = X K Exp(Ad S_1 t_1) ...` with the adjoint of K^-1.

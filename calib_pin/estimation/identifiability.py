@@ -96,7 +96,7 @@ class Structure:
     relations: Floats
     parameters: ParameterSet
     scaled: bool = True
-    alike: Mapping[int, int] = field(default_factory=dict)
+    equivalent: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def gap(self) -> float:

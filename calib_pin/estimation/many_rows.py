@@ -70,8 +70,8 @@ class ManyRows:
         """Cut the measurements into chunks."""
         self._block, self._sigma = block, block.table(sigma)
         error, data = block.term.error, block.data
-        alike = isinstance(last, ManyRows) and last._block.term.error is error
-        self._segments = segments = last._segments if alike else Segments(error)
+        same = isinstance(last, ManyRows) and last._block.term.error is error
+        self._segments = segments = last._segments if same else Segments(error)
         # The twist along the joint's axis, of what stands before the joint.
         along = np.where(segments.revolute, 5, 2)[segments.joints]
         self._along = 6 * segments.joints + along

@@ -159,7 +159,7 @@ def structure_at(
     result = structure(J[: len(J) - len(problem.further.priors)], shown, count)
     known = scale_deviation(problem, theta, at, J) < UNKNOWN
     scaled = known or not _has_lengths(problem, theta, at)
-    return replace(result, scaled=scaled, alike=omitted), J
+    return replace(result, scaled=scaled, equivalent=omitted), J
 
 
 def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> Floats:
@@ -273,7 +273,7 @@ def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> dict[int, int]:
     With each the same parameter of a station of its kind that is.
     """
     used = {problem.terms[key].frames.station for key in keys}
-    local, result = problem.own_of_stations, dict[int, int]()
+    local, result = problem.station_parameters, dict[int, int]()
     for stations in station_kinds(problem).values() if local else ():
         shown = [station for station in stations if station in used]
         for station in (name for name in stations if name not in used):
@@ -335,7 +335,7 @@ FARTHEST = 0.5
 """Longest step of a joint on the way to a contact [rad, m]."""
 
 
-def asked(
+def unmeasured(
     problem: Problem,
     key: BlockKey,
     q: Floats,
@@ -436,7 +436,7 @@ def observable_configurations(
         wanted = np.resize(missing, size)
         q = problem.chains.random_configurations(len(wanted), rng)
         targets, payloads = [target[i] for i in wanted], [loads[i] for i in wanted]
-        at = asked(problem, key, q, targets, Conditions(Labels.of(payloads)))
+        at = unmeasured(problem, key, q, targets, Conditions(Labels.of(payloads)))
         if declared.contact:
             q, seen = brought_to_contact(problem, theta, at)
         else:
@@ -451,7 +451,7 @@ def observable_configurations(
         lacking = lacking_frames(problem, (key,))
         reason = f"give {lacking}: without, {few}" if lacking else few
         raise InputError(reason, file=problem.setup.file or None)
-    return asked(problem, key, result, target, Conditions(Labels.of(loads)))
+    return unmeasured(problem, key, result, target, Conditions(Labels.of(loads)))
 
 
 def lacking_frames(problem: Problem, keys: Iterable[BlockKey]) -> str:

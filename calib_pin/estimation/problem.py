@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import stated_in
+from calib_pin.errors import in_file
 from calib_pin.estimation.identifiability import RANK
 from calib_pin.estimation.row_blocks import Further, KnownDistances, Priors
 from calib_pin.estimation.terms import Block, RowByRow, Term, Terms, compilable
@@ -350,7 +350,7 @@ class Problem(Terms):
         if isinstance(priors, JointPrior):
             names = [p.name for p in self.given if not p.nuisance]
             priors = dict(priors.deviations(names))
-        with stated_in(setup.file):
+        with in_file(setup.file):
             parameters = self.given.with_fixed(setup.fixed).with_bounds(setup.bounds)
             return parameters.with_priors(priors).without(self.held_at)
 
@@ -413,9 +413,9 @@ class Problem(Terms):
         """
         pairs = zip(self.blocks, self.factorize(theta), strict=True)
         parts = [(r, self.spread(block.term, J)) for block, (r, J) in pairs]
-        if not self.own_of_stations:
+        if not self.station_parameters:
             return self._whole(theta, parts)
-        alone = np.concatenate([*self.own_of_stations.values()])
+        alone = np.concatenate([*self.station_parameters.values()])
         shared = np.setdiff1d(np.arange(len(theta)), alone)
         rows: dict[str, list[tuple[Floats, Floats]]] = {}
         for (term, *_), part in zip(self.blocks, parts, strict=True):
@@ -424,7 +424,7 @@ class Problem(Terms):
         stations, remainders = self._eliminated.setdefault(theta.tobytes(), {}), []
         for name, members in rows.items():
             r, J = map(np.concatenate, zip(*members, strict=True))
-            local = self.own_of_stations[name]
+            local = self.station_parameters[name]
             stations[name], rest = eliminate(local, shared, r, J)
             remainders.append(rest)
         R = np.asarray(np.linalg.qr(np.concatenate(remainders), mode="r"))
@@ -449,12 +449,12 @@ class Problem(Terms):
         Args:
             theta: Parameter values, shape (P,).
         """
-        if self.own_of_stations and theta.tobytes() not in self._eliminated:
+        if self.station_parameters and theta.tobytes() not in self._eliminated:
             self.linearize(theta)
         return self._eliminated.get(theta.tobytes(), {})
 
     @cached_property
-    def own_of_stations(self) -> Mapping[str, NDArray[np.intp]]:
+    def station_parameters(self) -> Mapping[str, NDArray[np.intp]]:
         """Parameters that only one station has and nothing else knows, by station.
 
         They are eliminated; empty where they are few.
@@ -479,7 +479,7 @@ class Problem(Terms):
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        return evaluator(self) == "kernel" or bool(self.own_of_stations)
+        return evaluator(self) == "kernel" or bool(self.station_parameters)
 
     @cached_property
     def _evaluators(self) -> Sequence[Evaluator]:
@@ -563,7 +563,7 @@ def tool_points(problem: Problem, theta: Floats) -> list[Floats]:
 
 def absorbed(problem: Problem) -> int:
     """Number of parameters that are eliminated."""
-    return sum(map(len, problem.own_of_stations.values()))
+    return sum(map(len, problem.station_parameters.values()))
 
 
 def error_table(problem: Problem, theta: Floats) -> Floats:
@@ -601,7 +601,7 @@ def station_kinds(problem: Problem) -> Mapping[frozenset[BlockKey], Sequence[str
 def representative(problem: Problem) -> list[BlockKey]:
     """Blocks that show the structure; of very many stations some of each kind."""
     keys = list(problem.terms)
-    if not problem.own_of_stations:
+    if not problem.station_parameters:
         return keys
     kinds = station_kinds(problem).values()
     shown = {station for names in kinds for station in names[:ALIKE]}

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from calib_pin.compiled.threads import Threads
-from calib_pin.errors import require_known, stated_in
+from calib_pin.errors import in_file, require_known
 from calib_pin.estimation.identifiability import Directions
 from calib_pin.estimation.problem import (
     SAMPLE,
@@ -109,7 +109,7 @@ class Solver:
         setup = problem.setup.solver
         self.rng, self._progress = rng, progress
         self.name = setup.name
-        with stated_in(problem.setup.file):
+        with in_file(problem.setup.file):
             require_known("solver", self.name, SOLVERS)
             known = [option.name for option in fields(DifferentialEvolution)]
             for name in setup.evolution:

@@ -502,8 +502,8 @@ def frames_of_blocks(
         keys: The blocks.
         setup: The frames that the user states.
     """
-    stations = {k: (own_name(k, keys, k.station), chains[k.chain].base) for k in keys}
-    tools = {k: (own_name(k, keys, k.tool), chains[k.chain].tip) for k in keys}
+    stations = {k: (owner_of(k, keys, k.station), chains[k.chain].base) for k in keys}
+    tools = {k: (owner_of(k, keys, k.tool), chains[k.chain].tip) for k in keys}
     default = chains[""] if "" in chains.names else None
     link = default.base if default else stations[keys[0]][1]
     bases = _owners(set(stations.values()), link)
@@ -549,7 +549,7 @@ def prefixed(terms: Iterable[Term]) -> list[Term]:
     return result
 
 
-def own_name(key: BlockKey, keys: Sequence[BlockKey], given: str) -> str:
+def owner_of(key: BlockKey, keys: Sequence[BlockKey], given: str) -> str:
     """Name of a station or a tool, that of the model where it follows nothing.
 
     A camera among others is at a place of its own and looks at something of its own.

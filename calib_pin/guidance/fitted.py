@@ -155,7 +155,7 @@ class Fitted:
     @property
     def lost(self) -> bool:
         """Whether no robot explains them, so that none of them stands out."""
-        return self._case is None or not self._case.errors_left <= FOREIGN
+        return self._case is None or not self._case.remaining <= FOREIGN
 
     @cached_property
     def _case(self) -> Case | None:

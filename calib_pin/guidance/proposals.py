@@ -12,7 +12,7 @@ import numpy as np
 from calib_pin.errors import OptionError
 from calib_pin.guidance.fitted import Fitted
 from calib_pin.io.collision import load_collisions
-from calib_pin.io.measured_columns import own_columns, read_positions
+from calib_pin.io.measured_columns import joints_in, read_positions
 from calib_pin.io.measurements import encode_configurations
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.chains import Chains
@@ -223,7 +223,7 @@ def remaining(plan: Table, rows: Table, chains: Chains, setup: Setup) -> list[in
 
 def _rows(table: Table, chains: Chains, setup: Setup) -> Planned:
     """Configurations, shape (N, n) [rad, m], and their targets."""
-    named, joint_columns = own_columns(table, chains, setup.joints)
+    named, joint_columns = joints_in(table, chains, setup.joints)
     return read_positions(named, chains, joint_columns), table.labels("target")
 
 

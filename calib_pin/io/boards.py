@@ -23,7 +23,7 @@ import calib_pin.observations.corners as corners
 from calib_pin.errors import InputError, OptionError, require_package
 from calib_pin.io.files import read_bytes
 from calib_pin.setup import DICTIONARIES, TAGS, BoardSetup, CameraSetup
-from calib_pin.setup.arguments import taken
+from calib_pin.setup.arguments import parse
 
 PIXELS = 1 << 27
 """Most pixels of an image."""
@@ -178,7 +178,7 @@ def board_of(word: str) -> BoardSetup:
         parts["marker" if parts.get("type") == "charuco" else "gap"] = size
     parts["legacy"] = "legacy" in parts
     try:
-        board: BoardSetup = taken("--board", parts, BoardSetup)
+        board: BoardSetup = parse("--board", parts, BoardSetup)
     except OptionError as error:
         raise OptionError(error.reason, value=word, allowed=error.allowed) from None
     return board
@@ -205,7 +205,7 @@ def ambiguous(board: BoardSetup) -> bool:
 
 
 @dataclass(frozen=True)
-class Found:
+class View:
     """The corners of a board in one image.
 
     Attributes:
@@ -263,7 +263,7 @@ class Detector:
         settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
         return aruco.ArucoDetector(known, settings).detectMarkers
 
-    def find(self, image: Gray) -> Found:
+    def find(self, image: Gray) -> View:
         """The board in an image; without names where it is not there."""
         levels, cv2 = image.astype(float), self._cv2
         search = self._grid if self.board.type in GRIDS else self._tags
@@ -306,7 +306,7 @@ class Detector:
         counts, gap = np.array([self.board.columns, self.board.rows]), self.board.gap
         return np.asarray(counts * _pitch(self.board) - (gap or 0.0))
 
-    def _tags(self, image: Gray, levels: Floats) -> Found:
+    def _tags(self, image: Gray, levels: Floats) -> View:
         charuco, cells = self.board.type == "charuco", self._cells
         *inner, around, ids = self._search(image)[: 4 if charuco else 2]
         all_ids = np.ravel([] if ids is None else ids).tolist()
@@ -325,9 +325,9 @@ class Detector:
             numbers = [k for k in rough if k in tags_of(self.board)]
             names = [f"{k}/{n}" for k in numbers for n in range(4)]
             pixels = [rough[k] for k in numbers]
-        return Found(tuple(names), np.array(pixels, float).reshape(-1, 2), tags=tags)
+        return View(tuple(names), np.array(pixels, float).reshape(-1, 2), tags=tags)
 
-    def _grid(self, image: Gray, levels: Floats) -> Found:
+    def _grid(self, image: Gray, levels: Floats) -> View:
         cv2, board = self._cv2, self.board
         chess = board.type == "chessboard"
         size = (board.columns - chess, board.rows - chess)
@@ -337,7 +337,7 @@ class Detector:
         else:
             seen, points = cv2.findCirclesGrid(image, size)
         if not seen:
-            return Found()
+            return View()
         grid = np.asarray(points, float).reshape(size[1], size[0], 2)
         whole, sure = whole_grid(levels, grid, not chess)
         if np.linalg.det([grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]]) < 0.0:
@@ -349,12 +349,12 @@ class Detector:
         across = chosen[0, -1] - chosen[0, 0]
         # A right angle further, it is clear which corner is the upper left one.
         if not whole or (len(ways) > 1 and across[0] < abs(across[1])):
-            return Found(sure=sure)
+            return View(sure=sure)
         pixels = chosen.reshape(-1, 2)
         names, sigma = map(str, range(len(pixels))), np.full_like(pixels, OFF_CENTER)
-        return Found(tuple(names), pixels, sigma, sure=sure)
+        return View(tuple(names), pixels, sigma, sure=sure)
 
-    def _half_width(self, detection: Found) -> int:
+    def _half_width(self, detection: View) -> int:
         """Half width of the window of a corner, in which there is no other edge."""
         sites = np.array([self.points[name][:2] for name in detection.names])
         both = sites, detection.pixels
@@ -403,7 +403,7 @@ def whole_grid(levels: Floats, grid: Floats, circles: bool) -> tuple[bool, bool]
 
 def find_board(
     detector: Detector, paths: Sequence[Path], tell: Callable[[float], None] | None
-) -> tuple[tuple[int, int], list[Found]]:
+) -> tuple[tuple[int, int], list[View]]:
     """Width and height of the images of one camera [px], and the board in each.
 
     Args:
@@ -414,7 +414,7 @@ def find_board(
     Raises:
         InputError: If one cannot be read, or is of another size.
     """
-    detections, sizes = list[Found](), list[tuple[int, int]]()
+    detections, sizes = list[View](), list[tuple[int, int]]()
     for k, path in enumerate(paths):
         image = read_image(path)
         sizes.append((image.shape[1], image.shape[0]))
@@ -432,7 +432,7 @@ def find_board(
 
 
 def require_stated(
-    board: BoardSetup, images: Sequence[Found], paths: Sequence[Path]
+    board: BoardSetup, images: Sequence[View], paths: Sequence[Path]
 ) -> bool:
     """Refuse a board that images do not show, and say which one they do.
 
@@ -472,7 +472,7 @@ def require_stated(
     )
 
 
-def agrees(board: BoardSetup, images: Sequence[Found]) -> bool | None:
+def agrees(board: BoardSetup, images: Sequence[View]) -> bool | None:
     """Whether images show a board as it is stated; None where they do not tell."""
     if board.type in GRIDS:
         whole = [bool(one.names) for one in images if one.sure]
@@ -543,7 +543,7 @@ def drawn_board(board: BoardSetup) -> Any:
     return drawn
 
 
-def fit_board(board: BoardSetup, detections: Sequence[Found]) -> BoardSetup | None:
+def fit_board(board: BoardSetup, detections: Sequence[View]) -> BoardSetup | None:
     """The board with tags that images show.
 
     Nothing here needs a camera: tags of an image lie as a plane is seen.
@@ -661,7 +661,7 @@ class Start:
 
 
 def start_camera(
-    mount: Any, board: Detector, size: tuple[int, int], images: Mapping[str, Found]
+    mount: Any, board: Detector, size: tuple[int, int], images: Mapping[str, View]
 ) -> Start:
     """Intrinsics to start from.
 
@@ -707,7 +707,7 @@ def start_camera(
     return Start(CameraSetup(mount, *intrinsics, estimate=True), False, rms)
 
 
-def _require_flat(images: Mapping[str, Found], rms: float, each: Floats) -> None:
+def _require_flat(images: Mapping[str, View], rms: float, each: Floats) -> None:
     """Refuse corners that are not those of one flat board before a camera.
 
     Args:

@@ -51,8 +51,8 @@ from calib_pin.setup import (
     Setup,
 )
 from calib_pin.units import steps_of
-from calib_pin.validation.evaluation import error_sizes, prepared
-from calib_pin.validation.findings.case import Case, QuickFit, some_of
+from calib_pin.validation.evaluation import error_sizes, registered_robot
+from calib_pin.validation.findings.case import Case, QuickFit, subset
 from calib_pin.validation.findings.facts import computed_values, require_motion, spread
 from calib_pin.validation.findings.readings import orientations
 from calib_pin.validation.findings.sentences import lines_of, shown, written
@@ -324,7 +324,7 @@ def _fit_rms(look: Look) -> float:
     if look.data is None or look.chains is None:
         return inf
     try:
-        rows, _ = some_of(look.data)
+        rows, _ = subset(look.data)
         fit = QuickFit.of(make_problem(look.chains, rows, look.setup))
     except (CalibPinError, np.linalg.LinAlgError):
         return inf
@@ -597,8 +597,8 @@ def with_errors(look: Look, robot: Robot, files: Sequence[Path], apart: bool) ->
         )
         chains = chains.named(tuple(key.chain for key in data.keys))
         require_motion(data)
-        rows, rank = some_of(data)
-        ready = prepared(chains, rows, setup)
+        rows, rank = subset(data)
+        ready = registered_robot(chains, rows, setup)
         known = distinct_values(ready.problem)
         parameters = ready.problem.parameters
         unknown = int(np.sum(parameters.free & parameters.nuisance))
@@ -613,7 +613,7 @@ def with_errors(look: Look, robot: Robot, files: Sequence[Path], apart: bool) ->
         far = _far_off(ready)
         if share >= FITS and len(far) == len(rows) and far.any():
             # Of lost targets that nothing else marks a few are enough to hide a fit.
-            others = _errors(prepared(chains, rows.rows(~far), setup))
+            others = _errors(registered_robot(chains, rows.rows(~far), setup))
             if others[1] < FITS:
                 errors, share = others
                 first = rows.source(int(np.argmax(far)))

@@ -21,7 +21,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.setup.arguments import Key, Refused, Taker, keys_of
+from calib_pin.setup.arguments import Key, Parser, Refused, keys_of
 from calib_pin.setup.values import REST
 
 _T = TypeVar("_T")
@@ -166,6 +166,6 @@ def typed(kind: type[_T], value: Any, **known: Any) -> _T:
         TypeError, ValueError, AttributeError: If a value is not of its declared type,
             or a field that has no default is missing.
     """
-    taker, result = Taker(document=True), value
-    result = taker.record(value, kind, **known) if known else taker.taken(value, kind)
+    parser, result = Parser(document=True), value
+    result = parser.record(value, kind, **known) if known else parser.parse(value, kind)
     return cast(_T, result)

@@ -15,7 +15,7 @@ import numpy as np
 import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 import calib_pin.observations.joining as joining
-from calib_pin.errors import InputError, counted, enumerated, stated_in
+from calib_pin.errors import InputError, counted, enumerated, in_file
 from calib_pin.io.columns import ANGLE, LENGTH, NAMES, Floats, kind_of_unit
 from calib_pin.io.dialects.base import header
 from calib_pin.io.measurements import encode_table
@@ -90,7 +90,7 @@ def join_logs(
     theirs, measured, way = _readings(theirs, notice)
     theirs, values = _read(theirs, measured, way, NAMES, notice)
     measured += QUATERNION if way else ()
-    with stated_in(f"{ours.file}, {theirs.file}"):
+    with in_file(f"{ours.file}, {theirs.file}"):
         if POSE in ours:
             names = ours.labels(POSE), theirs.labels(POSE)
             joined = joining.join_by_name(q, values, *names)

@@ -385,7 +385,7 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     raise table.error(reason + ELSEWHERE)
 
 
-def own_columns(
+def joints_in(
     table: Table, chain: Chain | Chains, joints: Mapping[str, JointMap]
 ) -> tuple[Table, JointColumns]:
     """A table that knows its joints by name, and the columns of these.

@@ -233,7 +233,7 @@ class _Reader:
                 wrong = chain_of.where(name)
                 table.refuse(wrong, error.reason, "chain", error.allowed)
         chains = self.chains.named(chain_of.distinct)
-        table, columns = measured_columns.own_columns(table, chains, self.joints)
+        table, columns = measured_columns.joints_in(table, chains, self.joints)
         table = self._of_sheet(table)
         keys = self._keys(table, chain_of, station)
         missing = _missing(table, chains, columns, keys)
@@ -476,7 +476,7 @@ def read_configurations(
         [[0.0, 0.0, 0.0, 0.5, 0.0, 0.0]]
     """
     table = read_table(path, columns=columns)
-    table, joint_columns = measured_columns.own_columns(table, chain, joints)
+    table, joint_columns = measured_columns.joints_in(table, chain, joints)
     return measured_columns.read_positions(table, chain, joint_columns)
 
 

@@ -36,8 +36,8 @@ from calib_pin.observations import AT
 from calib_pin.parameterizations import NOTHING, PARAMETERIZATIONS, required_keys
 from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import LOSSES, SOLVERS, WORLD, JointPrior, PopulationPrior, Setup
+from calib_pin.setup.arguments import Parser, Refused, dotted, unknown
 from calib_pin.setup.arguments import Path as Place
-from calib_pin.setup.arguments import Refused, Taker, dotted, unknown
 from calib_pin.setup.values import LARGEST_ERROR, LARGEST_TURN, SMALLEST, Value
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
     prior = document.get("prior")
     if isinstance(prior, Mapping) and "format" in prior:
         document = {**document, "prior": _prior_of(prior)}
-    setup: Setup = Taker(FAMILIES, document=True).taken(document, Setup, ("setup",))
+    setup: Setup = Parser(FAMILIES, document=True).parse(document, Setup, ("setup",))
     _check_evolution(setup)
     return setup
 
@@ -235,7 +235,7 @@ def yaml_text(lines: Mapping[str, Any]) -> str:
 def _typed(tree: Tree, data: object, hint: Any) -> Any:
     """Data as a type has them; refusals have their line."""
     try:
-        result = Taker(FAMILIES).taken(data, hint)
+        result = Parser(FAMILIES).parse(data, hint)
         if isinstance(result, Setup):
             _check(result)
     except Refused as error:
@@ -278,7 +278,7 @@ def _check(setup: Setup) -> None:
         if name not in known:
             raise unknown(("noise", name), known)
         try:
-            NOISE[known[name].unit].taken(sigma, float)
+            NOISE[known[name].unit].parse(sigma, float)
         except ValueError as error:
             raise Refused(("noise", name), str(error)) from None
     joints = setup.joints.items()

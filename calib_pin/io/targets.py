@@ -87,7 +87,7 @@ def read_target_file(
         ([0.9, 0.0, 0.25], False)
     """
     table = read_table(path, columns=columns)
-    table, joint_columns = measured_columns.own_columns(table, chain, joints)
+    table, joint_columns = measured_columns.joints_in(table, chain, joints)
     oriented = bool(measured_columns.ORIENTED & table.columns.keys())
     has_targets = oriented or bool({*measured_columns.POSITION} & table.columns.keys())
     has_joints = bool({*joint_columns.names} & table.columns.keys())

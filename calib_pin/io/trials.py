@@ -63,7 +63,7 @@ def read_trials(path: Path, study: str, each: int) -> list[tuple[Trial, ...]]:
     return [tuple(trials[end - each : end]) for end in ends]
 
 
-def kept(
+def written_trials(
     path: Path,
     study: str,
     known: Sequence[tuple[Trial, ...]],

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, OptionError, nearest, stated_in
+from calib_pin.errors import InputError, OptionError, in_file, nearest
 from calib_pin.estimation.evidence import rms
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import nominal_problem
@@ -128,7 +128,7 @@ def study_of(
         raise OptionError(reason, file=file, value=counts[-1], allowed=allowed)
     plain = replace(setup, monte_carlo=MonteCarloSetup())
     errs = replace(plain, parameters=asked.parameters or setup.parameters, learned=None)
-    with stated_in(setup.file):
+    with in_file(setup.file):
         # What is fixed or bounded in the fit may err all the same.
         free = replace(errs, fixed=(), bounds={}, prior={})
         truth = nominal_problem(chains, keys, free)

@@ -19,7 +19,7 @@ from calib_pin.observations.measurements import (
     SourcedRows,
     with_joints,
 )
-from calib_pin.setup.arguments import settle, taken
+from calib_pin.setup.arguments import parse, settle
 
 Frame = Literal["station", "tool"]
 FRAMES: tuple[Frame, ...] = ("station", "tool")
@@ -66,7 +66,7 @@ class Observations(SourcedRows):
         if len(parts) == 1 and isinstance(parts[0], Observations):
             return parts[0]
         by_key: dict[BlockKey, list[Measurements]] = {}
-        for part in taken("measurements", parts, Sequence[Measurements | Observations]):
+        for part in parse("measurements", parts, Sequence[Measurements | Observations]):
             blocks = part.blocks if isinstance(part, Observations) else (part,)
             for block in blocks:
                 by_key.setdefault(block.key, []).append(block)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError
 from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels, grouped
-from calib_pin.setup.arguments import Brief, as_array, settle, taken
+from calib_pin.setup.arguments import Brief, as_array, parse, settle
 
 ARRAYS = ("q", "values", "validate", "lines", "weight")
 WORDS = ("target", "files")
@@ -161,7 +161,7 @@ class Measurements(Brief, SourcedRows):
         for name in WORDS:
             names = getattr(self, name)
             if not isinstance(names, Labels):
-                put(name, Labels.of(taken(name, names, Sequence[str])))
+                put(name, Labels.of(parse(name, names, Sequence[str])))
         settle(self)
         put("q", as_array("q", self.q, "N", len(self.joints)))
         count, values = len(self.q), self.values

@@ -20,18 +20,13 @@ from calib_pin.estimation.identifiability import (
     visible_directions,
     visible_nuisances,
 )
-from calib_pin.estimation.nominal import asked, register, structure_at
+from calib_pin.estimation.nominal import register, structure_at, unmeasured
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.observations import (
-    BlockKey,
-    Conditions,
-    Measurements,
-    Observations,
-)
+from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.parameters import ParameterSet
 from calib_pin.planning.criteria import Information
 from calib_pin.planning.rows import IdentificationRows
@@ -144,7 +139,7 @@ def identification(
     q, aim, at = candidates.q[first], candidates.aim[first], list[Measurements]()
     for look in aims.looks:  # With all targets that each measures in a configuration.
         rows, target = look.measured(q, aim)
-        at.append(asked(problem, look.term.key, q[rows], target))
+        at.append(unmeasured(problem, look.term.key, q[rows], target))
     if measured is not None:
         at += measured.sample(SAMPLES).blocks
     structure, J = structure_at(problem, zero, at)

@@ -13,7 +13,7 @@ from calib_pin.estimation.evidence import ADDING
 from calib_pin.planning.suggestions import LARGEST
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, note, table
 from calib_pin.report.tables import ESTIMATE, STATUS, estimate, listed, number
-from calib_pin.validation.joint_errors import FoundOffset, joint_offsets
+from calib_pin.validation.joint_errors import OffsetEstimate, joint_offsets
 from calib_pin.validation.result import (
     CalibrationResult,
     CoupledGroup,
@@ -198,7 +198,7 @@ def offsets(result: CalibrationResult) -> Iterator[Block]:
             yield Line(f"{offset.reverses}.", "strong")
 
 
-def _offset(offset: FoundOffset, stepped: bool) -> list[Cell | str]:
+def _offset(offset: OffsetEstimate, stepped: bool) -> list[Cell | str]:
     position = "further than it says"
     # Whole steps are what a motor can store.
     steps = "-" if offset.steps is None else f"{round(offset.steps * offset.value):+d}"
@@ -213,7 +213,7 @@ def _offset(offset: FoundOffset, stepped: bool) -> list[Cell | str]:
     return [name, *cells, *[steps][:stepped], position]
 
 
-def _unknown(offset: FoundOffset, suggestions: Sequence[Suggestion]) -> str:
+def _unknown(offset: OffsetEstimate, suggestions: Sequence[Suggestion]) -> str:
     """A joint whose offset is not known, why, and what would tell it."""
     why = CAUSES.get(offset.status, "nothing tells it")
     if offset.within:

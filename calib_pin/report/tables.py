@@ -10,7 +10,7 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.result import (
     Accuracy,
     CalibrationResult,
-    FoundDistance,
+    DistanceCheck,
     ModelSelection,
     ParameterEstimate,
     QuantityErrors,
@@ -135,7 +135,7 @@ def accuracy_table(errors: Sequence[QuantityErrors], *, details: bool = True) ->
     return table("Accuracy", titles, rows, grouped=2)
 
 
-def distance_table(distances: Sequence[FoundDistance]) -> Table:
+def distance_table(distances: Sequence[DistanceCheck]) -> Table:
     """Known distances beside those of the nominal and of the calibrated robot."""
     rows, (unit, factor) = [], DISPLAY["m"]
     for distance in distances:

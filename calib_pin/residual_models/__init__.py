@@ -13,7 +13,7 @@ from calib_pin.residual_models.base import (
     Space,
     TrainingRows,
 )
-from calib_pin.setup.arguments import Taker
+from calib_pin.setup.arguments import Parser
 
 __all__ = [
     "RESIDUAL_MODELS",
@@ -63,9 +63,9 @@ def restore(document: object, joints: int) -> ResidualModel:
     Raises:
         ValueError: With the reason, if it is anything else.
     """
-    taker = Taker(document=True)
-    parts = taker.taken(document, Mapping[str, Any], ("residual model",))
-    kind = taker.taken(parts.get("kind"), Kind, ("kind",))
+    parser = Parser(document=True)
+    parts = parser.parse(document, Mapping[str, Any], ("residual model",))
+    kind = parser.parse(parts.get("kind"), Kind, ("kind",))
     if kind == "network":
         from calib_pin.residual_models.network import Network
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeVar, cast, get_origin, get_type_hints
 
 import numpy as np
 
-from calib_pin.setup.arguments import Taker
+from calib_pin.setup.arguments import Parser
 
 LARGEST = 1e12
 """Largest number in a document: beyond, squares and products would overflow."""
@@ -67,7 +67,7 @@ def restored(
     Raises:
         ValueError: If it is not one.
     """
-    part = Taker(document=True).record(document, kind)
+    part = Parser(document=True).record(document, kind)
     _check(part, dict(sizes))
     return cast(_Part, part)
 

@@ -126,7 +126,7 @@ def as_array(name: str, value: object, *shape: int | str) -> NDArray[np.float64]
     """
     array = value
     if not isinstance(array, np.ndarray) or array.dtype != np.float64:
-        array = taken(name, value, NDArray[np.float64])
+        array = parse(name, value, NDArray[np.float64])
     rows: NDArray[np.float64] = array[None] if array.ndim == len(shape) - 1 else array
     if rows.ndim != len(shape) or any(
         isinstance(n, int) and n != k for n, k in zip(shape, rows.shape, strict=True)
@@ -136,14 +136,14 @@ def as_array(name: str, value: object, *shape: int | str) -> NDArray[np.float64]
     return rows
 
 
-def taken(name: str, value: object, hint: Any, *above: str | int) -> Any:
+def parse(name: str, value: object, hint: Any, *above: str | int) -> Any:
     """An argument as its annotation has it.
 
     Raises:
         OptionError: If it is nothing of the kind.
     """
     try:
-        return Taker().taken(value, hint, (*above, name))
+        return Parser().parse(value, hint, (*above, name))
     except Refused as error:
         reason, value = error.reason, error.value
         raise OptionError(reason, value=value, allowed=error.allowed) from None
@@ -160,7 +160,7 @@ def settle(given: Any, *path: str | int) -> None:
         value = getattr(given, name)
         plain = type(value) is hint and not isinstance(value, Section)
         if not plain and value is not getattr(kind, name, MISSING):
-            object.__setattr__(given, name, taken(name, value, hint, *path))
+            object.__setattr__(given, name, parse(name, value, hint, *path))
 
 
 def checked(function: _Function) -> _Function:
@@ -173,7 +173,7 @@ def checked(function: _Function) -> _Function:
         except TypeError as error:
             raise TypeError(f"{function.__name__}() {error}") from None
         for name in given.arguments.keys() & hints.keys():
-            given.arguments[name] = taken(name, given.arguments[name], hints[name])
+            given.arguments[name] = parse(name, given.arguments[name], hints[name])
         return function(*given.args, **given.kwargs)
 
     return call  # type: ignore[return-value]
@@ -250,7 +250,7 @@ def _below(kind: Any, above: Path) -> dict[str | int, tuple[str, bool]]:
 
 
 @dataclass(frozen=True)
-class Taker:
+class Parser:
     """Takes values as types have them.
 
     Attributes:
@@ -264,7 +264,7 @@ class Taker:
     families: Mapping[str, Collection[str]] = field(default_factory=dict)
     document: bool = False
 
-    def taken(self, value: Any, hint: Any, path: Path = ()) -> Any:
+    def parse(self, value: Any, hint: Any, path: Path = ()) -> Any:
         """The value as a type has it.
 
         Raises:
@@ -304,7 +304,7 @@ class Taker:
             return value
         if kind is Mapping and isinstance(value, Mapping):
             return {
-                self.taken(k, inner[0], path): self.taken(item, inner[1], (*path, k))
+                self.parse(k, inner[0], path): self.parse(item, inner[1], (*path, k))
                 for k, item in value.items()
                 if self.document or item is not None
             }
@@ -334,9 +334,9 @@ class Taker:
             elif isinstance(mark, Value):
                 limits = mark
         if limits is not None and not self.document:
-            result = limits.taken(value, kind)
+            result = limits.parse(value, kind)
         else:
-            result = self.taken(value, kind, path)
+            result = self.parse(value, kind, path)
         for mark in marks:
             if isinstance(mark, Family):
                 self._require_known(result, mark, path)
@@ -364,7 +364,7 @@ class Taker:
         refused = list[Refused]()
         for hint in hints:
             try:
-                return self.taken(value, hint, path)
+                return self.parse(value, hint, path)
             except Refused as error:
                 refused.append(error)
         deepest = max(refused, key=lambda error: len(error.path))
@@ -389,7 +389,7 @@ class Taker:
         entries = dict(known)
         for name, key in keys_of(kind).items():
             if not key.path and name not in known:
-                entries[name] = self.taken(value, _hints(kind)[name], path)
+                entries[name] = self.parse(value, _hints(kind)[name], path)
         self._fill(entries, value, kind, path, ())
         for name, key in keys_of(kind).items():
             if name not in entries and key.default is MISSING:
@@ -417,18 +417,18 @@ class Taker:
                 continue
             name, further = below.get(key) or below[REST]
             if key not in below:
-                entry = self.taken(item, get_args(hints[name])[1], here)
+                entry = self.parse(item, get_args(hints[name])[1], here)
                 entries.setdefault(name, {})[key] = entry
             elif name and name not in entries:
                 hint, by = hints[name], keys_of(kind)[name].by
                 if by:
                     hint = Mapping[str, get_args(hint)[0]]  # type: ignore[misc]
-                    item = self.taken(item, Mapping[str, Mapping[str, Any]], here)
+                    item = self.parse(item, Mapping[str, Mapping[str, Any]], here)
                     item = {n: {by: n, **record} for n, record in item.items()}
-                entry = self.taken(item, hint, here)
+                entry = self.parse(item, hint, here)
                 entries[name] = tuple(entry.values()) if by else entry
             if further:
-                item = self.taken(item, Mapping[str, Any], here)
+                item = self.parse(item, Mapping[str, Any], here)
                 self._fill(entries, item, kind, here, place)
 
     def _several(self, value: Any, kind: Any, inner: Sequence[Any], path: Path) -> Any:
@@ -447,7 +447,7 @@ class Taker:
             each = [m.allowed(get_args(hints[0])[0]) for m in marks if type(m) is Value]
             raise ValueError(" of ".join([f"{len(hints)} values", *each]))
         places = [path if one else (*path, k) for k in range(len(values))]
-        result = tuple(map(self.taken, values, hints, places))
+        result = tuple(map(self.parse, values, hints, places))
         return result if kind is tuple or one else values
 
 

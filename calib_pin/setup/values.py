@@ -87,7 +87,7 @@ class Value:
     rising: bool = False
     shorter: Mapping[int, Callable[..., Sequence[float]]] = field(default_factory=dict)
 
-    def taken(self, value: object, kind: Any) -> Any:
+    def parse(self, value: object, kind: Any) -> Any:
         """The number or numbers, as a type has them.
 
         Raises:

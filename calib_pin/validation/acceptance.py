@@ -725,7 +725,7 @@ def _at_station(
     problem, theta = extended(model.problem(rows), model.theta, rows)
     term = problem.terms[rows.only.key]
     base = term.index[:FRAME]
-    moved = model_errors.at_another_station(problem, theta, term.frames.station, base)
+    moved = model_errors.relocated_station(problem, theta, term.frames.station, base)
     return _frame_fit(*moved, np.isin(np.arange(len(theta)), base), alone)
 
 

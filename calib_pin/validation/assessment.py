@@ -150,14 +150,14 @@ def estimates(
         terms = tuple(Coefficient(names[k], c) for k, c in combination.terms)
         text, unit = combination.expression(names), combination.unit
         groups.append(CoupledGroup(number, text, unit, value, sigma, terms))
-    for k, other in structure.alike.items():
+    for k, other in structure.equivalent.items():
         if fitted is not None and sigmas.get(other) is not None:
             sigmas[k] = float(fitted.covariance[k, k] ** 0.5)
 
     def status(k: int) -> str:
         if not parameters[k].free:
             return "fixed"
-        k = structure.alike.get(k, k)
+        k = structure.equivalent.get(k, k)
         if k in structure.unidentifiable:
             # Hidden at nominal; large errors may have let it move all the same.
             moved = fitted is not None and fitted.directions.hidden[k].any()
@@ -478,7 +478,7 @@ def open_directions(fitted: Fit, covariance: Floats) -> Floats:
     """
     problem, parameters = fitted.problem, fitted.problem.parameters
     mask = parameters.free & problem.referred
-    for eliminated in problem.own_of_stations.values():
+    for eliminated in problem.station_parameters.values():
         mask[eliminated] = False
     free = np.flatnonzero(mask)
     visible = visible_nuisances(fitted.result.jac, parameters)[free]

@@ -25,9 +25,8 @@ from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.findings import explained, find
-from calib_pin.validation.findings.case import CHANCE, Case, Others, by_chance, some_of
-from calib_pin.validation.findings.sentences import shown
-from calib_pin.validation.findings.sentences import told as finding
+from calib_pin.validation.findings.case import CHANCE, Case, Others, by_chance, subset
+from calib_pin.validation.findings.sentences import finding, shown
 from calib_pin.validation.judgement import CHECK, error_limit, summary, too_large
 from calib_pin.validation.model_errors import (
     Registered,
@@ -80,7 +79,7 @@ def evaluate(
     chains, (rows,) = fitting(chains, plain, rows)
     model = robot if isinstance(robot, CalibratedModel) else chains
     with explained(chains, rows, plain, others):
-        ready = prepared(model, rows, plain, registration=registration)
+        ready = registered_robot(model, rows, plain, registration=registration)
     sizes = error_sizes(ready.problem, ready.theta)
     errors = tuple((name, unit, Accuracy.of(size)) for name, unit, size in sizes)
     findings = _findings(chains, rows, plain, others)
@@ -165,8 +164,10 @@ def _unregistered(
     robot: Robots | CalibratedModel, rows: Observations
 ) -> Iterator[Finding]:
     """Frames or an instrument that are not where a calibration has seen them."""
-    sample, _ = some_of(rows)
-    here, again = (prepared(robot, sample, registration=anew) for anew in (False, True))
+    sample, _ = subset(rows)
+    here, again = (
+        registered_robot(robot, sample, registration=anew) for anew in (False, True)
+    )
     tables = [error_sizes(at.problem, at.theta) for at in (here, again)]
     sizes = [
         (name, unit, rms(was), rms(now))
@@ -189,7 +190,7 @@ def _unregistered(
     yield finding("frames-moved", text, numbers, remedy, error=large)
 
 
-def prepared(
+def registered_robot(
     robot: Robots | CalibratedModel,
     rows: Observations,
     setup: Setup | None = None,

@@ -40,7 +40,7 @@ from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.validation.findings.moved_instrument import registered_if_moved
-from calib_pin.validation.findings.sentences import told
+from calib_pin.validation.findings.sentences import finding
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
@@ -163,7 +163,7 @@ def left_out(
     """
     fit, learned = model.fit, model.learned
     result: list[ModelErrors | None] = [None] * len(masks)
-    if not masks or fit.problem.own_of_stations:
+    if not masks or fit.problem.station_parameters:
         # The elimination of stations is no sum over groups.
         return result
     robots, solutions = Linear.of(fit), dict[int, tuple[Rest, Rest]]()
@@ -499,7 +499,7 @@ def _check_on(
         text += "configurations that were fitted and do not count"
         remedy = "validate with configurations that were not fitted"
         numbers = {"repeated": repeated, "all": len(new)}
-        findings.append(told("repeated-validation", text, numbers, remedy))
+        findings.append(finding("repeated-validation", text, numbers, remedy))
     if new.any():
         pair = both(model, validation.rows(new))
         part, moved = registered_if_moved(model, *pair, np.flatnonzero(new))

@@ -127,7 +127,7 @@ def in_base(fitted: CalibratedChain, q: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class FoundOffset:
+class OffsetEstimate:
     """How far a joint stands from what its column says.
 
     Attributes:
@@ -163,7 +163,7 @@ def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
     return by_joint(steps, joints, "encoder_steps", setup.file or None)
 
 
-def told_reversed(columns: JointColumns) -> dict[str, str]:
+def reversals(columns: JointColumns) -> dict[str, str]:
     """A sentence by joint that turns back as its column goes on."""
     sentences = {}
     for joint, (column, given) in columns.maps.items():
@@ -177,7 +177,7 @@ def told_reversed(columns: JointColumns) -> dict[str, str]:
     return sentences
 
 
-def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
+def joint_offsets(result: CalibrationResult) -> tuple[OffsetEstimate, ...]:
     """The offsets of the columns of all joints that have one as a parameter."""
     model = result.model
     columns = JointColumns.of(model.chains, model.setup.joints)
@@ -189,7 +189,11 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
     names = {joint: f"{owner(joint)}.joint-offset.q" for joint in joints}
     known = {j: estimates[name] for j, name in names.items() if name in estimates}
     absorbed = {e.of[0]: e.within for e in result.robot_errors if e.within}
-    place, reverses, offsets = result.covariance.rows.index, told_reversed(columns), []
+    place, reverses, offsets = (
+        result.covariance.rows.index,
+        reversals(columns),
+        [],
+    )
     for row, joint, column in zip(weights, columns.joints, columns.names, strict=True):
         if joint not in known:
             continue
@@ -202,7 +206,7 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
         sigma = None if status else float(np.sqrt(w @ C @ w))
         counted = steps.get(joint) if unit == "rad" else None
         per_unit = None if counted is None else counted / (2.0 * np.pi)
-        offset = FoundOffset(
+        offset = OffsetEstimate(
             joint,
             column,
             unit,

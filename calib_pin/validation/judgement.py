@@ -30,7 +30,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import JointPrior
 from calib_pin.units import DISPLAY
-from calib_pin.validation.findings import LACKS, Found, find
+from calib_pin.validation.findings import LACKS, Findings, find
 from calib_pin.validation.findings.case import DOUBTFUL, FOREIGN, Case, Others
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.held_out import ALL, PRESS, HeldOut
@@ -189,7 +189,7 @@ class Examined(NamedTuple):
     """
 
     accuracies: Mapping[str, ToolAccuracy]
-    findings: Found
+    findings: Findings
 
 
 def examine(
@@ -421,7 +421,7 @@ def _if_noise(judgement: Judgement, promised: float) -> str:
 
 
 def _if_board(judgement: Judgement) -> str:
-    """What a wrong size of the board adds to a claim that it alone gives the scale.
+    """Errors by a wrong size of the board, for a claim where it alone gives the scale.
 
     The errors of a small robot hide a board that was printed a percent too large.
     """

@@ -31,7 +31,7 @@ from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Indices, Observations
 from calib_pin.setup import DistanceSetup
 from calib_pin.solvers import LeastSquaresResult
-from calib_pin.validation.result import Accuracy, FoundDistance, QuantityErrors
+from calib_pin.validation.result import Accuracy, DistanceCheck, QuantityErrors
 
 ARRAYS = ("positions", "before", "after", "variance")
 """Those that have a row for each measurement."""
@@ -64,7 +64,7 @@ class ModelErrors:
     before: Floats
     after: Floats
     variance: Floats
-    distances: tuple[FoundDistance, ...] = ()
+    distances: tuple[DistanceCheck, ...] = ()
     registered: tuple[str, ...] = ()
     reason: str = ""
 
@@ -197,7 +197,7 @@ def errors_of_registered(
         estimated = *after.refitted, *after.new
         variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
         spread = problem.layout.table(variance, len(problem.data))
-    lengths = found_distances(before, after, distances, fitted)
+    lengths = distance_checks(before, after, distances, fitted)
     return ModelErrors(positions, old, new, spread, lengths, after.located)
 
 
@@ -211,9 +211,9 @@ def located_names(problem: Problem) -> tuple[str, ...]:
     return (*dict.fromkeys(words), *(name for (_, name), o in objects if o.parameters))
 
 
-def found_distances(
+def distance_checks(
     before: Registered, after: Registered, known: Sequence[DistanceSetup], fitted: bool
-) -> tuple[FoundDistance, ...]:
+) -> tuple[DistanceCheck, ...]:
     """Known distances beside those that the nominal and the fitted robot find.
 
     Args:
@@ -228,7 +228,7 @@ def found_distances(
     )
     lengths = nominal.lengths(before.theta), calibrated.lengths(after.theta)
     return tuple(
-        FoundDistance(d.between, d.value, d.sigma, float(n), float(f), fitted)
+        DistanceCheck(d.between, d.value, d.sigma, float(n), float(f), fitted)
         for d, n, f in zip(calibrated.stated, *lengths, strict=True)
     )
 
@@ -323,7 +323,7 @@ def _used_up(problem: Problem, result: LeastSquaresResult) -> int:
     return int(np.linalg.matrix_rank(A)) if A.size and np.isfinite(A).all() else 0
 
 
-def at_another_station(
+def relocated_station(
     problem: Problem, theta: Floats, station: str, free: Indices, loose: bool = True
 ) -> tuple[Problem, Floats]:
     """A problem about the place of a station that its measurements tell, and theta.

@@ -790,7 +790,7 @@ class RobotError:
 
 
 @dataclass(frozen=True)
-class FoundDistance:
+class DistanceCheck:
     """A known distance beside what the calibration finds.
 
     Attributes:
@@ -1071,7 +1071,7 @@ class CalibrationResult(Tables):
     )
     urdf: UrdfResult | None = None
     rejected: str = field(default="", metadata={"key": "rejected_residual_model"})
-    distances: tuple[FoundDistance, ...] = ()
+    distances: tuple[DistanceCheck, ...] = ()
     findings: tuple[Finding, ...] = ()
     provenance: Provenance = field(default_factory=Provenance, metadata={"key": ""})
     recalibration: Recalibration | None = None

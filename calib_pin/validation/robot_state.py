@@ -387,7 +387,7 @@ def robot_evidence(result: CalibrationResult) -> RobotEvidence:
 
 
 @serial_blas
-def started(
+def resume(
     chains: Chains,
     data: Observations,
     setup: Setup,
@@ -454,10 +454,10 @@ def expected_setup(
         chains: The nominal chains.
         setup: Estimated and known quantities.
         start: The older calibration that it will begin with.
-        process_noise: As for `started`.
+        process_noise: As for `resume`.
 
     Raises:
-        OptionError: As for `started`.
+        OptionError: As for `resume`.
     """
     require_usable(chains, setup, start)
     state = RobotState.of(start, process_noise)

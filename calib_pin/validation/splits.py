@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import known_values
-from calib_pin.estimation.terms import own_name
+from calib_pin.estimation.terms import owner_of
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.observations import AT, Observations, fitted_and_held_out
@@ -122,7 +122,7 @@ class Grouping:
         data, mask = self.measurements, mask.copy()
         keys, configuration = data.keys, data.groups()
         count = int(configuration.max(initial=-1)) + 1
-        ends = [(own_name(k, keys, k.station), own_name(k, keys, k.tool)) for k in keys]
+        ends = [(owner_of(k, keys, k.station), owner_of(k, keys, k.tool)) for k in keys]
         for names in (*zip(*ends, strict=True), [key.chain for key in keys]):
             frame, fitted = labels(names)[data.block_of], ~mask & (data.weight > 0.0)
             if not frame.any():

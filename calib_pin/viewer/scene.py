@@ -26,18 +26,14 @@ from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Shape
-from calib_pin.kinematics.skeleton import (
-    Skeleton,
-    base_poses,
-    drawn_link,
-)
+from calib_pin.kinematics.skeleton import Skeleton, base_poses, drawn_link
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.validation.evaluation import prepared
+from calib_pin.validation.evaluation import registered_robot
 from calib_pin.validation.model_errors import Registered
 
 
@@ -254,10 +250,10 @@ def make_scene(
     rows, planned, ready = None, None, list[Registered]()
     if data is not None:
         stage("errors")
-        ready.append(prepared(chains, data, setup))
+        ready.append(registered_robot(chains, data, setup))
         if reason := ready[0].reason:
             tell(f"the errors before cannot be trusted: {reason}")
-        ready += [] if model is None else [prepared(model, data)]
+        ready += [] if model is None else [registered_robot(model, data)]
         errors = [stage_errors(robot, drawn_link(chains)) for robot in ready]
         rows = Rows(data, dict(zip(("before", "after"), errors, strict=False)))
     if not chains.names and (plan is not None or setup.base):

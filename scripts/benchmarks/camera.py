@@ -16,7 +16,7 @@ from numba import config
 import calib_pin
 from benchmarks.timing import best, show
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import asked
+from calib_pin.estimation.nominal import unmeasured
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -97,7 +97,9 @@ def _configurations(nominal: Problem, rng: np.random.Generator) -> Floats:
     while sum(map(len, found)) < IMAGES:
         q = nominal.chains.random_configurations(20_000, rng)
         for name in BOARD:
-            q = q[nominal.observable(zero, asked(nominal, key, q, (name,) * len(q)))]
+            q = q[
+                nominal.observable(zero, unmeasured(nominal, key, q, (name,) * len(q)))
+            ]
         found.append(q)
     return np.concatenate(found)[:IMAGES]
 

@@ -83,7 +83,7 @@ def test_the_same_is_left_for_the_others(monkeypatch: pytest.MonkeyPatch) -> Non
     theta = 0.01 * np.random.default_rng(1).normal(size=len(plain.parameters))
     r, J = plain.linearize(theta)
     few = eliminated(plain, monkeypatch)
-    own = np.concatenate(list(few.own_of_stations.values()))
+    own = np.concatenate(list(few.station_parameters.values()))
     shared = np.setdiff1d(np.arange(len(theta)), own)
     Q, _ = np.linalg.qr(J[:, own])
     columns = np.column_stack([J, r])

@@ -11,7 +11,7 @@ import pytest
 import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.nominal import asked, named_targets, registered
+from calib_pin.estimation.nominal import named_targets, registered, unmeasured
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.terms import frames_of_blocks
 from calib_pin.io.urdf_tree import parse_robot
@@ -50,7 +50,7 @@ def anywhere(problem: Problem, theta: Floats, rng: np.random.Generator) -> Probl
     for key in problem.terms:
         names = named_targets(problem, key)
         q = problem.chains.random_configurations(len(names), rng)
-        at.append(asked(problem, key, q, names))
+        at.append(unmeasured(problem, key, q, names))
     return exact_at(problem, theta, *at)
 
 

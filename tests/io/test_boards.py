@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.io.boards import Found, board_of, fit_board, tags_of, whole_grid, word_of
+from calib_pin.io.boards import View, board_of, fit_board, tags_of, whole_grid, word_of
 
 pytestmark = pytest.mark.needs("vision")
 
@@ -48,7 +48,7 @@ def seen(board, rng, count=2):
             xy = pitch * np.array([column, row]) + corners
             pixels = 1500.0 * (xy @ view.T) / (1.0 + xy @ tilt)[:, None]
             tags[k] = pixels + 0.1 * rng.normal(size=(4, 2)), np.ones((4, 2))
-        images.append(Found(tags=tags))
+        images.append(View(tags=tags))
     tags.pop(next(iter(tags)))
     return images
 
@@ -68,7 +68,7 @@ def test_tags_beside_the_board_are_not_of_it():
     (image,) = seen(board, rng, 1)
     (other,) = seen(replace(board, columns=5, first=12), rng, 1)
     beside = {k: (four + 2000.0, sigma) for k, (four, sigma) in other.tags.items()}
-    image = Found(tags={**image.tags, **beside})
+    image = View(tags={**image.tags, **beside})
     assert fit_board(board, [image]) == board
     # Of another one nothing is said; the camera does not fit it.
     assert fit_board(replace(board, columns=3, rows=4), [image]) is None

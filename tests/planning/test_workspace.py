@@ -17,7 +17,7 @@ import calib_pin
 from calib_pin.calibration import calibrate
 from calib_pin.errors import InputError, OptionError, RobotError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import asked, jacobian_at
+from calib_pin.estimation.nominal import jacobian_at, unmeasured
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.measurements import encode_configurations, read_held
 from calib_pin.io.table import read_table
@@ -278,7 +278,7 @@ def information(plan: Plan, problem: Problem) -> Floats:
                 continue
             visible = look.seen(q[None], code)[0]
             for k in look.targets(code)[0][visible]:
-                at = asked(problem, look.term.key, q[None], (look.names[k],))
+                at = unmeasured(problem, look.term.key, q[None], (look.names[k],))
                 J = jacobian_at(problem, zero, [at])
                 rows.append(J[: len(J) - len(problem.further)])
     J = np.concatenate(rows) * problem.parameters.scales
@@ -506,8 +506,8 @@ def test_a_plan_says_from_where_to_come(tmp_path: Path) -> None:
         fitted = calibrate(CHAIN, rows, SETUP, validate=False)
         return fitted.covariance.diagonal()[lost] ** 0.5
 
-    asked = sigmas(held)
+    unmeasured = sigmas(held)
     predicted = found.predicted.covariance.diagonal()[lost] ** 0.5
-    np.testing.assert_allclose(asked, predicted, rtol=0.35)
+    np.testing.assert_allclose(unmeasured, predicted, rtol=0.35)
     came = sigmas(Conditions(direction=approached(found.q)))
-    assert np.mean(np.log(asked / came)) < 0.0
+    assert np.mean(np.log(unmeasured / came)) < 0.0

@@ -20,7 +20,7 @@ from calib_pin.observations import BlockKey, Labels, Measurements, Observations
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.evaluation import prepared
+from calib_pin.validation.evaluation import registered_robot
 from calib_pin.viewer.scene import Rows, Scene, bodies_of, stage_errors
 
 
@@ -90,7 +90,7 @@ def scene(
     """Triangles for links: what is asked for is not their looks."""
     model = calibrated(panda, Position())
     rows = measured_rows(model, 6)
-    errors = stage_errors(prepared(model, rows), panda.base)
+    errors = stage_errors(registered_robot(model, rows), panda.base)
     small = Surface(np.eye(3), np.array([[0, 1, 2]]))
     return Scene(
         title="arm",

@@ -24,7 +24,7 @@ from calib_pin.measurement_models.references import Plane
 from calib_pin.observations import BlockKey, Conditions
 from calib_pin.setup import ChainSetup, Payload, Setup
 from calib_pin.simulation import simulate
-from calib_pin.validation.evaluation import prepared
+from calib_pin.validation.evaluation import registered_robot
 from calib_pin.validation.model_errors import Registered
 from calib_pin.viewer.scene import bodies_of, stage_errors
 from calib_pin.viewer.stage import sight
@@ -155,7 +155,7 @@ def test_vectors_end_where_the_robot_has_its_point(panda, calibrated, measured_r
     for measurement in (Position(), Pose()):
         model = calibrated(panda, measurement)
         rows = measured_rows(model, 12)
-        errors = stage_errors(prepared(model, rows), panda.base)
+        errors = stage_errors(registered_robot(model, rows), panda.base)
         arm = model.of()
         to_base = arm.error.base.inverse()
         measured = rows.only.values[:, :3] @ to_base.rotation.T + to_base.translation
@@ -170,22 +170,22 @@ def test_vectors_end_where_the_robot_has_its_point(panda, calibrated, measured_r
 def test_the_nominal_robot_is_registered(panda, calibrated, measured_rows):
     model = calibrated(panda, Position())
     rows = measured_rows(model, 30)
-    ready = prepared(panda, rows, model.setup)
+    ready = registered_robot(panda, rows, model.setup)
     before = stage_errors(ready, panda.base)
     assert ready.reason == ""
-    after = stage_errors(prepared(model, rows), panda.base)
+    after = stage_errors(registered_robot(model, rows), panda.base)
     sizes = [e.sizes["position"].mean() for e in (before, after)]
     assert sizes[0] > 1.3 * sizes[1]
     # The tracker stands where the nominal robot puts it, within its own errors.
     assert np.abs(before.measured - after.measured).max() < 0.02
-    assert prepared(panda, rows.rows(np.arange(2)), model.setup).reason
+    assert registered_robot(panda, rows.rows(np.arange(2)), model.setup).reason
 
 
 def test_other_measurements_have_sizes_only(panda, calibrated, measured_rows):
     wall = Plane("wall", np.array([1.0, 0.0, 0.0]), -2.0)
     ranger = calibrated(panda, PlaneDistance((wall,)))
     rows = measured_rows(ranger, 200, ("wall",) * 200)
-    errors = stage_errors(prepared(ranger, rows), panda.base)
+    errors = stage_errors(registered_robot(ranger, rows), panda.base)
     assert np.isnan(errors.vectors).all()
     ((name, sizes),) = errors.sizes.items()
     assert np.isfinite(sizes).any() and errors.units == {name: "m"}

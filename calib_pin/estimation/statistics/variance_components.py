@@ -634,7 +634,7 @@ def variances(problem: Problem, effects: Systematic | None) -> Floats:
 def sampled(problem: Problem, count: int = ROWS) -> Observations:
     """Measurements that effects are estimated from; of many stations those of some."""
     data = problem.data
-    if problem.own_of_stations:
+    if problem.station_parameters:
         kept = set(representative(problem))
         data = Observations(tuple(b for b in data.blocks if b.key in kept))
     return data.sample(count)

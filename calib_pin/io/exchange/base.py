@@ -145,7 +145,7 @@ class Exported:
     def reverses(self) -> Mapping[str, str]:
         """A sentence by joint that turns back as its column goes on."""
         joints = self.result.model.setup.joints
-        return joint_errors.told_reversed(JointColumns.of(self.chains, joints))
+        return joint_errors.reversals(JointColumns.of(self.chains, joints))
 
     def distance(self, read: Read | None) -> float:
         """How far a file is from the whole calibration.

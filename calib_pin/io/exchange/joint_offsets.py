@@ -27,7 +27,11 @@ from calib_pin.io.measurements import encode_table
 from calib_pin.io.urdf_tree import Document, parse_document
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.units import DISPLAY, as_number
-from calib_pin.validation.joint_errors import FoundOffset, encoder_steps, joint_offsets
+from calib_pin.validation.joint_errors import (
+    OffsetEstimate,
+    encoder_steps,
+    joint_offsets,
+)
 
 OFFSET = "joint offset"
 """Kind of an error of the robot that is the offset of a joint."""
@@ -55,7 +59,7 @@ class Estimates(NamedTuple):
         unknown: Why others are not known by themselves, by column.
     """
 
-    known: Mapping[str, FoundOffset]
+    known: Mapping[str, OffsetEstimate]
     unknown: Mapping[str, str]
 
     @staticmethod

@@ -36,13 +36,7 @@ from calib_pin.validation.findings.alternatives import (
     explain,
     findings_of,
 )
-from calib_pin.validation.findings.case import (
-    CLEARER,
-    DOUBTFUL,
-    FOREIGN,
-    Case,
-    Others,
-)
+from calib_pin.validation.findings.case import CLEARER, DOUBTFUL, FOREIGN, Case, Others
 
 _Fault = TypeVar("_Fault")
 _Given = TypeVar("_Given")
@@ -84,7 +78,7 @@ fit."""
 
 
 @dataclass(frozen=True)
-class Found:
+class Findings:
     """The findings of a case.
 
     Attributes:
@@ -97,7 +91,7 @@ class Found:
 
 
 @serial_blas
-def find(case: Case, seek: bool = True) -> Found:
+def find(case: Case, seek: bool = True) -> Findings:
     """The faults of measurements and of what was fitted to them.
 
     Args:
@@ -108,7 +102,7 @@ def find(case: Case, seek: bool = True) -> Found:
     misreadings = _misreadings(case) if seek else ()
     causes = tuple(f for f in misreadings if f.severity == "error")
     kinds = SHOWN if causes else CONSEQUENCES + SHOWN
-    if not causes and not case.errors_left <= FOREIGN:
+    if not causes and not case.remaining <= FOREIGN:
         # Of what no robot has a fit tells nothing but where it stands.
         kinds = (plausibility.outliers, *SHOWN)
     others = [] if causes else [*misreadings]
@@ -122,7 +116,7 @@ def find(case: Case, seek: bool = True) -> Found:
     targets = [_names(finding, "target", ", ") for finding in others]
     pairs = zip(others, targets, strict=True)
     others = [finding for finding, names in pairs if not names or not names <= ends]
-    return Found(causes, tuple(others))
+    return Findings(causes, tuple(others))
 
 
 @contextmanager

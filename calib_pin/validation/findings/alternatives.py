@@ -47,12 +47,7 @@ from calib_pin.validation.findings.case import (
     trimmed_errors,
     unlikely,
 )
-from calib_pin.validation.findings.sentences import (
-    lines_of,
-    merged,
-    shown,
-    told,
-)
+from calib_pin.validation.findings.sentences import finding, lines_of, merged, shown
 
 FITTED = 0.5
 """Part of the errors of a fit that one of them may leave."""
@@ -328,8 +323,8 @@ def findings_of(case: Case, explanation: Explanation | None) -> tuple[Finding, .
         # The lines are a way for what states some, be it beside another way.
         remedy = fault.advice, lines if setup_lines(case, [fault]) else {}, fault.figure
         error, info = severity == "error", severity == "info"
-        finding = told(fault.code, text, numbers, *remedy, error=error, info=info)
-        result.append(finding)
+        entry = finding(fault.code, text, numbers, *remedy, error=error, info=info)
+        result.append(entry)
     return tuple(result)
 
 
@@ -509,7 +504,7 @@ class _Search:
         if self._ratio(faults, before, after) < unlikely(self.tried):
             return None
         case = self.case
-        small = case.fitted is not None and case.errors_left <= DOUBTFUL
+        small = case.fitted is not None and case.remaining <= DOUBTFUL
         # A fit finds the same errors of the robot without it.
         offset = small and all(fault.code == "joint-offset" for fault in faults)
         judged: Severity | None = "warning" if offset else None
@@ -524,7 +519,7 @@ class _Search:
         there.
         """
         case, frames = self.case, any(fault.absorbs != 1.0 for fault in faults)
-        if not frames or case.fitted is None or self.usual * case.errors_left > after:
+        if not frames or case.fitted is None or self.usual * case.remaining > after:
             return True  # Nothing is fitted, or the fit explains less.
         fit = self._fit(faults)
         corrected = np.inf if fit is None else fit.largest_correction
@@ -535,7 +530,7 @@ class _Search:
         before = self._fit_rms(()) if fitted else self.first
         if self.case.fitted is not None:
             # A trial may get lost where the whole fit does not.
-            errors = self.case.errors_left if fitted else self.case.errors_nominal
+            errors = self.case.remaining if fitted else self.case.errors_nominal
             before = min(before, self.usual * errors)
         # Where nothing tells what a wrong reading leaves, it must be errors of a robot.
         of_robot = self.usual * (DOUBTFUL if fitted else FOREIGN)

@@ -14,7 +14,7 @@ from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import JointMap
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.case import CHANCE, FOREIGN
-from calib_pin.validation.findings.sentences import shown, told
+from calib_pin.validation.findings.sentences import finding, shown
 from calib_pin.validation.result import CalibrationResult, Jump
 from calib_pin.validation.tip_drift import tip_drift
 
@@ -57,7 +57,7 @@ def different_robots(
         remedy = "state the same 'joints' in the setup of both"
     text = f"the tool points are {1e3 * apart:.0f} mm rms apart: {reason}"
     error = bool(differ) or not same_nominal
-    return (told("different-robots", text, {"rms": apart}, remedy, error=error),)
+    return (finding("different-robots", text, {"rms": apart}, remedy, error=error),)
 
 
 def older_calibration(
@@ -104,7 +104,7 @@ def older_calibration(
     if not holds:
         code, verdict = "old-calibration-no-longer-holds", "no longer holds"
     text = f"the older calibration{day} {verdict}: {words}; {basis}"
-    yield told(code, text, numbers, remedy, info=holds)
+    yield finding(code, text, numbers, remedy, info=holds)
 
 
 def _of_frame(jump: Jump) -> bool:

@@ -557,7 +557,7 @@ class Case:
     def of(fitted: Fit, chains: Chains, *more: Any, **named: Any) -> Case:
         """The case of a whole fit, with further attributes."""
         data = fitted.problem.data
-        sample, rank = some_of(data)
+        sample, rank = subset(data)
         problem = replace(fitted.problem, data=sample, expected=None)
         fit = QuickFit(problem, fitted.theta)
         return Case(chains, data, fit, rank, fitted.before, fitted, *more, **named)
@@ -586,7 +586,7 @@ class Case:
         Raises:
             CalibPinError: If they make no problem.
         """
-        sample, rank = some_of(data)
+        sample, rank = subset(data)
         problem = make_problem(chains, sample, replace(setup, learned=None))
         zero = np.zeros(len(problem.parameters))
         return Case(chains, data, QuickFit(problem, zero), rank, zero, others=others)
@@ -614,7 +614,7 @@ class Case:
         Without a whole fit nobody judges corrections that are as large as a robot. With
         one, it may have been fitted to measurements as small as the errors of a robot.
         """
-        fitted, errors = self.fitted, self.errors_left
+        fitted, errors = self.fitted, self.remaining
         usual = errors <= (DOUBTFUL if self.informed else FOREIGN)
         if fitted is not None and fitted.noise:
             usual |= all(noise.as_stated for noise in fitted.noise)
@@ -627,7 +627,7 @@ class Case:
         return self.errors_nominal > (ABSURD if plausible else FOREIGN)
 
     @cached_property
-    def errors_left(self) -> float:
+    def remaining(self) -> float:
         """Remaining errors, rms in expected sizes of an error, of the worst quantity.
 
         Neither what was set aside counts, nor the largest of the others: a beam that
@@ -662,7 +662,7 @@ class Case:
         """
         fit = self.fit
         # No gear and no link is farther off.
-        possible = self.fitted is not None and self.errors_left <= FOREIGN
+        possible = self.fitted is not None and self.remaining <= FOREIGN
         if not (possible and self.setup.parameters and fit.rms > EXACT):
             return (), 1.0
         columns = {k: X for k, X in self.omitted.items() if np.isfinite(X).all()}
@@ -772,7 +772,7 @@ def _without_outliers(problem: Problem) -> Observations:
     return data.weighted(np.where(outlying & few, 0.0, 1.0))
 
 
-def some_of(data: Observations) -> tuple[Observations, Indices]:
+def subset(data: Observations) -> tuple[Observations, Indices]:
     """At most so many measurements, evenly over the files, and their places."""
     rank = np.argsort(data.in_order)
     if len(data) <= MEASUREMENTS:

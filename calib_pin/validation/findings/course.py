@@ -44,11 +44,7 @@ from calib_pin.parameterizations.base import COMPONENTS, expected_size
 from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.setup import AXES, ReadingSetup
-from calib_pin.validation.findings.alternatives import (
-    FITTED,
-    Alternative,
-    Explanation,
-)
+from calib_pin.validation.findings.alternatives import FITTED, Alternative, Explanation
 from calib_pin.validation.findings.case import (
     CHANCE,
     FOREIGN,
@@ -62,7 +58,7 @@ from calib_pin.validation.findings.case import (
     surpasses,
     unlikely,
 )
-from calib_pin.validation.findings.sentences import shown, told, written
+from calib_pin.validation.findings.sentences import finding, shown, written
 
 Kind = Literal["station", "tool", "joint"]
 
@@ -732,7 +728,7 @@ def modeled_drift(case: Case) -> Iterator[Finding]:
         numbers = {"station": station, "seconds": last - first}
         numbers |= {"shift": shift[-1], "turn": turn[-1]}
         numbers |= {"largest_shift": shift.max(), "largest_turn": turn.max()}
-        yield told("modeled-drift", text, numbers, info=True)
+        yield finding("modeled-drift", text, numbers, info=True)
 
 
 def modeled_warm_up(case: Case) -> Iterator[Finding]:
@@ -755,7 +751,7 @@ def modeled_warm_up(case: Case) -> Iterator[Finding]:
     text += f"one has it, and covers 63 % of that in {_duration(constant)}; the "
     text += "geometry is that of the warm robot"
     numbers = {"cold": size, "time_constant": constant}
-    yield told("modeled-warm-up", text, numbers, info=True)
+    yield finding("modeled-warm-up", text, numbers, info=True)
 
 
 def _duration(seconds: float) -> str:

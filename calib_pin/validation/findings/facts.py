@@ -40,10 +40,16 @@ from calib_pin.validation.findings.alternatives import (
 )
 from calib_pin.validation.findings.case import CHANCE, SOME, Case
 from calib_pin.validation.findings.readings import offset_by
-from calib_pin.validation.findings.sentences import lines_of, listed, named, shown, told
+from calib_pin.validation.findings.sentences import (
+    finding,
+    lines_of,
+    listed,
+    named,
+    shown,
+)
 
 MORE = f"measure configurations that differ more: {ADDING}"
-_too_similar = partial(told, remedy=MORE, residuals="by-joint")
+_too_similar = partial(finding, remedy=MORE, residuals="by-joint")
 """Makes a finding of configurations that are too much alike."""
 
 REPEATED, SHARE = 3.0, 0.5
@@ -208,7 +214,7 @@ def constant_orientation(case: Case) -> Iterator[Finding]:
         text += "instrument has measured it"
         numbers = {"configurations": case.data.configurations}
         remedy = "take the positions alone: --model position"
-        yield told("constant-orientation", text, numbers, remedy, error=True)
+        yield finding("constant-orientation", text, numbers, remedy, error=True)
 
 
 def constant_positions(case: Case) -> Iterator[Finding]:
@@ -232,7 +238,7 @@ def constant_positions(case: Case) -> Iterator[Finding]:
     text += ": no instrument has measured this"
     remedy = "name the columns that one has measured: 'columns' in the setup file"
     numbers = {"configurations": case.data.configurations}
-    yield told("constant-positions", text, numbers, remedy, error=True)
+    yield finding("constant-positions", text, numbers, remedy, error=True)
 
 
 def gauge_readings(case: Case) -> Explanation | None:
@@ -313,7 +319,7 @@ def computed_values(case: Case) -> Iterator[Finding]:
             text += "were computed from the joints by the controller"
         remedy = "take the columns that an instrument measured; 'calib-pin init' finds "
         numbers = {"rms": rms, "moved": moved}
-        yield told("computed-values", text, numbers, f"{remedy}them", error=sure)
+        yield finding("computed-values", text, numbers, f"{remedy}them", error=sure)
 
 
 def spread(blocks: Sequence[Floats]) -> float:
@@ -335,7 +341,7 @@ def copies(case: Case) -> Iterator[Finding]:
     text += f"digit, which count twice: {named(data, rows)}"
     numbers = {"copies": len(rows), "all": len(data)}
     lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
-    yield told("copied-measurements", text, numbers, lines=lines)
+    yield finding("copied-measurements", text, numbers, lines=lines)
 
 
 def repetitions(case: Case) -> Iterator[Finding]:
@@ -351,14 +357,14 @@ def repetitions(case: Case) -> Iterator[Finding]:
         numbers = {"configurations": configurations, "unknowns": free}
         numbers |= {"measurements": len(data)}
         remedy = "measure other configurations instead of repeating these"
-        yield told("few-configurations", text, numbers, remedy)
+        yield finding("few-configurations", text, numbers, remedy)
     elif (most := int(counts.max())) > max(SHARE * len(data), REPEATED):
         row = int(np.argmax(counts[labels] == most))
         text = f"{most} of {len(data)} measurements are at one configuration "
         text += f"({named(data, [row])})"
         numbers = {"there": most, "all": len(data)}
         remedy = "measure other configurations as well"
-        yield told("one-configuration", text, numbers, remedy)
+        yield finding("one-configuration", text, numbers, remedy)
 
 
 def _repeated_rows(data: Observations) -> list[int]:
@@ -446,7 +452,7 @@ def hidden_joints(case: Case) -> Iterator[Finding]:
         text += "figures are those of the measured point, not of points beside it"
         remedy = "mount the target 5 cm beside the axis, or measure orientations, too"
         numbers = {"joints": ", ".join(hidden)}
-        yield told("hidden-joints", text, numbers, remedy)
+        yield finding("hidden-joints", text, numbers, remedy)
 
 
 def design(case: Case) -> Iterator[Finding]:
@@ -536,7 +542,7 @@ def joint_turns(case: Case) -> Iterator[Finding]:
         text = f"joint '{joint}' was read at up to {np.degrees(max(most, -least)):.0f} "
         text += f"deg, beyond its limits; {words} all of its positions are within them"
         numbers = {"joint": joint, "turns": turns}
-        yield told("joint-turns", text, numbers, lines=lines, info=True)
+        yield finding("joint-turns", text, numbers, lines=lines, info=True)
 
 
 def coarse_values(case: Case) -> Iterator[Finding]:
@@ -560,7 +566,9 @@ def coarse_values(case: Case) -> Iterator[Finding]:
                 text += f"which makes {parts[0]} of the {parts[1]} of {quantity.name} "
                 text += "errors that are left"
                 numbers = {"step": step, "noise": noise, "left": rms}
-                yield told("coarse-steps", text, numbers, "write them with more digits")
+                yield finding(
+                    "coarse-steps", text, numbers, "write them with more digits"
+                )
 
 
 def _step_of(case: Case, quantity: Quantity) -> float:

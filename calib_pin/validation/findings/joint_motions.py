@@ -62,7 +62,7 @@ from calib_pin.validation.findings.readings import (
     offset_by,
     turned_by_base,
 )
-from calib_pin.validation.findings.sentences import shown, told
+from calib_pin.validation.findings.sentences import finding, shown
 
 LEFT, BENDS = 0.42, 0.8
 """Part of the sum of squares that a small motion leaves at most, and part of the errors
@@ -333,7 +333,7 @@ def approach_order(case: Case) -> Iterator[Finding]:
         remedy = "or state them in columns '<joint>.direction', or when each "
         remedy += "measurement was taken in a column 'time'"
         numbers = {"joints": ", ".join(case.data.joints)}
-        yield told("approach-by-order", text, numbers, remedy, info=True)
+        yield finding("approach-by-order", text, numbers, remedy, info=True)
 
 
 def approach(case: Case) -> Iterator[Finding]:
@@ -354,7 +354,7 @@ def approach(case: Case) -> Iterator[Finding]:
     words += enumerated(sizes) + f" ({BY_ORDER})" * (conditions.source == "order")
     names, numbers["joints"] = [*case.setup.parameters, "hysteresis"], ", ".join(lost)
     remedy = f"estimate it: --parameters {','.join(names)}", {"parameters": names}
-    yield told("backlash", words, numbers, *remedy, "by-joint")
+    yield finding("backlash", words, numbers, *remedy, "by-joint")
 
 
 def lost_motions(case: Case) -> dict[str, tuple[float, float]]:
@@ -470,7 +470,9 @@ def ripples(case: Case) -> Iterator[Finding]:
     remedy = "look up the gear ratios (a strain-wave gear ripples twice per turn of "
     remedy += "its motor)"
     text = f"joints ripple as gears do: {', '.join(words)}"
-    yield told("gear-ripple", text, {**numbers, "left": part}, remedy, lines, info=True)
+    yield finding(
+        "gear-ripple", text, {**numbers, "left": part}, remedy, lines, info=True
+    )
 
 
 def _motion(fit: QuickFit, joint: str) -> tuple[Floats, Floats]:

@@ -13,13 +13,13 @@ from calib_pin.estimation.problem import Problem, distinct_values, measured_coun
 from calib_pin.estimation.statistics.distributions import chi_square_tail
 from calib_pin.estimation.terms import BASE, FRAME
 from calib_pin.validation.findings.case import CHANCE, MEASUREMENTS, by_chance
-from calib_pin.validation.findings.sentences import told
+from calib_pin.validation.findings.sentences import finding
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
-    at_another_station,
     errors_of_registered,
     mahalanobis,
+    relocated_station,
 )
 from calib_pin.validation.splits import FEWEST_HELD_OUT
 
@@ -147,7 +147,7 @@ def _if_moved(
     numbers |= {"values": values, "unknowns": unknowns}
     text = f"the validation measurements{owner} are off by {off:.3g} standard "
     text += f"deviations, from another station by {anew:.3g}: the instrument {end}"
-    return errors_here, [told("moved-instrument", text, numbers, remedy)]
+    return errors_here, [finding("moved-instrument", text, numbers, remedy)]
 
 
 def _at_new_station(robot: Registered, station: str) -> Registered | None:
@@ -174,7 +174,7 @@ def _at_new_station(robot: Registered, station: str) -> Registered | None:
         return None
     relative = any(block.start.size for block in problem.data.blocks)
     loose = bool(parameters.free[base].all()) and not relative
-    here, theta = at_another_station(problem, theta, station, free, loose)
+    here, theta = relocated_station(problem, theta, station, free, loose)
     return Registered(here, theta, robot.new, tuple(free.tolist()))
 
 

@@ -71,10 +71,10 @@ from calib_pin.validation.findings.readings import (
 )
 from calib_pin.validation.findings.sentences import (
     NAMED,
+    finding,
     lines_of,
     named,
     shown,
-    told,
 )
 from calib_pin.validation.tip_drift import tip_drift
 
@@ -152,7 +152,7 @@ def outliers(case: Case) -> Iterator[Finding]:
         text += f" fit if exchanged, and were excluded{keeping}"
         lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
         numbers |= {"pairs": len(pairs)}
-        yield told("measurements-exchanged", text, numbers, "", lines, "over-order")
+        yield finding("measurements-exchanged", text, numbers, "", lines, "over-order")
     alone = [o for o in excluded if not any(o.row in pair for pair in pairs)]
     if not alone:
         return
@@ -180,7 +180,7 @@ def _exclusion(
     numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
     lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
     remedy = "measure them again"
-    return told(code, text, numbers, remedy, lines, "over-order", **severity)
+    return finding(code, text, numbers, remedy, lines, "over-order", **severity)
 
 
 def _stretches(data: Observations, rows: Indices) -> Iterator[tuple[str, str, Indices]]:
@@ -267,7 +267,7 @@ def units_of_some(case: Case) -> Iterator[Finding]:
     text += f"line {places[0]}, fit if their lengths are {FACTORS[factor]}"
     numbers = {"factor": factor, "measurements": len(rows), "first": places[0]}
     numbers |= {"log_likelihood_ratio": ratio}
-    yield told("unit-of-some", text, numbers, lines=lines)
+    yield finding("unit-of-some", text, numbers, lines=lines)
 
 
 def noise(case: Case) -> Iterator[Finding]:
@@ -305,7 +305,9 @@ def noise(case: Case) -> Iterator[Finding]:
         robot = fitted and (fitted.effects is not None or part.pure is not None)
         numbers = {"quantity": part.quantity, "stated": part.given}
         numbers |= {"estimated": scatter, "factor": factor}
-        yield told("noise", text, numbers, remedy, lines, info=bool(unclear and robot))
+        yield finding(
+            "noise", text, numbers, remedy, lines, info=bool(unclear and robot)
+        )
 
 
 def _scatter(part: VarianceComponent) -> tuple[float, bool]:
@@ -446,7 +448,7 @@ def _scale(case: Case, fitted: Fit) -> Iterator[Finding]:
     text += "standard deviations), which is implausible"
     numbers = {"scale": part, "sigma": deviation, "size": size}
     remedy = f"check {_yardstick(fitted)}"
-    yield told("scale", text, numbers, remedy, error=abs(s) > most)
+    yield finding("scale", text, numbers, remedy, error=abs(s) > most)
 
 
 def _yardstick(fitted: Fit) -> str:
@@ -500,7 +502,7 @@ def _corrections(case: Case, fitted: Fit) -> Iterator[Finding]:
         remedy = "measure more configurations, or estimate fewer parameters"
         remedy += "; check the frames that the setup states" if at_frame else ""
         error = bool(sizes.max() > IMPLAUSIBLE)
-        yield told("implausible-correction", text, numbers, remedy, error=error)
+        yield finding("implausible-correction", text, numbers, remedy, error=error)
         return
     remedy = "check this origin in the URDF, and how the joint is mounted"
     remedy += ", and the frames that the setup states" if at_frame else ""
@@ -511,7 +513,7 @@ def _corrections(case: Case, fitted: Fit) -> Iterator[Finding]:
         numbers = {"joint": joint, "turn" if unit == "rad" else "move": offset}
         remedy = "check the mastering of this joint, and its origin in the URDF"
     text += ", and the measurements confirm it"
-    yield told("large-correction", text, numbers, remedy)
+    yield finding("large-correction", text, numbers, remedy)
 
 
 def _offset_within(case: Case, fitted: Fit, x: Floats) -> tuple[float, str, float]:
@@ -602,7 +604,7 @@ def contradicted_distance(
     numbers |= {"found": measured, "normalized_residual": w[k]}
     remedy = "measure this distance again, or state its true sigma"
     error = abs(apart) > CONTRADICTED
-    yield told("known-distance", text, numbers, remedy, error=error)
+    yield finding("known-distance", text, numbers, remedy, error=error)
 
 
 def _scaled_without(fitted: Fit, k: int) -> bool:
@@ -640,7 +642,7 @@ def families(case: Case) -> tuple[Finding, ...]:
             numbers={"families": ", ".join(new)},
         )
         faults.insert(0, missing)
-    elif judged == "warning" and case.errors_left > DOUBTFUL:
+    elif judged == "warning" and case.remaining > DOUBTFUL:
         judged = "error"  # Numbers that somebody has stated are wrong.
     if not faults:
         return ()
@@ -684,7 +686,7 @@ def population(case: Case) -> Iterator[Finding]:
     numbers = {"chi2": square, "dof": len(r), "parameter": name}
     numbers |= {"deviations": off[k]}
     remedy = "look for damage or another type, and calibrate it without the prior"
-    yield told("unlike-fleet", text, numbers, remedy, error=spoiled)
+    yield finding("unlike-fleet", text, numbers, remedy, error=spoiled)
 
 
 KINDS = (units_of_some, plausibility, outliers, noise, population, families)

@@ -691,19 +691,19 @@ def _turned_images(case: Case, data: Observations, board: Floats) -> Booleans:
     points = board[np.array([*map(int, block.target)])]
     seen = {g: images == g for g in np.unique(images).tolist()}
     poses = {g: pose_of_points(points[k], rays[k]) for g, k in seen.items()}
-    found = {g: T[:3, :3] for g, T in poses.items() if T is not None}
-    if len(found) < FEWEST:
+    rotations = {g: T[:3, :3] for g, T in poses.items() if T is not None}
+    if len(rotations) < FEWEST:
         return np.zeros(len(data), bool)
-    q = np.array([block.q[seen[g]][0, term.columns] for g in found])
+    q = np.array([block.q[seen[g]][0, term.columns] for g in rotations])
     robot = term.error.chain.poses(q)[:, :3, :3].reshape(-1, 9)
-    R = np.array([*found.values()])
+    R = np.array([*rotations.values()])
     of_board, turned = R.reshape(-1, 9), (R * [-1.0, -1.0, 1.0]).reshape(-1, 9)
     pairs = (robot, robot), (of_board, of_board), (turned, of_board)
     cosines = [np.clip((one @ two.T - 1.0) / 2.0, -1.0, 1.0) for one, two in pairs]
     by_robot, plain, other = map(np.arccos, cosines)
     agree = np.abs(other - by_robot) - np.abs(plain - by_robot)
     along = np.linalg.eigh(agree)[1][:, -1]
-    few = np.array([*found])[along * along.sum() < 0.0]
+    few = np.array([*rotations])[along * along.sum() < 0.0]
     return np.asarray(np.isin(images, few))
 
 

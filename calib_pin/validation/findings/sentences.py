@@ -21,7 +21,7 @@ NAMED, LISTED = 3, 300
 stand in the finding."""
 
 
-def told(
+def finding(
     code: str,
     message: str,
     numbers: Mapping[str, Any],

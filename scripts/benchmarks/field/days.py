@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.verdict.defects import narrow
 from benchmarks.verdict.jobs import BOARD, PIXELS, Job, draw, log_uniform, stream
 from benchmarks.verdict.truth import WORKSPACE, position_error
-from calib_pin.estimation.nominal import asked
+from calib_pin.estimation.nominal import unmeasured
 from calib_pin.io.urdf import locate_robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
@@ -226,7 +226,7 @@ def _laid(job: Job, layout: str, rng: np.random.Generator) -> Floats:
         if job.model == "camera":
             target = tuple(BOARD) * len(q)
             every = np.repeat(q, len(BOARD), axis=0)
-            at = asked(job.problem, job.problem.only.key, every, target)
+            at = unmeasured(job.problem, job.problem.only.key, every, target)
             seen = job.problem.observable(job.theta, at).reshape(len(q), -1).all(axis=1)
         if seen.sum() >= job.count:
             return q[seen][: job.count]

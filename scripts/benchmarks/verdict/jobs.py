@@ -16,7 +16,11 @@ import numpy as np
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import analyze_structure, asked, brought_to_contact
+from calib_pin.estimation.nominal import (
+    analyze_structure,
+    brought_to_contact,
+    unmeasured,
+)
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
@@ -336,7 +340,7 @@ def _touched(
     names = tuple(sockets) * starts
     q = chain.random_configurations(len(names), rng)
     theta = np.zeros(len(problem.parameters))
-    at = asked(problem, problem.only.key, q, names)
+    at = unmeasured(problem, problem.only.key, q, names)
     _, there = brought_to_contact(problem, theta, at)
     return bool((there.reshape(starts, -1).mean(axis=0) > 0.1).all())
 

@@ -20,7 +20,7 @@ from calib_pin.io.urdf_tree import ORIGIN, placed
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.report.text import format_report
 from calib_pin.setup import FrameSetup, JointMap, Setup
-from calib_pin.validation.joint_errors import configurations, told_reversed
+from calib_pin.validation.joint_errors import configurations, reversals
 from calib_pin.validation.result import CalibrationResult
 from tests.io.exchange.test_descriptions import of
 from tests.shared import refused
@@ -119,7 +119,7 @@ def test_a_sigma_belongs_to_the_offset_beside_it(calibrated_robot):
 
 def test_a_reversed_joint_is_told_with_its_couplings(exported):
     joints = {"a": JointMap("elbow_joint", -1, gear=2.0, coupled={"b": 0.5})}
-    told = told_reversed(JointColumns.of(exported.chain, joints))
+    told = reversals(JointColumns.of(exported.chain, joints))
     said = "elbow_joint is reversed: q = -2 (reading + offset +0.5 b)"
     assert told == {"elbow_joint": said}
 

@@ -358,11 +358,11 @@ def request_of(job: Job, output: Path) -> Request:
         files += matches
     start = job.start
     if start == PREVIOUS:
-        start = job.previous or _before(job, output)
+        start = job.previous or _previous(job, output)
     return replace(job, measurements=files, start=start)
 
 
-def _before(job: Job, output: Path) -> Path:
+def _previous(job: Job, output: Path) -> Path:
     """The calibration before of the same serial number.
 
     Raises:

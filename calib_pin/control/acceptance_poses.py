@@ -126,7 +126,7 @@ def acceptance_poses(
     middle = chain.poses(joints.positions(joints.home[None]))[0] @ tool
     every = T[:: max(1, len(T) // TURNS), :3, :3]
     # One orientation is as good as another where only positions are reached.
-    wanted = [_usual(middle), every] if oriented else [middle[None, :3, :3]]
+    wanted = [_orientations(middle), every] if oriented else [middle[None, :3, :3]]
     for edge in EDGES:
         centers = _cubes(evaluate, T[:, :3, 3], joints, edge, region)
         for turns, center in product(wanted, centers):
@@ -142,7 +142,7 @@ def acceptance_poses(
     )
 
 
-def _usual(middle: Floats) -> Floats:
+def _orientations(middle: Floats) -> Floats:
     """Orientations that are preferred, in their order, shape (K, 3, 3).
 
     The tool down, by any of eight headings, and as it is in the middle of the limits.

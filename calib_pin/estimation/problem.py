@@ -414,7 +414,7 @@ class Problem(Terms):
         pairs = zip(self.blocks, self.factorize(theta), strict=True)
         parts = [(r, self.spread(block.term, J)) for block, (r, J) in pairs]
         if not self.station_parameters:
-            return self._whole(theta, parts)
+            return self._full(theta, parts)
         alone = np.concatenate([*self.station_parameters.values()])
         shared = np.setdiff1d(np.arange(len(theta)), alone)
         rows: dict[str, list[tuple[Floats, Floats]]] = {}
@@ -430,7 +430,7 @@ class Problem(Terms):
         R = np.asarray(np.linalg.qr(np.concatenate(remainders), mode="r"))
         jac = np.zeros((len(R), len(theta)))
         jac[:, shared] = R[:, :-1]
-        return self._whole(theta, [(R[:, -1], jac)])
+        return self._full(theta, [(R[:, -1], jac)])
 
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same with a row for every measured value, however many there are."""
@@ -441,7 +441,7 @@ class Problem(Terms):
             rows = RowByRow(block.term, block.data, block.table(self.sigma))
             r, J = rows.factorize(theta)
             parts.append((r, self.spread(block.term, J)))
-        return self._whole(theta, parts)
+        return self._full(theta, parts)
 
     def stations(self, theta: Floats) -> Mapping[str, Station]:
         """The parameters that were eliminated, where these were last linearized.
@@ -520,7 +520,7 @@ class Problem(Terms):
         used = counted[self.layout.row] & np.isfinite(self.sigma)
         return int(used.sum()) + len(self.further.distances)
 
-    def _whole(
+    def _full(
         self, theta: Floats, parts: list[tuple[Floats, Floats]]
     ) -> tuple[Floats, Floats]:
         """Residual and Jacobian by all parameters, part after part, and `further`."""

@@ -598,14 +598,14 @@ def _concentrate(
             r = result.residual(theta)[: len(result.sigma)]
             squares = np.where(np.isfinite(r), r**2, np.inf)
         of_rows = np.asarray(np.bincount(result.layout.row, squares), float)
-        rows = np.sort(np.concatenate([_better(of_rows, target) for target in targets]))
+        rows = np.sort(np.concatenate([_half(of_rows, target) for target in targets]))
         total = float(of_rows[rows].sum())
         if np.array_equal(rows, before):
             break
     return result, total
 
 
-def _better(squares: Floats, rows: Indices) -> Indices:
+def _half(squares: Floats, rows: Indices) -> Indices:
     """The half of some rows that has the smaller squares, and at least three."""
     count = max(ceil(0.5 * len(rows)), min(len(rows), 3))
     return rows[np.argsort(squares[rows], kind="stable")[:count]]

@@ -201,7 +201,7 @@ class KnownDistances:
         Args:
             theta: Parameter values, one vector or many.
         """
-        return np.asarray(np.linalg.norm(self._apart(theta), axis=-1))
+        return np.asarray(np.linalg.norm(self._end_vectors(theta), axis=-1))
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residuals, predicted minus known, (..., P) -> (..., D)."""
@@ -210,7 +210,7 @@ class KnownDistances:
 
     def jacobian(self, theta: Floats) -> Floats:
         """Derivative of the whitened residuals by the parameters, shape (D, P)."""
-        apart = self._apart(theta)
+        apart = self._end_vectors(theta)
         lengths = np.linalg.norm(apart, axis=-1)
         # Points in one place have no direction to part in.
         weights = np.where(lengths > 0.0, lengths, np.inf) * self._sigma
@@ -220,7 +220,7 @@ class KnownDistances:
             row[one], row[other] = -slope, slope
         return result[:, :-1]
 
-    def _apart(self, theta: Floats) -> Floats:
+    def _end_vectors(self, theta: Floats) -> Floats:
         """From one end of each to the other, (..., P) -> (..., D, 3) [m]."""
         # What is no parameter finds a zero behind the others.
         padded = np.append(theta, np.zeros((*theta.shape[:-1], 1)), axis=-1)

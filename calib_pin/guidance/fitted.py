@@ -101,7 +101,7 @@ class Fitted:
                     return replace(self, reason=reason)
             model = fit_model(self.chains, self.rows, self.setup, self.seed)
             if early := not model.fit.noise:
-                prior, sizes = self.setup.prior, _wide(problem)
+                prior, sizes = self.setup.prior, _wide_priors(problem)
                 if not isinstance(prior, JointPrior):
                     named = zip(problem.parameters.names, sizes.tolist(), strict=True)
                     prior = {**prior, **{n: size for n, size in named if size < np.inf}}
@@ -116,7 +116,7 @@ class Fitted:
         """The problem of the fit with wide priors on all errors of the robot."""
         assert self.model is not None
         problem = self.model.fit.problem
-        return replace(problem, expected=Priors.alone(_wide(problem)))
+        return replace(problem, expected=Priors.alone(_wide_priors(problem)))
 
     def deviation(self, row: Observations) -> Deviation | None:
         """How far measurements are from their prediction; None where nothing tells."""
@@ -208,7 +208,7 @@ class Fitted:
         return replace(known, **state), judgement.findings
 
 
-def _wide(problem: Problem) -> Floats:
+def _wide_priors(problem: Problem) -> Floats:
     """Wide priors on the errors of the robot that have none of their own, (P,)."""
     parameters = problem.parameters
     alone = parameters.free & ~parameters.nuisance & np.isinf(parameters.priors)

@@ -63,7 +63,7 @@ def write_files(
         homes.setdefault(home, {})[name or path.name] = data
     with ExitStack() as stack:
         enter = stack.enter_context
-        staged = {home: enter(_staged(home, homes[home], force)) for home in homes}
+        staged = {home: enter(_staging(home, homes[home], force)) for home in homes}
         yield
         for home, new in staged.items():
             with _writing(home), settled(home):
@@ -166,7 +166,7 @@ def reason_of(error: Exception) -> str:
 
 
 @contextmanager
-def _staged(home: Path, contents: Mapping[str, bytes], force: bool) -> Iterator[Path]:
+def _staging(home: Path, contents: Mapping[str, bytes], force: bool) -> Iterator[Path]:
     """A new folder in a folder with complete files, which goes at the end.
 
     So do folders that had to be made, if nothing has come into them.

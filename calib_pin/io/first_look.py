@@ -413,7 +413,7 @@ def _joints(
             yield [replace(look, joints=dict(joints), order=order)]
 
 
-def _parts(link: str) -> list[str]:
+def _name_parts(link: str) -> list[str]:
     return re.split(r"[^a-z0-9]+", link.lower())
 
 
@@ -429,7 +429,7 @@ def _links_called(
         chain: link
         for chain, links in chains.items()
         for link in reversed(links)
-        if joints >= {*chain} and {*_parts(name)} <= {*_parts(link)}
+        if joints >= {*chain} and {*_name_parts(name)} <= {*_name_parts(link)}
     }
     most = max(map(len, called), default=0)
     return [link for chain, link in called.items() if len(chain) == most]
@@ -448,7 +448,7 @@ def chains_of(
     """
 
     def order(link: str) -> tuple[int, bool]:
-        ranks = (k for k, part in enumerate(USUAL) if part in _parts(link))
+        ranks = (k for k, part in enumerate(USUAL) if part in _name_parts(link))
         return next(ranks, len(USUAL)), link not in robot.leaves
 
     chains = dict[tuple[str, ...], list[str]]()

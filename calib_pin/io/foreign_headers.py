@@ -230,10 +230,10 @@ def _split(name: str, column: Column) -> Foreign:
         if match and (unit := _unit(match[1])) is not None:
             words = words[: match.start()]
             break
-    return Foreign(name, _spaced(words).strip(" _-/"), unit, column)
+    return Foreign(name, _split_words(words).strip(" _-/"), unit, column)
 
 
-def _spaced(text: str) -> str:
+def _split_words(text: str) -> str:
     """Words that capitals tell apart with spaces between them, in lower case."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower()
 
@@ -397,7 +397,7 @@ def joints_by_name(
     `observation.state.elbow.pos`; of several such columns the likeliest is meant, which
     is a measured one.
     """
-    words = {joint: _parts(_spaced(joint)) for joint in joints}
+    words = {joint: _parts(_split_words(joint)) for joint in joints}
     matches = dict[str, Foreign]()
     # Of several the likeliest, with the fewest other words.
     for one in sorted(columns, key=lambda k: (_likelihood(k), len(_parts(k.words)))):

@@ -86,9 +86,9 @@ def join_logs(
     """
     ours, theirs = _stamped(ours, theirs)
     joints = _joints(ours, columns)
-    ours, q = _read(ours, joints, "", (), notice)
+    ours, q = _read_log(ours, joints, "", (), notice)
     theirs, measured, way = _readings(theirs, notice)
-    theirs, values = _read(theirs, measured, way, NAMES, notice)
+    theirs, values = _read_log(theirs, measured, way, NAMES, notice)
     measured += QUATERNION if way else ()
     with in_file(f"{ours.file}, {theirs.file}"):
         if POSE in ours:
@@ -302,7 +302,7 @@ def _copied_columns(table: Table) -> list[str]:
     return names + [POSE] * (POSE in table)
 
 
-def _read(
+def _read_log(
     table: Table, names: Sequence[str], way: str, apart: Sequence[str], notice: Notice
 ) -> tuple[Table, joining.Log]:
     """The rows of a log in the order of their times, and their numbers [SI].

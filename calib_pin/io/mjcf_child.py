@@ -54,7 +54,7 @@ class Writer:
         model, mimics = self.model, self._mimics()
         for b, name in enumerate(self.bodies[1:], start=1):
             parent, shift = self.bodies[model.body_parentid[b]], np.zeros(3)
-            place = _place(model.body_pos[b], model.body_quat[b])
+            place = _placement(model.body_pos[b], model.body_quat[b])
             end = model.body_jntadr[b] + model.body_jntnum[b]
             for j in range(model.body_jntadr[b], end):
                 # From where the joint before it turned about to where this one does.
@@ -72,7 +72,7 @@ class Writer:
         for k in range(model.nsite):
             if name := model.site(k).name:
                 site = name if name not in self.bodies else self._unused(name)
-                place = _place(model.site_pos[k], model.site_quat[k])
+                place = _placement(model.site_pos[k], model.site_quat[k])
                 self._fixed(self.bodies[model.site_bodyid[k]], site, place)
         name = model.names.partition(b"\0")[0].decode()  # The first is the model's.
         world = f"  <link name={quoteattr(self.bodies[0])}/>\n"
@@ -95,7 +95,7 @@ class Writer:
         model, child, inside = self.model, joint[-1], ""
         body = self.bodies.index(child) if child in self.bodies else 0
         if model.body_mass[body] > LIGHTEST:
-            six = origin_of(_place(model.body_ipos[body], model.body_iquat[body]))
+            six = origin_of(_placement(model.body_ipos[body], model.body_iquat[body]))
             (x, y, z), mass = model.body_inertia[body], model.body_mass[body]
             inside = _tag("mass", value=mass) + _tag("origin", xyz=six[:3], rpy=six[3:])
             inside += _tag("inertia", ixx=x, iyy=y, izz=z, ixy=0.0, ixz=0.0, iyz=0.0)
@@ -147,7 +147,7 @@ def _tag(tag: str, **about: Any) -> str:
     return f"    <{tag}/>\n"
 
 
-def _place(position: Floats, quaternion: Floats) -> pin.SE3:
+def _placement(position: Floats, quaternion: Floats) -> pin.SE3:
     """A placement by MuJoCo's numbers, of which w comes first."""
     return pin.SE3(pin.Quaternion(*map(float, quaternion)).matrix(), position)
 

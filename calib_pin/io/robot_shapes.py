@@ -66,7 +66,7 @@ def read_mesh(
     if path is None:
         hint = "a path from the URDF, --package-dir DIR for a package"
         raise InputError("does not exist", allowed=hint)
-    mesh = _read(path)
+    mesh = _read_mesh(path)
     points, count = mesh.vertices, len(mesh.triangles)
     if not 1 <= count <= TRIANGLES:
         reason = f"has {count} triangles, not 1 to {TRIANGLES}"
@@ -89,7 +89,7 @@ def read_mesh(
     return Surface(vertices, place[mesh.triangles])
 
 
-def _read(path: Path) -> Surface:
+def _read_mesh(path: Path) -> Surface:
     """The mesh in a file; vertices may stand there twice, or for nothing."""
     data, kind = read_bytes(path, LARGEST), path.suffix[1:].lower()
     if kind not in FORMATS:
@@ -123,7 +123,7 @@ def _of_collada(data: bytes) -> Surface:
     document = Collada(BytesIO(data), ignore=[DaeError])
     points, triangles = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
     vertices = count = 0
-    for part in (p for node in document.scene.nodes for p in _below(node, np.eye(4))):
+    for part in (p for node in document.scene.nodes for p in _meshes(node, np.eye(4))):
         points.append(part.vertices)
         triangles.append(part.triangles + vertices)
         vertices += len(part.vertices)
@@ -135,10 +135,10 @@ def _of_collada(data: bytes) -> Surface:
     return Surface(np.concatenate(points), np.concatenate(triangles))
 
 
-def _below(node: Any, T: Floats) -> Iterator[Surface]:
+def _meshes(node: Any, T: Floats) -> Iterator[Surface]:
     """Meshes below a node of a scene, whose parent has the pose T."""
     for child in getattr(node, "children", ()):
-        yield from _below(child, T @ node.matrix)
+        yield from _meshes(child, T @ node.matrix)
     for part in node.geometry.primitives if hasattr(node, "geometry") else ():
         part = part.triangleset() if hasattr(part, "triangleset") else part
         # Others are lines.

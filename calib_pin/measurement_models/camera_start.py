@@ -161,7 +161,7 @@ class Rays:
         self, outer: Floats | None, inner: Floats | None
     ) -> Iterator[tuple[Floats, Floats]]:
         """Both ends with all rows as one image, where these tell."""
-        few = self._some(ROWS)
+        few = self._thinned(ROWS)
         if inner is None:
             carried = carried_points(few.F, few.index, few.rays, few.points, outer)
             if carried is None:
@@ -172,7 +172,7 @@ class Rays:
         if outer is not None:
             yield outer, inner
 
-    def _some(self, count: int) -> Rays:
+    def _thinned(self, count: int) -> Rays:
         """Rows from all over."""
         rows = np.linspace(0, len(self.F) - 1, min(len(self.F), count)).astype(int)
         # A point that no row is left of would be told by nothing.

@@ -313,7 +313,7 @@ def _lagging(data: Observations, lag: Mapping[str, float]) -> Observations:
     return with_positions(data, data.q - parts * last_motions(data))
 
 
-def _turned(data: Observations, axes: Sequence[str]) -> Observations:
+def _axes_swapped(data: Observations, axes: Sequence[str]) -> Observations:
     """Positions whose columns x, y and z hold other axes."""
     columns = [AXES.index(name.removeprefix("-")) for name in axes]
     signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])
@@ -327,7 +327,7 @@ def _turned(data: Observations, axes: Sequence[str]) -> Observations:
     return with_values(data, change)
 
 
-def _opposite(data: Observations, _: bool) -> Observations:
+def _negated(data: Observations, _: bool) -> Observations:
     """Readings of gauges that count the other way."""
     return with_values(
         data, lambda b, _: -b.values if declared(b.model).contact else b.values
@@ -374,9 +374,9 @@ STEPS: dict[str, Callable[[Observations, Any], Observations]] = {
     "converted": _converted,
     "reversed": _reversed,
     "lag": _lagging,
-    "axes": _turned,
+    "axes": _axes_swapped,
     "scale": lambda data, factor: scaled(data, np.full(len(data), factor)),
-    "opposite": _opposite,
+    "opposite": _negated,
     "drift": _steadied,
     "moved": partial(_renamed, kind="station"),
     "remounted": partial(_renamed, kind="tool"),

@@ -284,7 +284,7 @@ class _Motion:
             parts = [
                 part
                 for (_, start), (end, _) in pairwise(self.standstills)
-                if (part := self._part(readings, ahead, start, end)) is not None
+                if (part := self._motion_part(readings, ahead, start, end)) is not None
             ]
             if not parts:
                 return None
@@ -299,7 +299,7 @@ class _Motion:
         least = LEAST * self.step
         return Clock(float(ahead), float(max(sigma, spread, least)), len(parts))
 
-    def _part(
+    def _motion_part(
         self, readings: Log, ahead: float, start: float, end: float
     ) -> tuple[float, float, float, float] | None:
         """A motion's part: slope, weight, square sum and degrees of freedom."""

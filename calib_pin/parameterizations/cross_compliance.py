@@ -47,7 +47,7 @@ class CrossCompliance(Loads, Parameterization):
         """
         if not chain.joints:
             return []
-        axes = np.array([_across(axis) for axis in chain.axes])
+        axes = np.array([_transverse(axis) for axis in chain.axes])
         functions = _Moments(chain, self, axes)
         usual = self.usual(functions, chain, self.name)
         scales = DEFLECTION / np.maximum(usual, LEAST * usual.max())
@@ -77,7 +77,7 @@ class _Moments:
         return np.asarray(across.reshape(len(q), 2 * len(self.axes)))
 
 
-def _across(axis: Floats) -> Floats:
+def _transverse(axis: Floats) -> Floats:
     """Two unit axes at right angles to one, shape (2, 3): x and y for z."""
     first = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = first - (first @ axis) * axis

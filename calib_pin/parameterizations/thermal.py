@@ -72,7 +72,7 @@ class _Growth(Parameterization):
                 np.concatenate([link, np.zeros(3)]),
                 BasisFunction(self.function, 0),
             )
-            for frame, joint, link in _ways(chain)
+            for frame, joint, link in _link_vectors(chain)
         ]
 
 
@@ -117,7 +117,7 @@ class WarmUp(_Growth):
         return cls(_Coldness(since, setup.thermal.warm_up_time or WARM_UP))
 
 
-def _ways(chain: Chain) -> Iterator[tuple[int, str, Floats]]:
+def _link_vectors(chain: Chain) -> Iterator[tuple[int, str, Floats]]:
     """Frame, joint, and nominal way to it from the joint before in its own frame."""
     for k, (joint, placement) in enumerate(
         zip(chain.joints, chain.placements, strict=True)

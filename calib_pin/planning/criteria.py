@@ -145,7 +145,7 @@ class Spectral:
 
     def cost(self, information: Information) -> float:
         """The cost of the singular values."""
-        return self._means(information.singular_values**2, self.exponent)[0]
+        return self._mean_cost(information.singular_values**2, self.exponent)[0]
 
     def value(self, information: Information, count: int) -> float:
         """The index, or the condition number, of a count of configurations."""
@@ -160,12 +160,12 @@ class Spectral:
         By the chain rule through eigenvalues, S and M.
         """
         V, f = information.right_vectors, information.nuisances
-        cost, by_eigenvalue = self._means(information.singular_values**2, sharpness)
+        cost, by_eigenvalue = self._mean_cost(information.singular_values**2, sharpness)
         absorbed = information.inverse[:f, :f] @ information.factor[:f, f:]
         EV = np.concatenate([-absorbed @ V, V])
         return cost, (EV * by_eigenvalue) @ EV.T
 
-    def _means(self, x: Floats, exponent: float) -> tuple[float, Floats]:
+    def _mean_cost(self, x: Floats, exponent: float) -> tuple[float, Floats]:
         """The cost of eigenvalues, shape (r,), and its derivative by these."""
         high, by_high = _power_mean(x, exponent)
         low, by_low = _power_mean(x, -exponent)

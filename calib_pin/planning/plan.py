@@ -89,7 +89,7 @@ def visits(
     free = chains.revolute & [name not in tied for name in chains.joints]
     middle = 0.5 * (workspace.lower + workspace.upper)
     turned = q - np.where(free, np.round((q - middle) / TURN), 0.0) * TURN
-    if _same(rows, turned, q, aim) and workspace.inside(turned, aim).all():
+    if _duplicates(rows, turned, q, aim) and workspace.inside(turned, aim).all():
         q = turned
     # A tool is mounted and an instrument placed only once.
     places: dict[tuple[str, ...], list[int]] = {}
@@ -104,7 +104,7 @@ def visits(
     return q[order], aim[order], closed
 
 
-def _same(rows: IdentificationRows, a: Floats, b: Floats, aim: Indices) -> bool:
+def _duplicates(rows: IdentificationRows, a: Floats, b: Floats, aim: Indices) -> bool:
     """Whether configurations tell the same, each (K, n)."""
     first, second = rows.rows(a, aim), rows.rows(b, aim)
     # Rows of the same information may differ by a rotation.

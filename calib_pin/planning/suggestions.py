@@ -151,14 +151,14 @@ def _changes(
     if followed == {""}:
         tracker = _held(keys, plain, base=False)
         words = "measure positions of the tool point"
-        yield words, _with(position, keys), tracker
-        yield POSES, _with(pose, keys), tracker
+        yield words, _variants(position, keys), tracker
+        yield POSES, _variants(pose, keys), tracker
     else:
         if "pose" not in followed:
             if not setup.targets:
                 words = "mount the target off the last axis"
                 yield words, keys, _held(keys, setup, tool=tool, aside=ASSUMED_TOOL)
-            yield POSES, _with(pose, keys), plain
+            yield POSES, _variants(pose, keys), plain
         if not base:
             words = "state the pose of the base link in the measurement frame"
             where = "stations" if "station" in kinds else "frames.base"
@@ -176,10 +176,10 @@ def _changes(
             words = "state the pose of the tool on the robot"
             where = "tools" if several else "frames.tool"
             yield f"{words} ({where})", keys, _held(keys, setup, tool=True)
-    yield EVERYTHING, _with(pose, keys), _held(keys, plain, base=True, tool=True)
+    yield EVERYTHING, _variants(pose, keys), _held(keys, plain, base=True, tool=True)
 
 
-def _with(model: str, keys: Sequence[BlockKey]) -> tuple[BlockKey, ...]:
+def _variants(model: str, keys: Sequence[BlockKey]) -> tuple[BlockKey, ...]:
     """The blocks, each measured in another way."""
     return tuple(dict.fromkeys(key._replace(model=model) for key in keys))
 

@@ -412,7 +412,7 @@ class Workspace:
         refusals: dict[str, Booleans] = {"beyond the limits": beyond}
         remaining = ~beyond
         if self.problem.setup.region is not None:
-            refusals["outside the region"] = remaining & ~self._within(q, aim)
+            refusals["outside the region"] = remaining & ~self._in_region(q, aim)
             remaining &= ~refusals["outside the region"]
         visible = np.zeros(len(q), bool)
         for look in self.aims.looks:
@@ -428,7 +428,7 @@ class Workspace:
             refusals["in collision"] = ~free
         return refusals
 
-    def _within(self, q: Floats, aim: Indices) -> Booleans:
+    def _in_region(self, q: Floats, aim: Indices) -> Booleans:
         """Whether the measured points are in the region, shape (N,)."""
         within, region = np.ones(len(q), bool), self.problem.setup.region
         assert region is not None

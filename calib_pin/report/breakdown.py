@@ -100,7 +100,7 @@ def _camera(name: str, camera: CameraSetup, sigmas: Mapping[str, float]) -> Tabl
     rows = []
     for (key, unit, _), value in zip(INTRINSICS, values, strict=True):
         sigma = sigmas[f"{name}.intrinsics.{key}"]
-        rows.append((key, _within(value, sigma, 1.0), unit))
+        rows.append((key, _estimate_text(value, sigma, 1.0), unit))
     return table(f"Intrinsics of {name}", ("", "value", UNIT), rows)
 
 
@@ -121,13 +121,13 @@ def _frames(stations: Sequence[FrameSummary], tools: Sequence[FrameSummary]) -> 
         ]
         for name, unit, values, deviations in halves:
             pairs = zip(values, deviations, strict=True)
-            cells = [_within(*pair, DISPLAY[unit][1]) for pair in pairs]
+            cells = [_estimate_text(*pair, DISPLAY[unit][1]) for pair in pairs]
             rows.append((label, name, *cells, DISPLAY[unit][0]))
             label = "" if _link(others) == frame.link else f"  {frame.link}"
     return table("Frames of stations and tools", ("", "|word", *"xyz", UNIT), rows)
 
 
-def _within(value: float, sigma: float, factor: float) -> Cell:
+def _estimate_text(value: float, sigma: float, factor: float) -> Cell:
     """A value with its standard deviation, such as `12.345 +- 0.012`.
 
     A dash for what the measurements leave open.

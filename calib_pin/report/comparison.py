@@ -35,7 +35,7 @@ def comparison_report(result: compared.Comparison) -> Iterator[Block]:
 
 
 def _verdict(result: compared.Comparison) -> Line:
-    drift, where = result.drift, _where(result)
+    drift, where = result.drift, _worst_chain(result)
     apart = _size(result, drift.position.rms, drift.orientation.rms)
     if result.identical:
         return Line("No drift: both predict the same tool points.", "good")
@@ -65,7 +65,7 @@ def _verdict(result: compared.Comparison) -> Line:
     return Line(f"{text} {within}", "good")
 
 
-def _where(result: compared.Comparison) -> str:
+def _worst_chain(result: compared.Comparison) -> str:
     """Of several chains the one that drifted most."""
     return f" at the tip of {result.chain}" if len(result.drifts) > 1 else ""
 
@@ -142,12 +142,12 @@ def tip_differences(result: compared.Comparison) -> Iterator[Block]:
             rows.append((of + name, *cells, tables.quantity(size, unit), shown))
     title = "Tool-point difference over the workspace"
     yield table(title, ("", *tables.SIZES[:-1], "noise rms", tables.UNIT), rows)
-    yield note(" ".join(_how(result)))
+    yield note(" ".join(_reference_notes(result)))
     if not result.identical:
         yield _farthest(result)
 
 
-def _how(result: compared.Comparison) -> Iterator[str]:
+def _reference_notes(result: compared.Comparison) -> Iterator[str]:
     """Sentences on what the differences refer to."""
     absorbed = result.drift.absorbed
     yield f"{len(result.drift.q)} random configurations within the joint limits."
@@ -173,7 +173,9 @@ def _farthest(result: compared.Comparison) -> Facts:
     largest = tables.amount(drift.drift[position], "m")
     facts = {"tool point": f"at {x}, {y}, {z} mm in {chain.base}"}
     facts["joints"] = f"at {angles}"
-    return Facts(f"Largest difference{_where(result)}: {largest}", [*facts.items()])
+    return Facts(
+        f"Largest difference{_worst_chain(result)}: {largest}", [*facts.items()]
+    )
 
 
 def parameter_changes(result: compared.Comparison) -> Iterator[Block]:

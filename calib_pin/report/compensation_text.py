@@ -37,8 +37,8 @@ def compensation_report(
     if reached:
         yield from _tables(result, chain)
         at = numbers[result.reached & result.at_limit]
-        yield from _at(at, "A joint is at its limit in {}.", "plain")
-        yield from _at(
+        yield from _line_note(at, "A joint is at its limit in {}.", "plain")
+        yield from _line_note(
             numbers[result.reached & result.outside],
             "Outside the region in which the learned correction was trained, where it "
             "knows less: {}.",
@@ -63,7 +63,7 @@ def compensation_report(
             f"{joints} joints reach few poses; --position asks for positions only."
         )
     if motion and result.reached.all():
-        yield from _at(
+        yield from _line_note(
             numbers[result.jumps],
             "Discontinuity in joint space, as near a singularity, between {} and the "
             "line before: the robot would leave its path.",
@@ -72,7 +72,7 @@ def compensation_report(
 
 def hasty_lines(lines: Sequence[int]) -> Iterator[Line]:
     """Lines to which a joint would move faster than it can."""
-    yield from _at(
+    yield from _line_note(
         lines,
         "By the times of the file a joint moves faster than the URDF allows to {}.",
     )
@@ -96,7 +96,7 @@ def line_list(lines: Sequence[int] | np.ndarray) -> str:
     return f"line {shown}" if len(lines) == 1 else f"lines {shown}"
 
 
-def _at(
+def _line_note(
     lines: Sequence[int] | np.ndarray, sentence: str, tone: Tone = "bad"
 ) -> Iterator[Line]:
     """A sentence on some lines of the file, if there are any."""

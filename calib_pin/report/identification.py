@@ -241,7 +241,7 @@ def error_table(errors: Sequence[RobotError], title: str, keys: Sequence[str]) -
     """
     rows, sizes = [], Counter((error.kind, error.of) for error in errors)
     for error in errors:
-        owner = _of(error)
+        owner = _owner(error)
         if sizes[error.kind, error.of] > 1 and error.terms:  # A link with two branches.
             owner += f" to {error.terms[0].parameter.rsplit('.', 2)[0]}"
         cells = dict(
@@ -252,7 +252,7 @@ def error_table(errors: Sequence[RobotError], title: str, keys: Sequence[str]) -
     return table(title, ("|word", "|name", *keys), rows, grouped=1)
 
 
-def _of(error: RobotError) -> str:
+def _owner(error: RobotError) -> str:
     """The joint or link of an error, or those of which only the sum is known."""
     if len(error.of) == 1:
         return error.of[0]
@@ -292,7 +292,7 @@ def held(errors: Sequence[RobotError], *, details: bool = True) -> Iterator[Line
         # Errors by joint, such as `joint offset and link offset of wrist_3_joint`.
         by_owner: dict[str, dict[str, None]] = {}
         for error in members:
-            by_owner.setdefault(_of(error), {})[error.kind] = None
+            by_owner.setdefault(_owner(error), {})[error.kind] = None
         text = "; ".join(
             f"{enumerated([*kinds]) if len(kinds) < 4 else 'the placement'} of {owner}"
             for owner, kinds in by_owner.items()

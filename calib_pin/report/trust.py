@@ -177,12 +177,12 @@ def _accuracy(where: str, error: ExpectedAccuracy) -> Iterator[tuple[Cell | str,
     stages = (error.nominal, error.calibrated, error.bound, error.unmodeled)
     for k, si in enumerate(("m", "rad")):
         if math.isfinite(error.nominal[k]):
-            numbers = [_short(stage[k], si) for stage in stages]
+            numbers = [_digits(stage[k], si) for stage in stages]
             yield where, *numbers, unit_of(si)[0], *shown
             where, shown = "", [Cell("")] * 2
 
 
-def _short(size: float | None, unit: str) -> Cell:
+def _digits(size: float | None, unit: str) -> Cell:
     """Two significant digits, a dash for what is not known."""
     if size is None or math.isnan(size):
         return Cell("-")
@@ -198,7 +198,7 @@ def noise(result: CalibrationResult) -> Iterator[Block]:
     rows, remarks = [], []
     for part in components:
         sizes = part.given, part.estimate, *part.interval, part.pure, part.unmodeled
-        given, size, low, high, repeats, rest = (_short(x, part.unit) for x in sizes)
+        given, size, low, high, repeats, rest = (_digits(x, part.unit) for x in sizes)
         of, unit = "stated" if part.stated else "assumed", unit_of(part.unit)[0]
         interval = (
             f"{low.text} ... {high.text}" if math.isfinite(part.estimate) else "-"

@@ -111,7 +111,7 @@ def combined(circle: Circle, weights: Weights) -> Floats:
         weights: The weights; their series does not count.
     """
     terms, turned = _terms(circle, weights.factors)
-    others = _others(terms)
+    others = _other_products(terms)
     units, slopes = others[-1] * terms[-1], others * turned
     along = slopes @ weights.outputs[:, :, 1].T[:, :, None]
     return np.asarray(units @ weights.outputs[:, :, 0] + along[:, :, 0].T)
@@ -135,7 +135,7 @@ def unit_columns(A: Floats, circle: Circle, weights: Weights) -> Floats:
     table = np.repeat(terms[:, None], joints + 1, axis=1)
     j = np.arange(joints)
     table[j, j] = turned
-    others = _others(table)
+    others = _other_products(table)
     units, slopes = others[-1, -1] * terms[-1], others[j, j] * turned
     both = np.stack([np.broadcast_to(units, slopes.shape), slopes], axis=3)
     by_output = A[:, :, None, :, None] * both.transpose(1, 2, 0, 3)[:, None]
@@ -181,7 +181,7 @@ def _terms(circle: Circle, factors: Floats) -> tuple[Floats, Floats]:
     return a + b * sine + c * cosine, b * cosine - c * sine
 
 
-def _others(terms: Floats) -> Floats:
+def _other_products(terms: Floats) -> Floats:
     """Products of all terms but one, along the first axis."""
     result = np.empty_like(terms)
     result[0] = 1.0

@@ -238,7 +238,7 @@ def keys_of(kind: Any) -> dict[str, Key]:
 
 
 @cache
-def _below(kind: Any, above: Path) -> dict[str | int, tuple[str, bool]]:
+def _subkeys(kind: Any, above: Path) -> dict[str | int, tuple[str, bool]]:
     """The keys below some keys of a record: a field, and whether others are further."""
     keys = dict[str | int, tuple[str, bool]]()
     for name, key in keys_of(kind).items():
@@ -406,7 +406,7 @@ class Parser:
 
         A key of a setup without a value counts as not written.
         """
-        hints, below = _hints(kind), _below(kind, above)
+        hints, below = _hints(kind), _subkeys(kind, above)
         for key, item in value.items():
             place, here = (*above, key), (*path, key)
             if key not in below and REST not in below:

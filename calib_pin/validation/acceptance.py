@@ -473,13 +473,13 @@ def measured(test: Acceptance) -> dict[str, tuple[list[Interval], str]]:
     quantities = {
         "AP": ([test.bound] if test.untestable else accuracies, "m"),
         "RP": ([p.repeatability for p in test.poses], "m"),
-        "AD": ([_away(d.accuracy) for d in test.distances], "m"),
-        "orientation": ([_away(a) for p in test.poses for a in p.angles], "rad"),
+        "AD": ([_absolute(d.accuracy) for d in test.distances], "m"),
+        "orientation": ([_absolute(a) for p in test.poses for a in p.angles], "rad"),
     }
     return {name: both for name, both in quantities.items() if both[0]}
 
 
-def _away(interval: Interval) -> Interval:
+def _absolute(interval: Interval) -> Interval:
     """The interval of an absolute value."""
     value, *ends = map(abs, interval)
     low = 0.0 if interval.low * interval.high < 0.0 else min(ends)

@@ -491,7 +491,7 @@ def _disproved(judgement: Judgement) -> str:
             return (
                 "on held-out measurements the corrected robot is worse than the "
                 f"nominal one: {gain.quantity} errors larger by "
-                f"{_by(judgement, gain, -1.0)}"
+                f"{_margin(judgement, gain, -1.0)}"
             )
     if judgement.misjudged:
         larger = f"{judgement.gains[0].ratio:.1f} times as large as the fit predicts"
@@ -555,19 +555,19 @@ def _gain(judgement: Judgement, nothing: bool = False) -> tuple[str, str]:
     held = after is quantity.validation_after
     if gain.method == PRESS or not held:
         of_first = (g for g in judgement.gains if g.method == gain.method)
-        by = _by(judgement, next((g for g in of_first if g.quantity == name), gain))
+        by = _margin(judgement, next((g for g in of_first if g.quantity == name), gain))
         text = f"{name} errors smaller by {by}"
         if nothing:
             text = f"{name} errors differ by {by} if it is corrected"
     elif nothing and _certain(judgement, quantity) is not after:
-        text = f"errors differ by {_by(judgement, gain)} if it is corrected"
+        text = f"errors differ by {_margin(judgement, gain)} if it is corrected"
     elif nothing:
         text = f"{name} error {old} rms as it is, {new} corrected"
     else:
         text = f"{name} error {new} rms instead of {old}"
     if not nothing and held and gain.mean > 0.0 and after.rms > before.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
-        text = f"errors smaller by {_by(judgement, gain)}"
+        text = f"errors smaller by {_margin(judgement, gain)}"
     noisy = (_by_noise(judgement, quantity) for quantity in judgement.errors)
     if times := "; ".join(filter(None, noisy)):
         where += f" ({times})"
@@ -591,7 +591,7 @@ def _by_noise(judgement: Judgement, quantity: QuantityErrors) -> str:
     return f"{times}, {shown(noise, quantity.unit, 3)}"
 
 
-def _by(judgement: Judgement, gain: Gain, sign: float = 1.0) -> str:
+def _margin(judgement: Judgement, gain: Gain, sign: float = 1.0) -> str:
     """A gain with its standard error, or a loss, in the unit of its quantity."""
     units = {quantity.name: DISPLAY[quantity.unit] for quantity in judgement.errors}
     unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))

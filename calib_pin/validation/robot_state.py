@@ -658,7 +658,7 @@ class Innovations:
         sudden, jumps = [c for c in sparse if c.name in self.sudden], list[Jump]()
         hit = dict[str, float]()
         for cause in sudden:
-            instead, beside = self._others(best, cause, sudden)
+            instead, beside = self._alternatives(best, cause, sudden)
             jumps.append(self._jump(best, cause, instead, beside))
             # A single change tells little of the size that such changes have.
             hit |= dict.fromkeys([cause.name, *instead], max(cause.size, 1.0))
@@ -684,7 +684,7 @@ class Innovations:
         )
         return step, state.prior(effects, noise)
 
-    def _others(
+    def _alternatives(
         self, best: Explanation, cause: Cause, sudden: Sequence[Cause]
     ) -> tuple[list[str], list[str]]:
         """Simple changes that may have come about in place of a simple one.

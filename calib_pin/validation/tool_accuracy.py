@@ -163,7 +163,7 @@ class ToolErrors:
         nominal, calibrated, bound, unmodeled = starmap(
             PoseErrors, zip(*pair, strict=True)
         )
-        better, share = _better(mean, J_robot[:, :3], effects[:, :3], C)
+        better, share = _odds(mean, J_robot[:, :3], effects[:, :3], C)
         return ExpectedAccuracy(nominal, calibrated, bound, unmodeled, better, share)
 
 
@@ -202,7 +202,7 @@ def _sizes(
     return [float(size) for size in sizes]
 
 
-def _better(mean: Floats, J: Floats, effects: Floats, C: Floats) -> tuple[float, float]:
+def _odds(mean: Floats, J: Floats, effects: Floats, C: Floats) -> tuple[float, float]:
     """Probability of the corrected robot to be better, and share where it surely is.
 
     The differences of single configurations, and of the whole, are normal along one

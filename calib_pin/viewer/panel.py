@@ -117,7 +117,7 @@ class Joints:
                 for k, name in enumerate(skeleton.joints)
             ]
         for slider in self._sliders:
-            controls.on(slider, lambda _: self._read())
+            controls.on(slider, lambda _: self._read_value())
         stage.pose(self._q, self._payload)
 
     def move(self, q: Floats, payload: str) -> None:
@@ -131,7 +131,7 @@ class Joints:
     def _displayed(self, place: int) -> float:
         return round(float(self._factors[place] * self._q[place]), 2)
 
-    def _read(self) -> None:
+    def _read_value(self) -> None:
         values = np.array([slider.value for slider in self._sliders])
         self._q = values / self._factors
         self._stage.pose(self._q, self._payload)
@@ -178,7 +178,7 @@ def _add_rows(controls: Controls, stage: Stage, rows: Rows, joints: Joints) -> N
 
     def show(value: int) -> None:
         row = min(value, count) - 1
-        about.content = text(_about(rows, row))
+        about.content = text(_facts(rows, row))
         mark.position = last.points[row]
         joints.move(rows.data.q[row], rows.data.payload[row])
 
@@ -288,7 +288,7 @@ def _add_map(controls: Controls, stage: Stage, rows: Rows) -> None:
     color()
 
 
-def _about(rows: Rows, row: int) -> str:
+def _facts(rows: Rows, row: int) -> str:
     """The source of a measurement, its target, and its errors."""
     lines = [Path(rows.data.source(row)).name]
     if len(rows.data.blocks) > 1:

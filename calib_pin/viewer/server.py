@@ -126,7 +126,7 @@ def _guarded(token: str, files: Serve) -> Iterator[None]:
 
     def serve(handle: Any, *words: Any, process_request: Any, **options: Any) -> Any:
         def answer(connection: ServerConnection, request: Request) -> Response | None:
-            first = _answer(connection, request, token, files)
+            first = _early_answer(connection, request, token, files)
             return first or process_request(connection, request)
 
         async def named(connection: ServerConnection) -> None:
@@ -157,7 +157,7 @@ def _given(request: Request) -> tuple[str, str]:
     return token, tab
 
 
-def _answer(
+def _early_answer(
     connection: ServerConnection, request: Request, token: str, files: Serve
 ) -> Response | None:
     """The answer that needs no look at the content; None for a good request."""

@@ -122,13 +122,13 @@ class Workers:
                     return
                 future, number, item = sent.popleft()
                 try:
-                    result = self._taken(future)
+                    result = self._collect(future)
                 except self.died:
                     # It goes again when nothing else is under way: who dies dies over
                     # this item.
                     wait([other for other, _, _ in sent])
                     try:
-                        result = self._taken(submit(item))
+                        result = self._collect(submit(item))
                     except self.died:
                         if lost is None:
                             reason = f"workers died twice over item {number}"
@@ -139,7 +139,7 @@ class Workers:
             for future, _, _ in sent:
                 future.cancel()
 
-    def _taken(self, future: Future[Any]) -> Any:
+    def _collect(self, future: Future[Any]) -> Any:
         """The result of an item, as soon as it is there."""
         while not wait([future], timeout=GLANCE).done:
             self.require_there()

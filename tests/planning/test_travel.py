@@ -25,7 +25,7 @@ def test_what_a_gear_depends_on_keeps_its_turns():
 
 def test_turns_change_nothing_of_what_is_planned(monkeypatch):
     turned = calib_pin.plan(CHAIN, "position", 10, **QUICK)
-    monkeypatch.setattr("calib_pin.planning.plan._same", lambda *about: False)
+    monkeypatch.setattr("calib_pin.planning.plan._duplicates", lambda *about: False)
     as_found = calib_pin.plan(CHAIN, "position", 10, **QUICK)
     assert turned.value == pytest.approx(as_found.value, rel=1e-4)
     assert np.abs(turned.q).max() <= np.pi + 1e-6

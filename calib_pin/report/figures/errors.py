@@ -119,7 +119,7 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
     parts = [("fitted", result.fitted, outliers)]
     if result.held_out is not None:
         parts.append(("validation", result.held_out, []))
-    quantities = [q for q in result.fitted.quantities if _means(result.fitted, q)]
+    quantities = [q for q in result.fitted.quantities if _mean_sizes(result.fitted, q)]
     if not quantities:
         return None
     shape = len(quantities), len(parts)
@@ -139,7 +139,7 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
     for axes in places[-1]:
         axes.set_xlabel("measurement")
     entries = {BEFORE_NAME: marks(BEFORE, "o", hollow=True)}
-    entries |= {name: marks(color, "s") for name, color, _ in _after(result.fitted)}
+    entries |= {name: marks(color, "s") for name, color, _ in _stations(result.fitted)}
     key(figure, {**entries, **({"outlier": RING} if outliers else {})})
     return Drawn("Errors per measurement", " ".join(dict.fromkeys(notes)), figure)
 
@@ -161,7 +161,7 @@ def _panel(
     )
     width = float(np.clip(50.0 / np.sqrt(len(part)), 1.8, 4.5))
     points(axes, chosen + 1, before[chosen], marks(BEFORE, "o", width, hollow=True))
-    for _, color, mask in _after(part):
+    for _, color, mask in _stations(part):
         shown = chosen[mask[chosen]]
         points(axes, shown + 1, after[shown], marks(color, "s", width))
     rings = np.intersect1d(chosen, np.asarray(outliers, np.intp))
@@ -169,7 +169,7 @@ def _panel(
     axes.locator_params(axis="x", nbins=6, integer=True)
     room = 0.02 * len(part) + 0.5
     axes.set_xlim(1 - room, len(part) + room)
-    if means := _means(part, quantity):
+    if means := _mean_sizes(part, quantity):
         axes.set_title(f"{name}: mean {' → '.join(means)} {unit}")
     if np.isinf(sizes).any():
         yield "Points at the upper edge are measurements that cannot be predicted."
@@ -177,14 +177,14 @@ def _panel(
         yield f"{name.capitalize()}:{note}"
 
 
-def _means(part: MeasurementErrors, quantity: Quantity) -> list[str]:
+def _mean_sizes(part: MeasurementErrors, quantity: Quantity) -> list[str]:
     """Mean sizes before and after of what was not set aside, as far as there are."""
     factor, counted = unit_of(quantity.unit)[1], part.rows.weight > 0.0
     sizes = [size[~np.isnan(size) & counted] for size in part.sizes(quantity)]
     return [number(factor * float(s.mean())) for s in sizes] if len(sizes[0]) else []
 
 
-def _after(part: MeasurementErrors) -> list[tuple[str, str, np.ndarray]]:
+def _stations(part: MeasurementErrors) -> list[tuple[str, str, np.ndarray]]:
     """The errors after by station: name, color, and which they are, shape (N,)."""
     names, station = stations_of(part.rows)
     several = [f"after, {shortened(name, 16)}" for name in names]

@@ -102,7 +102,10 @@ def robot_errors(
     apart = len(np.unique(np.round(points / (LARGEST * extent)), axis=0))
     radius = extent * float(np.clip(0.17 / math.sqrt(apart), SMALLEST, LARGEST))
     corners = np.concatenate([triangles, _balls(points, radius, eye)])
-    lit, top = _lit(triangles, colors, eye, lamp), canvas.top_of(np.concatenate(sizes))
+    lit, top = (
+        _shade(triangles, colors, eye, lamp),
+        canvas.top_of(np.concatenate(sizes)),
+    )
     scale = ScalarMappable(Normalize(0.0, top), canvas.SCALE)
     figure = Figure(figsize=(canvas.WIDTH, HEIGHT))
     for k, (name, color) in enumerate(canvas.STAGES.items()):
@@ -299,7 +302,7 @@ def _balls(points: Floats, radius: float, eye: Floats) -> Floats:
     return ((points + radius * eye)[:, None, None] + fan).reshape(-1, 3, 3)
 
 
-def _lit(triangles: Floats, colors: Floats, eye: Floats, lamp: Floats) -> Floats:
+def _shade(triangles: Floats, colors: Floats, eye: Floats, lamp: Floats) -> Floats:
     """Colors (T, 4) of triangles in the light; rims are darker."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normals = np.cross(b - a, c - a)

@@ -98,7 +98,7 @@ def older_calibration(
     if holds:
         better = f"use the older one: this one is off by {shown(expected, 'm')}"
         remedy = better if promised < expected else ""
-    words = "; ".join(map(_words, step.jumps))
+    words = "; ".join(map(_change_text, step.jumps))
     words = words or "nothing is found to have changed at once"
     code, verdict = "old-calibration-holds", "still holds"
     if not holds:
@@ -124,7 +124,7 @@ def _remedies(jumps: tuple[Jump, ...]) -> Iterator[str]:
         yield "measure more configurations"
 
 
-def _words(jump: Jump) -> str:
+def _change_text(jump: Jump) -> str:
     """A sudden change in words."""
     note = f" (or instead {' or '.join(jump.instead)})" if jump.instead else ""
     if jump.beside:

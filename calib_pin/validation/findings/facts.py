@@ -143,8 +143,8 @@ def require_motion(data: Observations) -> None:
     q = data.q
     if len(q) < FEWEST or any(block.start.size for block in data.blocks):
         return
-    first = _near(q, q[0])
-    second = _near(q, q[np.argmin(first)])
+    first = _coincide(q, q[0])
+    second = _coincide(q, q[np.argmin(first)])
     if not (first | second).all():
         return
     for block, rows in zip(data.blocks, data.slices, strict=True):
@@ -162,7 +162,7 @@ def require_motion(data: Observations) -> None:
             raise block.error(0, f"{text}not follow the robot")
 
 
-def _near(q: Floats, posture: Floats) -> Booleans:
+def _coincide(q: Floats, posture: Floats) -> Booleans:
     """Whether joints stand as in one configuration, (N, n) and (n,) -> (N,)."""
     pairs = zip(q.T, posture.tolist(), strict=True)
     # Joint by joint: the rows of a million are short.

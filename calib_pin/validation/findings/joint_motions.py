@@ -157,10 +157,10 @@ class Motion(NamedTuple):
         text += "every joint has" if self.kind == "early-each" else "the farthest has"
         text += f" {np.degrees(size):.2g} deg to go"
         lag = Alternative("lag", text, "lag", advice=REST, figure="over-order")
-        return replace(lag, change=lambda data: _early(data, self, size))
+        return replace(lag, change=lambda data: _unsettled(data, self, size))
 
 
-def _early(data: Observations, motion: Motion, angle: float) -> Observations:
+def _unsettled(data: Observations, motion: Motion, angle: float) -> Observations:
     """Measurements whose joints have still an angle to go, or all of a shorter way."""
     moved, joints = last_motions(data), list(motion.joints)
     travel = np.abs(moved[:, joints])

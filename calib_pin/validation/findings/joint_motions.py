@@ -54,6 +54,8 @@ from calib_pin.validation.findings.case import (
     QuickFit,
     Score,
     fit_factors,
+    squares,
+    surpasses,
     unlikely,
 )
 from calib_pin.validation.findings.readings import (
@@ -91,6 +93,9 @@ usual error of a robot."""
 BACKLASH = 3e-3
 """Most lost motion that joints of arms have [rad]. Joints that were read as little
 before they arrived err by the side from which they come, as those that lose motion."""
+
+SHORTEST = {"early": 0.0, "early-each": BACKLASH}
+"""Ways that joints must have to go, by kind [rad]: nothing has less than nothing."""
 
 REST = "measure again at rest: the joints must stand still when they are read"
 
@@ -240,11 +245,22 @@ class _Motions:
         # What moves a zero moves an origin as well.
         if remaining > LEFT or not sure or motion.kind in ("side", "zero"):
             return None
+        if self.loose(motion):
+            return None
         row = fit.problem.layout.row
         gains = (fit.beyond(columns[best])[:, 0] * fit.unexplained[1])[: len(row)]
         stretch = self.case.rank[row] * STRETCHES // (int(self.case.rank.max()) + 1)
         shares = np.bincount(stretch, gains) / float(gains.sum())
         return motion if -shares[shares < 0.0].sum() < CONTRARY else None
+
+    def loose(self, motion: Motion) -> bool:
+        """Whether a motion is no more than the mean of what the joints lose."""
+        if not motion.kind.startswith("early"):
+            return False
+        fit, sides = self.fit, [Motion("side", (j,)) for j in motion.joints]
+        columns = np.hstack([self.column(fit, side) for side in sides])
+        after = squares(fit) * fit.score(columns).remaining
+        return surpasses(fit, after, len(sides), self.column(fit, motion))
 
     def fitted(self, motion: Motion) -> tuple[QuickFit, float]:
         """The fit with a motion, and its size."""
@@ -274,9 +290,7 @@ def joint_motion(case: Case) -> Explanation | None:
     possible = small and fit.largest_correction <= IMPLAUSIBLE
     if not (possible and fit.rms**2 < LEFT * first.rms**2):
         return None
-    # Nothing has less than nothing to go.
-    least = {"early": 0.0, "early-each": BACKLASH}
-    if size <= least.get(motion.kind, -np.inf):
+    if size <= SHORTEST.get(motion.kind, -np.inf):
         return None
     # What bends follows joints as well, and the position of one most of all.
     if np.sqrt(case.lacking[1]) < BENDS * fit.rms / first.rms:
@@ -290,7 +304,8 @@ def large_motions(case: Case) -> Iterator[Alternative]:
     first = QuickFit(problem, case.nominal, robot=False)
     if not np.isfinite(first.linear[0]).all():
         return
-    search, joints = _Motions(case, first), case.data.joints
+    search, of_fit = _Motions(case, first), _Motions(case, case.fit)
+    joints = case.data.joints
     parts = [first.score(search.column(first, m)).remaining for m in search.motions]
     for motion in [search.motions[k] for k in np.argsort(parts)[:TRIED]]:
         name = joints[motion.joints[0]]
@@ -308,7 +323,7 @@ def large_motions(case: Case) -> Iterator[Alternative]:
         # What goes backwards is reversed, and a lag of a whole motion is a shift.
         backwards = motion.kind == "gear" and not size > -1.0
         whole = motion.kind == "lag" and not abs(size) < LARGEST
-        beyond = motion.kind.startswith("early") and size < 0.0
+        beyond = size <= SHORTEST.get(motion.kind, -np.inf) or of_fit.loose(motion)
         if size and not (backwards or whole or beyond):
             yield motion.alternative(case, size)
 

@@ -15,12 +15,12 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import (
     TOUCHING,
-    asked,
     brought_to_contact,
     jacobian_at,
     observable_configurations,
     registered,
     scale_deviation,
+    unmeasured,
 )
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
@@ -295,7 +295,7 @@ def test_a_stretched_arm_cannot_be_brought_there() -> None:
         setup = Setup(planes=planes, tool_frame=rim)
         problem = nominal_problem(chain, "plane-contact", setup)
         q = np.array([[0.4], [-0.7], [0.0]])
-        at = asked(problem, problem.only.key, q, ("p",) * 3)
+        at = unmeasured(problem, problem.only.key, q, ("p",) * 3)
         found, touches = brought_to_contact(problem, zero(problem), at)
         # At zero the rim moves along the plane, which no step can change.
         assert touches.tolist() == [reached, reached, False]

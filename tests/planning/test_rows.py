@@ -12,9 +12,9 @@ import pytest
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import (
-    asked,
     jacobian_at,
     observable_configurations,
+    unmeasured,
 )
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
@@ -71,7 +71,7 @@ def rows_of_the_problem(of: IdentificationRows, q: Floats, aim: Indices) -> Floa
             seen = look.seen(q[here], aim[here])[0] | (not look.at_once)
             names = [look.names[code] for code in look.targets(aim[here])[0][seen]]
             key, many = look.term.key, np.repeat(q[here], len(names), axis=0)
-            at = asked(of.problem, key, many, names)
+            at = unmeasured(of.problem, key, many, names)
             J = jacobian_at(of.problem, zero, [at])
             rows.append(J[: len(J) - len(of.problem.further)])
         U = np.concatenate(rows) @ of.basis

@@ -351,9 +351,8 @@ class Terms:
         """
         if name is None:
             return next(iter(self.by_chain.values()), self.only)
-        first = {term.key.chain: term for term in [*self.terms.values()][::-1]}
-        require_known("chain", name, first)
-        return first[name]
+        require_known("chain", name, dict.fromkeys(key.chain for key in self.terms))
+        return next(term for term in self.terms.values() if term.key.chain == name)
 
     def rebased(self, theta: Floats) -> tuple[Self, Floats]:
         """The same terms about other values of frames and instruments.

@@ -100,14 +100,16 @@ def as_declared(data: Measurements) -> Measurements:
             raise data.error(0, reason, allowed=", ".join(columns) or "none")
     if not kind.oriented:
         return data
-    norm, unit = normalized(data.values[:, -4:])
+    given = data.values[:, -4:]
+    norm, unit = normalized(given)
     off = abs(norm - 1.0)
     if (off > NORM).any():
         row = int(off.argmax())
         reason = f"'values': the norm of the quaternion is {norm[row]:.6g}"
         raise data.error(row, reason, allowed="0.99 to 1.01")
-    values = np.hstack([data.values[:, :-4], unit])
-    return data if np.array_equal(values, data.values) else replace(data, values=values)
+    if np.array_equal(unit, given):
+        return data
+    return replace(data, values=np.hstack([data.values[:, :-4], unit]))
 
 
 def measurement_model(

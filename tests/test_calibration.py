@@ -13,6 +13,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
+from tests.shared import refused
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
 HAND = ToolSetup((0.05, 0.1, 0.1))
@@ -78,6 +79,12 @@ def test_rows_that_do_not_go_together() -> None:
     poses = calib_pin.Measurements(chain.joints, rows.q, "pose", np.full((20, 7), 0.5))
     with pytest.raises(InputError, match="'pose'"):
         calib_pin.calibrate(chain, rows, validation=poses)
+    joints, q = (*chain.joints, "hand"), np.column_stack([rows.q, rows.q[:, 0]])
+    more = calib_pin.Measurements(joints, q, rows.model, rows.values)
+    with refused(InputError, "hand", allowed=", ".join(chain.joints)):
+        calib_pin.calibrate(chain, more)
+    with refused(OptionError, value="link3"):
+        calib_pin.calibrate(chain, rows, {"tip": "link3"})
 
 
 @pytest.mark.parametrize("repeats", [1, 5])

@@ -168,7 +168,8 @@ def fitting(
         chains = chains.named(tuple(names))
     for data in measured:
         if sorted(data.joints) != sorted(chains.joints):
-            reason = "the joints are not those of the chains"
+            odd = sorted(set(data.joints) ^ set(chains.joints))
+            reason = f"the joints are not those of the chains: {', '.join(odd)}"
             raise data.error(0, reason, allowed=", ".join(chains.joints))
         for block in data.blocks:
             as_declared(block)

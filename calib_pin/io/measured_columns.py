@@ -447,6 +447,8 @@ def read_positions(
     drives = zip(columns.joints, columns.names, strict=True)
     lacking = [joint for joint, name in drives if joint and name not in present]
     hint = advice(chains[chains.names[0]], lacking) if lacking else ""
+    if lacking and f"joint.{lacking[0]}" in present:
+        raise table.error("these are errors that a calibration left, no measurements")
     known = {*columns.names, *reserved(), *chains.robot.model.names}
     table.require(columns.names, "no joint column", present - known, hint or ELSEWHERE)
     q, masks = np.zeros((len(table.lines), len(chains.joints))), {}

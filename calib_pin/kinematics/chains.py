@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import RobotError, nearest
+from calib_pin.errors import OptionError, RobotError, nearest
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import JointSpace
 from calib_pin.kinematics.robot import Robot
@@ -96,7 +96,11 @@ class Chains:
 
         Args:
             chain: The chains, or the name or file of a robot, see `load_chain`.
-            setup: What it states of the chains of a robot that is named.
+            setup: What it states of the chains of a robot that is named; must not
+                state another base or tip than a chain has.
+
+        Raises:
+            OptionError: If it does.
         """
         if isinstance(chain, str | Path):
             setup = setup or RobotSetup()
@@ -105,6 +109,11 @@ class Chains:
             return chains
         if isinstance(chain, Chains):
             return chain
+        for key in ("base", "tip"):
+            stated, link = getattr(setup, key, None), getattr(chain, key)
+            if stated not in (None, link):
+                reason = f"the '{key}' of the setup is not that of the chain, '{link}'"
+                raise OptionError(reason, value=stated)
         return Chains(chain.robot, chain.base, chain.tip, built={"": chain})
 
     def named(self, names: Sequence[str]) -> Chains:

@@ -15,11 +15,11 @@ import calib_pin.validation.assessment as assessment
 import calib_pin.validation.model_errors as model_errors
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.fit import (
-    FittedModel,
     fit_model,
     time_course,
     with_time_course,
 )
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import tool_points
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
@@ -145,27 +145,27 @@ def calibrate(
             selected = select_model(
                 chains, training, setup, seed, progress, workers, use
             )
-            model, parts = selected.model, selected.parts
+            fitted, parts = selected.fit, selected.parts
             # What hid a drift of the instrument may be explained now.
-            chosen = model.fit.problem.setup
+            chosen = fitted.problem.setup
             chosen = replace(chosen, drift=original.drift, thermal=original.thermal)
             chosen = with_time_course(chains, training, chosen, seed)
             if time_course(chosen) != time_course(setup):
                 setup, parts = chosen, None
-                model = fit_model(chains, training, setup, seed)
+                fitted = fit_model(chains, training, setup, seed)
         else:
             tell = portion(named(progress, "fit"), 0.0, share)
-            model = fit_model(chains, training, setup, seed, tell)
-        fitted = model_errors.fitted_errors(model, training)
+            fitted = fit_model(chains, training, setup, seed, tell)
+        errors = model_errors.fitted_errors(fitted, training)
         tell = named(progress, "joint readings")
-        known = examine(chains, model, seed, tell, others)
+        known = examine(chains, fitted, seed, tell, others)
         # Fits to parts of what no robot explains are slow, and say nothing.
-        errors = fitted.counted(model.fit.problem.data.weight)
-        sizes = model_errors.quantity_errors(model.problem.layout.quantities, errors)
-        hopeless = bool(known.findings.causes or unexplained(model.fit, sizes))
+        counted = errors.counted(fitted.problem.data.weight)
+        sizes = model_errors.quantity_errors(fitted.problem.layout.quantities, counted)
+        hopeless = bool(known.findings.causes or unexplained(fitted, sizes))
         hopeless &= held is None and not ladder
         held_out = check(
-            model,
+            fitted,
             training,
             seed,
             validation=held,
@@ -175,13 +175,13 @@ def calibrate(
             progress=checking,
             workers=workers,
         )
-    judgement = judge(model, fitted, held_out, known)
+    judgement = judge(fitted, errors, held_out, known)
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
     result = replace(
-        _result(model, training, fitted, held_out, judgement, seed),
+        _result(fitted, training, errors, held_out, judgement, seed),
         files=tuple(filter(None, dict.fromkeys(files))),
         model_selection=None if selected is None else selected.selection,
-        urdf=_urdf(chains, training, model, held, seed, validate, judgement, workers),
+        urdf=_urdf(chains, training, fitted, held, seed, validate, judgement, workers),
         recalibration=begun,
     )
     if start is not None:
@@ -191,7 +191,7 @@ def calibrate(
 
 
 def _result(
-    model: FittedModel,
+    fitted: Fit,
     training: Observations,
     errors: model_errors.ModelErrors,
     held_out: HeldOut,
@@ -199,7 +199,6 @@ def _result(
     seed: int,
 ) -> CalibrationResult:
     """The result of a fit, from its steps."""
-    fitted = model.fit
     parameters, groups = assessment.estimates(
         fitted.problem.parameters, fitted.structure, fitted
     )
@@ -210,7 +209,7 @@ def _result(
     chi2 = 2.0 * replace(fitted.problem, units=np.zeros(0)).cost(fitted.theta)
     names = [parameter.name for parameter in parameters]
     return CalibrationResult(
-        model=CalibratedModel.create(model.problem, model.theta),
+        model=CalibratedModel.create(*fitted.solved),
         reference=CalibratedModel.create(fitted.problem, np.zeros_like(fitted.theta)),
         verdict=judgement.verdict[0],
         reason=judgement.verdict[1],
@@ -246,18 +245,18 @@ def _result(
             outliers=fitted.robust.outliers,
             gains=held_out.gains,
         ),
-        **vars(assessment.breakdown(model, errors, judgement.accuracies)),
+        **vars(assessment.breakdown(fitted, errors, judgement.accuracies)),
         covariance=NamedArray.of(fitted.covariance, names, names),
         fitted=_measurement_errors(
-            model,
-            model.weighted(training),
+            fitted,
+            fitted.weighted(training),
             errors,
             assessment.measurement_leverages(fitted),
         ),
         held_out=None
         if checked is None
-        else _measurement_errors(model, held_out.measurements, checked),
-        rejected=model.rejected,
+        else _measurement_errors(fitted, held_out.measurements, checked),
+        rejected=fitted.rejected,
         distances=errors.distances + (checked.distances if checked else ()),
         findings=judgement.findings,
     )
@@ -286,7 +285,7 @@ def _require_ends(
 def _urdf(
     chains: Chains,
     training: Observations,
-    model: FittedModel,
+    fitted: Fit,
     held: Observations | None,
     seed: int,
     validate: bool,
@@ -299,18 +298,18 @@ def _urdf(
     not to be trusted. Without a gain it is the nominal robot.
     """
     if judgement.verdict[0] == "no-gain":
-        nominal = CalibratedModel.create(model.fit.problem, model.fit.before)
+        nominal = CalibratedModel.create(fitted.problem, fitted.before)
         return UrdfResult((), "", nominal)
-    if all(term.error.geometric for term in model.problem.terms.values()):
+    if all(term.error.geometric for term in fitted.solved.problem.terms.values()):
         return None
-    fitted = model.fit
     if judgement.verdict[0] == "untrusted":
         return UrdfResult((), "the calibration is untrusted")
     setup = replace(fitted.problem.setup, learned=None)
     names = tuple(n for n in setup.parameters if n not in outside_urdf())
     if not names:
         return UrdfResult((), "nothing of this calibration has a place in a URDF")
-    geometry = FittedModel(fitted, *fitted.problem.rebased(fitted.theta))
+    problem = replace(fitted.problem, setup=setup)
+    geometry = replace(fitted, problem=problem, learned=None)
     if names != setup.parameters:
         # A gear ratio and an offset may nearly cancel: alone it needs its own fit.
         setup = formulation.with_parameters(chains, training, setup, names)
@@ -324,12 +323,12 @@ def _urdf(
     return UrdfResult(
         geometric.errors,
         "" if geometric.verdict[0] == "good" else geometric.verdict[1],
-        CalibratedModel.create(geometry.problem, geometry.theta),
+        CalibratedModel.create(*geometry.solved),
     )
 
 
 def _measurement_errors(
-    model: FittedModel,
+    fitted: Fit,
     measurements: Observations,
     errors: model_errors.ModelErrors,
     leverage: Floats | None = None,
@@ -337,7 +336,7 @@ def _measurement_errors(
     """Errors with their measurements, in the order of these."""
     errors = errors.at(np.argsort(errors.positions, kind="stable"))
     rows = measurements.rows(errors.positions)
-    problem, theta = model.problem, model.theta
+    problem, theta = fitted.solved
     if all(key in problem.terms for key in rows.keys):
         problem = replace(problem, data=rows)
     else:

@@ -64,7 +64,7 @@ def test_it_is_found_and_commands_take_it_into_account(term: str) -> None:
         off = models[-1].predict(models[-1].theta, at) - at.values
         errors.append(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     assert errors[0] < 0.25 * errors[1]
-    found = fits[0].fit
+    found = fits[0]
     kind = {"motor-ripple": "transmission"}.get(term, term)
     own = [name.split(".")[-2] == kind for name in found.problem.parameters.names]
     # Far beyond what chance gives.

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,6 @@ from calib_pin.estimation.statistics.variance_components import (
     sampled,
     systematic,
 )
-from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
@@ -89,34 +88,6 @@ def with_effects(fitted: Fit, whole: Sequence[str] = ()) -> Fit:
     return replace(fitted, effects=effects)
 
 
-@dataclass(frozen=True)
-class FittedModel:
-    """A fit, with the correction that was learned on top of it.
-
-    Attributes:
-        fit: The fit of the parameters.
-        problem: Its problem about the solution, with the learned correction.
-        theta: Parameter values about that, shape (P,).
-        rejected: Name of the residual model that found nothing to correct, if one did.
-    """
-
-    fit: Fit
-    problem: Problem
-    theta: Floats
-    rejected: str = ""
-
-    @property
-    def learned(self) -> LearnedCorrection | None:
-        """The correction; None without one."""
-        learned = self.problem.only.error.learned
-        return learned if isinstance(learned, LearnedCorrection) else None
-
-    def weighted(self, measurements: Observations) -> Observations:
-        """The fitted measurements, with no weight where the fit has set them aside."""
-        aside = self.fit.problem.data.weight == 0.0
-        return measurements.weighted(np.where(aside, 0.0, measurements.weight))
-
-
 @serial_blas
 def fit_model(
     chains: Chain | Chains,
@@ -126,7 +97,7 @@ def fit_model(
     progress: Progress | None = None,
     *,
     effects_of: Fit | None = None,
-) -> FittedModel:
+) -> Fit:
     """Fit the parameters of a setup, and let its residual model learn the rest.
 
     Args:
@@ -156,16 +127,13 @@ def fit_model(
             "no fit to these measurements is possible from where the nominal robot is: "
             "some points are behind the camera, say, or beams miss their plane"
         )
-    problem, theta = fitted.problem.rebased(fitted.theta)
     if setup.learned is None:
-        return FittedModel(fitted, problem, theta)
+        return fitted
     # A generator of its own: what a search drew must not change what is learned.
     rng = np.random.default_rng(seed)
     learned = learned_correction(setup.learned, fitted, rng, progress)
-    if learned is None:
-        plain = replace(problem, setup=replace(setup, learned=None))
-        return FittedModel(fitted, plain, theta, rejected=setup.learned)
-    return FittedModel(fitted, with_learned(problem, learned), theta)
+    rejected = setup.learned if learned is None else ""
+    return replace(fitted, learned=learned, rejected=rejected)
 
 
 SHORTEST, LONGEST = 0.03, 2.0
@@ -294,8 +262,6 @@ def _drift_sizes(
 
 # Corrections that residual models learn from what a fit leaves.
 
-_Terms = TypeVar("_Terms", bound=Terms)
-
 
 def require_learnable(name: str, setup: Setup, measurements: Observations) -> None:
     """Refuse a residual model that does not exist or has nothing to learn from.
@@ -317,20 +283,6 @@ def require_learnable(name: str, setup: Setup, measurements: Observations) -> No
             value=name,
             allowed="measurements of one chain with one tool, by another model",
         )
-
-
-def with_learned(problem: _Terms, learned: LearnedCorrection) -> _Terms:
-    """A problem or a model about its solution, with a learned correction.
-
-    Args:
-        problem: The problem.
-        learned: The correction, with a shift of all parameters, shape (P,).
-    """
-    terms = {}
-    for key, term in problem.terms.items():
-        correction = replace(learned, shift=learned.shift[term.of_error])
-        terms[key] = replace(term, error=replace(term.error, learned=correction))
-    return replace(problem, terms=terms)
 
 
 def learned_correction(

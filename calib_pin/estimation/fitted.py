@@ -35,6 +35,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +91,8 @@ from calib_pin.estimation.statistics.variance_components import (
 )
 from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import states_sigmas
+from calib_pin.observations import Observations, states_sigmas
+from calib_pin.residual_models.base import LearnedCorrection
 from calib_pin.solvers import Status
 
 
@@ -214,6 +216,13 @@ class RobustDecision:
     disagreement: float = 0.0
 
 
+class Solved(NamedTuple):
+    """A problem, and parameter values theta about its references, shape (P,)."""
+
+    problem: Problem
+    theta: Floats
+
+
 @dataclass(frozen=True)
 class Fit:
     """A fitted problem.
@@ -234,6 +243,8 @@ class Fit:
         effects: Gears and compliance that the model does not have; None where nothing
             shows or nobody has looked, see `fit.with_effects`.
         robust: Measurements that were set aside.
+        learned: The correction that was learned of what the fit leaves; None for none.
+        rejected: Name of the residual model that found nothing to correct, if one did.
     """
 
     problem: Problem
@@ -248,11 +259,28 @@ class Fit:
     noise: tuple[VarianceComponent, ...] = ()
     effects: Systematic | None = None
     robust: RobustDecision = RobustDecision()
+    learned: LearnedCorrection | None = None
+    rejected: str = ""
 
     @property
     def theta(self) -> Floats:
         """Parameter values, shape (P,)."""
         return self.result.x
+
+    @cached_property
+    def solved(self) -> Solved:
+        """Its problem about the solution, with the learned correction."""
+        problem, theta = self.problem.rebased(self.theta)
+        if self.learned is not None:
+            problem = problem.learning(self.learned)
+        if self.rejected:
+            problem = replace(problem, setup=replace(problem.setup, learned=None))
+        return Solved(problem, theta)
+
+    def weighted(self, measurements: Observations) -> Observations:
+        """The fitted measurements, with no weight where it has set them aside."""
+        aside = self.problem.data.weight == 0.0
+        return measurements.weighted(np.where(aside, 0.0, measurements.weight))
 
     @property
     def dof(self) -> int:

@@ -34,6 +34,7 @@ from calib_pin.parameterizations import frame_pose
 from calib_pin.parameterizations.error_model import ErrorModel, flexures, varying
 from calib_pin.parameterizations.linearization import PoseLinearization
 from calib_pin.parameters import Parameter, ParameterSet
+from calib_pin.residual_models.base import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 
 FRAME = 6
@@ -366,6 +367,18 @@ class Terms:
         """
         terms = {key: term.rebased(theta) for key, term in self.terms.items()}
         return replace(self, terms=terms), np.where(self.referred, 0.0, theta)
+
+    def learning(self, learned: LearnedCorrection) -> Self:
+        """The same terms with a learned correction.
+
+        Args:
+            learned: The correction, with a shift of all parameters, shape (P,).
+        """
+        terms = {}
+        for key, term in self.terms.items():
+            correction = replace(learned, shift=learned.shift[term.of_error])
+            terms[key] = replace(term, error=replace(term.error, learned=correction))
+        return replace(self, terms=terms)
 
     @cached_property
     def referred(self) -> NDArray[np.bool_]:

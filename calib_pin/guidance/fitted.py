@@ -12,7 +12,8 @@ import numpy as np
 import calib_pin.validation.model_errors as model_errors
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.fit import FittedModel, fit_model
+from calib_pin.estimation.fit import fit_model
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem
@@ -79,7 +80,7 @@ class Fitted:
     rows: Observations
     setup: Setup
     seed: int
-    model: FittedModel | None = None
+    model: Fit | None = None
     reason: str = "nothing to compare it with yet"
     early: bool = False
 
@@ -100,7 +101,7 @@ class Fitted:
                 if reason := model_errors.registration_reason(nominal, result):
                     return replace(self, reason=reason)
             model = fit_model(self.chains, self.rows, self.setup, self.seed)
-            if early := not model.fit.noise:
+            if early := not model.noise:
                 prior, sizes = self.setup.prior, _wide_priors(problem)
                 if not isinstance(prior, JointPrior):
                     named = zip(problem.parameters.names, sizes.tolist(), strict=True)
@@ -115,21 +116,21 @@ class Fitted:
     def informed(self) -> Problem:
         """The problem of the fit with wide priors on all errors of the robot."""
         assert self.model is not None
-        problem = self.model.fit.problem
+        problem = self.model.problem
         return replace(problem, expected=Priors.alone(_wide_priors(problem)))
 
     def deviation(self, row: Observations) -> Deviation | None:
         """How far measurements are from their prediction; None where nothing tells."""
-        if self.model is None or not np.isfinite(self.model.fit.covariance).all():
+        if self.model is None or not np.isfinite(self.model.covariance).all():
             return None
-        fit, freedom, inflation = self.model.fit, KNOWN, 1.0
+        fit, freedom, inflation = self.model, KNOWN, 1.0
         if self.early:
             # Errors that are larger than assumed show in the fit.
             inflation = max(float(np.nan_to_num(fit.sigma0)), 1.0)
         elif not states_sigmas(fit.problem.data):
             freedom = sum(part.redundancy * part.values for part in fit.noise)
         try:
-            row_fit = model_errors.registered(self.model.problem, self.model.theta, row)
+            row_fit = model_errors.registered(*fit.solved, row)
         except CalibPinError:
             return None
         if row_fit.new or freedom < 1.0:
@@ -159,7 +160,7 @@ class Fitted:
 
     @cached_property
     def _case(self) -> Case | None:
-        return Case.of(self.model.fit, self.chains) if self.model else None
+        return Case.of(self.model, self.chains) if self.model else None
 
     def causes(self, all_rows: Observations, others: Others) -> tuple[Finding, ...]:
         """Why no robot explains the rows, those among them that were set aside."""
@@ -198,10 +199,9 @@ class Fitted:
             if measured:
                 state |= {"near": max(e.calibrated.position for e in measured)}
             state |= {"ahead": tuple(now * size / ahead[0] for size in ahead)}
-        fit = model.fit
         state["unknown"] = tuple(
             f"{error.kind} of {' + '.join(error.of)}"
-            for error in robot_errors(fit.problem, fit.structure, fit)
+            for error in robot_errors(model.problem, model.structure, model)
             if error.status == "weak"
         )
         state["verdict"], state["reason"] = judgement.verdict

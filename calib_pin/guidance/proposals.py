@@ -164,7 +164,7 @@ class Proposals:
         keys, model = fitted.rows.keys, fitted.model
         assert model is not None
         require_plannable(keys)
-        noise = {} if fitted.early else {n.quantity: n for n in model.fit.noise}
+        noise = {} if fitted.early else {n.quantity: n for n in model.noise}
         # What rows state weighs them; what is planned then is measured as they are.
         given = states_sigmas(fitted.rows)
         sizes = {k: n.given if given else n.estimate for k, n in noise.items()}

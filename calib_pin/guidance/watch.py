@@ -14,7 +14,7 @@ import numpy as np
 
 from calib_pin.errors import CalibPinError, counted, one_line
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import fitting
 from calib_pin.guidance.events import Event, State, sized
 from calib_pin.guidance.fitted import Deviation, Fitted
@@ -82,7 +82,7 @@ class Watch:
         self._known, self._aside = dict[Key, str](), set[Key]()
         self._removed = list[str]()
         self._fitted: Fitted | None = None
-        self.fit: FittedModel | None = None
+        self.fit: Fit | None = None
         self.state: State | None = None
         self.next: Proposal | None = None
 
@@ -200,7 +200,7 @@ class Watch:
                 text = f"{place}: agrees with the others now; used again"
                 yield Event("row", text, {"place": place, "wrong": False})
         assert fitted.model is not None
-        for outlier in () if fitted.early else fitted.model.fit.robust.outliers:
+        for outlier in () if fitted.early else fitted.model.robust.outliers:
             key = keys[self._places[outlier.row]]
             if outlier.weight == 0.0 and key not in self._aside:
                 self._aside.add(key)

@@ -483,14 +483,12 @@ def learned_model(
         raise ValueError("'residual_model' and 'setup.learned' need each other")
     if record is None:
         return model
-    from calib_pin.estimation.fit import with_learned  # All that fits comes with it.
-
     if sha256(encode({"": (record.shift, record.model)})) != record.sha256:
         raise ValueError("'residual_model' is not the one that was learned")
     shift = np.array(record.shift)
     Array("P").require("shift", shift, {"P": len(model.given)})
     learned = restore(record.model, len(model.of_chain().error.chain.joints))
-    return with_learned(model, LearnedCorrection(learned, shift))
+    return model.learning(LearnedCorrection(learned, shift))
 
 
 def write_urdf(

@@ -15,7 +15,8 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, in_file, nearest
 from calib_pin.estimation.evidence import rms
-from calib_pin.estimation.fit import FittedModel, fit_model
+from calib_pin.estimation.fit import fit_model
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.terms import Term
@@ -165,17 +166,17 @@ def try_robot(study: Study, robot: int) -> tuple[Trial, ...]:
     for count in study.counts:
         trial, rng = Trial(robot, count), study.stream(robot, PREDICTED, count)
         try:
-            model = _calibrated(study, theta, robot, count)
+            fitted = _calibrated(study, theta, robot, count)
         except InputError as error:
             trials.append(replace(trial, reason=str(error)))
             continue
-        terms = model.problem.by_chain.values()
-        each = [_with_errors(study, theta, model, term, rng, trial) for term in terms]
+        terms = fitted.solved.problem.by_chain.values()
+        each = [_with_errors(study, theta, fitted, term, rng, trial) for term in terms]
         trials.append(max(each, key=lambda t: t.position))
     return tuple(trials)
 
 
-def _calibrated(study: Study, theta: Floats, robot: int, count: int) -> FittedModel:
+def _calibrated(study: Study, theta: Floats, robot: int, count: int) -> Fit:
     """The calibration of a robot."""
     q = None if study.plan is None else study.plan[:count]
     rows = simulate(
@@ -196,14 +197,13 @@ def _calibrated(study: Study, theta: Floats, robot: int, count: int) -> FittedMo
 def _with_errors(
     study: Study,
     theta: Floats,
-    model: FittedModel,
+    fitted: Fit,
     term: Term,
     rng: np.random.Generator,
     trial: Trial,
 ) -> Trial:
     """A trial with the errors of a chain."""
-    problem, fitted = model.problem, model.fit
-    heaviest = problem.setup.heaviest
+    heaviest = fitted.problem.setup.heaviest
     true = study.truth.by_chain[term.key.chain]
     true = replace(true, error=true.error.carrying(heaviest))
     term = replace(term, error=term.error.carrying(heaviest))
@@ -211,7 +211,7 @@ def _with_errors(
     q = term.error.chain.random_configurations(TESTS, np.random.default_rng(study.seed))
     errors = true.values(theta)[0]
     A, nominal = (true.error.poses(q, values) for values in (errors, 0.0 * errors))
-    calibrated = term.error.poses(q, term.values(model.theta)[0])
+    calibrated = term.error.poses(q, term.values(fitted.solved.theta)[0])
     before, _ = apart(A, absorbed(A, nominal))
     names = ("position", "orientation")
     deviations = dict(zip(names, apart(A, absorbed(A, calibrated)), strict=True))

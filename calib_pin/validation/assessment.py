@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import (
     Stated,
@@ -359,16 +358,16 @@ FAR = 10.0
 
 @serial_blas
 def breakdown(
-    model: FittedModel, errors: ModelErrors, accuracies: Mapping[str, ToolAccuracy]
+    fitted: Fit, errors: ModelErrors, accuracies: Mapping[str, ToolAccuracy]
 ) -> Breakdown:
     """A calibration part by part.
 
     Args:
-        model: The fitted model.
+        fitted: The fit.
         errors: Errors of the measurements that were fitted.
         accuracies: The expected errors of the tool by chain.
     """
-    parts = _Parts(model, errors)
+    parts = _Parts(fitted, errors)
     return Breakdown(
         accuracies=accuracies,
         stations=tuple(parts.frames(0)),
@@ -387,20 +386,19 @@ class _Parts:
         open_directions: Directions that are left open, see the function.
     """
 
-    def __init__(self, model: FittedModel, errors: ModelErrors) -> None:
-        """Of a model, and the errors of all measurements that it was fitted to."""
-        self.model, self.errors, self.fit = model, errors, model.fit
-        self.problem = model.fit.problem
-        likely = [posterior.covariance for posterior in model.fit.likely_posteriors]
+    def __init__(self, fitted: Fit, errors: ModelErrors) -> None:
+        """Of a fit, and the errors of all measurements that were fitted."""
+        self.errors, self.fit, self.problem = errors, fitted, fitted.problem
+        likely = [posterior.covariance for posterior in fitted.likely_posteriors]
         self.covariance: Floats = np.mean(likely, axis=0)
-        self.open_directions = open_directions(model.fit, self.covariance)
+        self.open_directions = open_directions(fitted, self.covariance)
 
     def frames(self, end: int) -> Iterator[FrameSummary]:
         """The stations, end 0, or the tools, end 1."""
         by_frame: dict[Frame, list[BlockKey]] = {}
         for key, term in self.problem.terms.items():
             by_frame.setdefault(frames_of(term)[end][0], []).append(key)
-        calibrated = CalibratedModel.create(self.model.problem, self.model.theta)
+        calibrated = CalibratedModel.create(*self.fit.solved)
         for frame, keys in by_frame.items():
             term, at = self.problem.terms[keys[0]], calibrated.of(keys[0])
             T, chain = (at.tool if end else at.error.base), term.error.chain
@@ -437,7 +435,7 @@ class _Parts:
         data, layout = self.problem.data, self.problem.layout
         mask = np.array([block.key in keys for block in data.blocks])[data.block_of]
         selected = self.errors.at(mask).counted(data.weight)
-        errors = quantity_errors(self.model.problem.layout.quantities, selected)
+        errors = quantity_errors(self.problem.layout.quantities, selected)
         kinds = {k for key in keys for k in layout.of_keys[key].tolist()}
         noise = tuple(n for k, n in enumerate(self.fit.noise) if k in kinds)
         return int(mask.sum()), errors, noise

@@ -19,10 +19,8 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, Gain
 from calib_pin.estimation.fit import (
-    FittedModel,
     fit_model,
     learned_without,
-    with_learned,
 )
 from calib_pin.estimation.fitted import (
     Fit,
@@ -149,19 +147,18 @@ def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
 
 @serial_blas
 def left_out(
-    model: FittedModel, masks: Sequence[NDArray[np.bool_]], seed: int = 0
+    fit: Fit, masks: Sequence[NDArray[np.bool_]], seed: int = 0
 ) -> list[ModelErrors | None]:
     """Errors of each of some groups of measurements by what the others tell.
 
     Args:
-        model: The model of all measurements.
+        fit: The fit of all measurements.
         masks: The groups, shape (N,) each.
         seed: Seed of whatever is learned anew.
 
     Returns:
         The errors; None where it takes a fit of the others to tell.
     """
-    fit, learned = model.fit, model.learned
     result: list[ModelErrors | None] = [None] * len(masks)
     if not masks or fit.problem.station_parameters:
         # The elimination of stations is no sum over groups.
@@ -172,10 +169,10 @@ def left_out(
         if before is not None and after is not None:
             solutions[k] = before, after
     corrections = dict[int, LearnedCorrection]()
-    if learned is not None:
+    if fit.learned is not None:
         rng = np.random.default_rng(seed)
         parts = [masks[k] for k in solutions]
-        retrained = learned_without(learned, fit, parts, rng)
+        retrained = learned_without(fit.learned, fit, parts, rng)
         corrections = dict(zip(solutions, retrained, strict=True))
     for k, (nominal, fitted) in solutions.items():
         rows, theta = fit.problem.data.rows(masks[k]), fitted.theta
@@ -186,14 +183,14 @@ def left_out(
             step[of_error] = (theta - fit.theta)[of_error]
             # What was learned stands on the geometry; where it fades, that remains.
             correction = replace(corrections[k], shift=corrections[k].shift - step)
-            problem = with_learned(model.problem, correction)
-            theta = model.theta + step
+            problem = fit.solved.problem.learning(correction)
+            theta = fit.solved.theta + step
         elif not problem.many:
             deviations = _deviations(fit, robots[1], fitted, masks[k])
         uncalibrated = Registered(replace(fit.problem, data=rows), nominal.theta)
         calibrated = Registered(replace(problem, data=rows), theta)
         given = np.flatnonzero(masks[k]), deviations
-        errors = errors_of_registered(model, uncalibrated, calibrated, *given)
+        errors = errors_of_registered(fit, uncalibrated, calibrated, *given)
         result[k] = replace(errors, reason=unusable(fit))
     return result
 
@@ -381,7 +378,7 @@ class HeldOut:
 
 
 def check(
-    model: FittedModel,
+    fitted: Fit,
     training: Observations,
     seed: int,
     *,
@@ -395,7 +392,7 @@ def check(
     """Check a model on validation measurements, or by cross-validation without any.
 
     Args:
-        model: The model.
+        fitted: The fit.
         training: The measurements that it was fitted to.
         seed: Seed of the split and of further fits.
         validation: Validation measurements; None for a cross-validation.
@@ -405,7 +402,7 @@ def check(
         progress: Told the stage and the fraction done.
         workers: Who fits the folds of a cross-validation.
     """
-    fitted, training = model.fit, model.weighted(training)
+    training = fitted.weighted(training)
     grouping = Grouping.of(training, fitted.problem.setup)
     problem = replace(fitted.problem, data=training)
     pressed: tuple[Gain, ...] = ()
@@ -415,11 +412,11 @@ def check(
     if not validate:
         return HeldOut(training, gains=pressed)
     if validation is not None:
-        held_out = _check_on(model, training, validation, method)
+        held_out = _check_on(fitted, training, validation, method)
         return replace(held_out, gains=held_out.gains + pressed)
     if parts is None:
         masks = folds(grouping, fitted, seed)
-        parts = tuple(cross_validate(model, training, masks, seed, progress, workers))
+        parts = tuple(cross_validate(fitted, training, masks, seed, progress, workers))
     # A fit that fails without its fold says nothing about the robot.
     usable = tuple(part for part in parts if not part.reason)
     counted = [part.positions[training.weight[part.positions] > 0.0] for part in usable]
@@ -433,7 +430,7 @@ def check(
 
 
 def cross_validate(
-    whole: FittedModel,
+    whole: Fit,
     measurements: Observations,
     masks: Sequence[NDArray[np.bool_]],
     seed: int,
@@ -443,7 +440,7 @@ def cross_validate(
     """Errors of each part of the measurements by a model fitted to the others.
 
     Args:
-        whole: The model fitted to all measurements.
+        whole: The fit of all measurements.
         measurements: The N measurements.
         masks: The parts, each of shape (N,).
         seed: As for `fit_model`.
@@ -451,7 +448,7 @@ def cross_validate(
         workers: Who fits those parts that take a fit.
     """
     parts = left_out(whole, masks, seed)
-    if whole.fit.problem.many:
+    if whole.problem.many:
         # Their kernels keep all cores busy, and every worker would have a copy.
         workers = SERIAL
     shared = whole, measurements, seed
@@ -465,29 +462,29 @@ def cross_validate(
 
 @serial_blas
 def _refit_errors(
-    shared: tuple[FittedModel, Observations, int], mask: NDArray[np.bool_]
+    shared: tuple[Fit, Observations, int], mask: NDArray[np.bool_]
 ) -> ModelErrors:
     """Errors of a part of the measurements, of shape (N,), by a fit of the others."""
-    (whole, measurements, seed), fit = shared, shared[0].fit
+    whole, measurements, seed = shared
     # Measurements that the fit of all has rejected stay rejected.
     others = measurements.rows(~mask & (measurements.weight > 0.0))
-    layout = fit.problem.layout
+    layout = whole.problem.layout
     try:
         # Where all of them taught nothing, some teach no more.
-        known = fit.problem.chains, others, whole.problem.setup
-        model = fit_model(*known, seed, effects_of=fit)
-        if model.problem.layout.quantities != layout.quantities:
+        known = whole.problem.chains, others, whole.solved.problem.setup
+        fitted = fit_model(*known, seed, effects_of=whole)
+        if fitted.problem.layout.quantities != layout.quantities:
             raise InputError("all others of an instrument are set aside")
-        errors = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
+        errors = model_errors(fitted, measurements.rows(mask), np.flatnonzero(mask))
     except InputError as error:
         # All other measurements of a reference may be rejected.
         none = np.zeros((0, layout.width))
         return ModelErrors(np.zeros(0, np.intp), none, none, none, reason=error.reason)
-    return replace(errors, reason=unusable(model.fit))
+    return replace(errors, reason=unusable(fitted))
 
 
 def _check_on(
-    model: FittedModel, training: Observations, validation: Observations, method: str
+    fitted: Fit, training: Observations, validation: Observations, method: str
 ) -> HeldOut:
     """The check on validation measurements."""
     findings, part = list[Finding](), None
@@ -501,12 +498,12 @@ def _check_on(
         numbers = {"repeated": repeated, "all": len(new)}
         findings.append(finding("repeated-validation", text, numbers, remedy))
     if new.any():
-        pair = both(model, validation.rows(new))
-        part, moved = registered_if_moved(model, *pair, np.flatnonzero(new))
+        pair = both(fitted, validation.rows(new))
+        part, moved = registered_if_moved(fitted, *pair, np.flatnonzero(new))
         findings += moved
     if part is None:
         return HeldOut(validation, findings=tuple(findings))
-    clusters = Grouping.of(validation, model.problem.setup).clusters
-    problem, _ = extended(model.problem, model.theta, validation)
+    clusters = Grouping.of(validation, fitted.problem.setup).clusters
+    problem, _ = extended(*fitted.solved, validation)
     tests = gains(method, problem, [part], clusters)
     return HeldOut(validation, (part,), method, tests, tuple(findings))

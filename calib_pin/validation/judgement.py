@@ -1,4 +1,4 @@
-"""The judgement of a fitted model: its accuracy, what is wrong with it, the verdict.
+"""The judgement of a fit: its accuracy, what is wrong with it, the verdict.
 
 The verdict says what a user may do with a calibration, in one word and one sentence. It
 reads what the other modules have found and finds nothing by itself.
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, Gain
-from calib_pin.estimation.fit import FittedModel, with_effects
+from calib_pin.estimation.fit import with_effects
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import (
     Problem,
@@ -181,7 +181,7 @@ class Judgement:
 
 
 class Examined(NamedTuple):
-    """A fitted model as it is known before its check.
+    """A fit as it is known before its check.
 
     Attributes:
         accuracies: Errors of the tool to expect by chain.
@@ -194,51 +194,51 @@ class Examined(NamedTuple):
 
 def examine(
     chains: Chain | Chains,
-    model: FittedModel,
+    fitted: Fit,
     seed: int,
     progress: Progress | None = None,
     others: Others = tuple,
     seek: bool = True,
 ) -> Examined:
-    """Examine a fitted model.
+    """Examine a fit.
 
     Args:
         chains: The nominal chains.
-        model: The model.
+        fitted: The fit.
         seed: Seed of configurations.
         progress: Told how far the search for explanations is.
         others: Other robots that may have been measured.
         seek: Whether to seek faults of the measurements that no robot explains; they
             have been sought with another model otherwise.
     """
-    fitted, data = model.fit, model.fit.problem.data
+    data = fitted.problem.data
     counting = data.rows(data.weight > 0.0)
     # What was not estimated errs elsewhere as well.
     missing = unplaced(fitted.problem.setup)
     expecting = with_effects(fitted, missing) if missing else fitted
     accuracies = {
         name: tool_accuracy(
-            model, expecting, term, counting, np.random.default_rng(seed)
+            fitted, expecting, term, counting, np.random.default_rng(seed)
         )
-        for name, term in model.problem.by_chain.items()
+        for name, term in fitted.solved.problem.by_chain.items()
     }
     case = Case.of(fitted, Chains.of(chains), progress, others, accuracies)
     return Examined(accuracies, find(case, seek))
 
 
 def judge(
-    model: FittedModel, fitted_errors: ModelErrors, held_out: HeldOut, known: Examined
+    fitted: Fit, fitted_errors: ModelErrors, held_out: HeldOut, known: Examined
 ) -> Judgement:
-    """Judge a fitted model.
+    """Judge a fit.
 
     Args:
-        model: The model.
+        fitted: The fit.
         fitted_errors: Errors of the measurements that were fitted.
         held_out: Its check on held-out measurements.
         known: What is known of it before that.
     """
-    (accuracies, findings), fitted = known, model.fit
-    data, quantities = fitted.problem.data, model.problem.layout.quantities
+    accuracies, findings = known
+    data, quantities = fitted.problem.data, fitted.problem.layout.quantities
     counting = data.rows(data.weight > 0.0)
     seen = counting.configurations / max(data.configurations, 1)
     return Judgement(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, Posterior
 from calib_pin.estimation.identifiability import column_space
 from calib_pin.estimation.nominal import extended, register, relocated
@@ -141,12 +140,12 @@ def quantity_errors(
 
 @serial_blas
 def model_errors(
-    model: FittedModel, measurements: Observations, positions: NDArray[np.intp]
+    fitted: Fit, measurements: Observations, positions: NDArray[np.intp]
 ) -> ModelErrors:
     """Errors of measurements, with what only these name registered on them.
 
     Args:
-        model: The fitted model.
+        fitted: The fit.
         measurements: The N measurements.
         positions: Their positions among all, shape (N,).
 
@@ -154,50 +153,50 @@ def model_errors(
         InputError: If a new station or reference object uses up all that its
             measurements say, or they are of something that was not fitted.
     """
-    return errors_of_registered(model, *both(model, measurements), positions)
+    return errors_of_registered(fitted, *both(fitted, measurements), positions)
 
 
 @serial_blas
-def fitted_errors(model: FittedModel, training: Observations) -> ModelErrors:
+def fitted_errors(fitted: Fit, training: Observations) -> ModelErrors:
     """Errors of the measurements that were fitted, and the known distances among them.
 
     Args:
-        model: The fitted model.
+        fitted: The fit.
         training: The measurements, those that the fit has set aside included.
     """
     positions = np.arange(len(training))
-    return errors_of_registered(model, *both(model, training), positions, fitted=True)
+    return errors_of_registered(fitted, *both(fitted, training), positions, own=True)
 
 
 def errors_of_registered(
-    model: FittedModel,
+    fitted: Fit,
     before: Registered,
     after: Registered,
     positions: NDArray[np.intp],
     deviations: Posterior | None = None,
-    fitted: bool = False,
+    own: bool = False,
 ) -> ModelErrors:
     """Errors of measurements that both robots are registered on.
 
     Args:
-        model: The fitted model.
+        fitted: The fit.
         before: The nominal robot.
         after: The fitted model.
         positions: Positions of the measurements among all, shape (N,).
         deviations: Those of the fit that predicts; default of the model's own.
-        fitted: Whether they were fitted, so that it predicts nothing of them.
+        own: Whether they were fitted, so that it predicts nothing of them.
     """
     problem, theta = after.problem, after.theta
     old, new = (error_table(at.problem, at.theta) for at in (before, after))
     spread, distances = np.full(new.shape, np.nan), problem.setup.distances
     located = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
-    known = {name for _, name in model.problem.references} - located
-    if not fitted:
+    known = {name for _, name in fitted.problem.references} - located
+    if not own:
         distances = tuple(d for d in distances if known.isdisjoint(d.between))
         estimated = *after.refitted, *after.new
-        variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
+        variance = predicted_variance(fitted, problem, theta, estimated, deviations)
         spread = problem.layout.table(variance, len(problem.data))
-    lengths = distance_checks(before, after, distances, fitted)
+    lengths = distance_checks(before, after, distances, own)
     return ModelErrors(positions, old, new, spread, lengths, after.located)
 
 
@@ -359,12 +358,10 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
     return "" if result.status.success else result.status.advice
 
 
-def both(
-    model: FittedModel, measurements: Observations
-) -> tuple[Registered, Registered]:
+def both(fitted: Fit, measurements: Observations) -> tuple[Registered, Registered]:
     """The nominal robot and the fitted model, `registered` on other measurements."""
-    before = registered(model.fit.problem, model.fit.before, measurements)
-    return before, registered(model.problem, model.theta, measurements)
+    before = registered(fitted.problem, fitted.before, measurements)
+    return before, registered(*fitted.solved, measurements)
 
 
 def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> None:

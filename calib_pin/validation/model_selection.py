@@ -23,7 +23,8 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest, require_known
-from calib_pin.estimation.fit import FittedModel, fit_model
+from calib_pin.estimation.fit import fit_model
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import parameter_names, with_parameters
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -82,14 +83,14 @@ class Judged:
 
     Attributes:
         candidate: The candidate.
-        model: Its model, fitted to all measurements.
+        fit: Its fit of all measurements.
         parts: Its cross-validation, fold by fold.
         sizes: Sizes of the whitened errors, mean of every cluster, shape (G,), near the
             fitted configurations and away from them where that could be tried.
     """
 
     candidate: Candidate
-    model: FittedModel | None = None
+    fit: Fit | None = None
     parts: tuple[ModelErrors, ...] = ()
     sizes: tuple[Floats, ...] = ()
 
@@ -100,12 +101,12 @@ class SelectedModel:
 
     Attributes:
         selection: All candidates, and which of them is chosen.
-        model: That one, fitted to all measurements.
+        fit: Its fit of all measurements.
         parts: Its cross-validation, fold by fold.
     """
 
     selection: ModelSelection
-    model: FittedModel
+    fit: Fit
     parts: tuple[ModelErrors, ...]
 
 
@@ -156,9 +157,9 @@ def select_model(
     near = zip(*(end(axis=0).tolist() for end in (q.min, q.max)), strict=True)
     ranges = dict(zip(measurements.joints, near, strict=True))
     all_candidates = tuple(entry.candidate for entry in judged)
-    assert chosen.model is not None
+    assert chosen.fit is not None
     selection = ModelSelection(chosen.candidate.name, use, ranges, all_candidates)
-    return SelectedModel(selection, chosen.model, chosen.parts)
+    return SelectedModel(selection, chosen.fit, chosen.parts)
 
 
 def helps(sizes: Sequence[Floats], before: Sequence[Floats], use: str) -> bool:
@@ -229,15 +230,15 @@ def _mean(values: Floats) -> tuple[float, float]:
 
 
 def scored(
-    grouping: Grouping, model: FittedModel, parts: Sequence[ModelErrors]
+    grouping: Grouping, fitted: Fit, parts: Sequence[ModelErrors]
 ) -> tuple[Floats, HeldOutErrors]:
     """Sizes of errors on held-out measurements, see `Judged`, and what they come to.
 
     Of a cluster of which all is set aside the size is NaN.
     """
-    rows, layout = grouping.measurements, model.problem.layout
+    rows, layout = grouping.measurements, fitted.problem.layout
     errors = ModelErrors.joined([part.counted(rows.weight) for part in parts])
-    sigma = replace(model.problem, data=rows).given_sigma
+    sigma = replace(fitted.problem, data=rows).given_sigma
     sigma = layout.table(sigma, len(rows))[errors.positions]
     size = np.sqrt(np.nanmean((errors.after / sigma) ** 2, axis=1))
     counted = rows.weight[errors.positions] > 0.0
@@ -329,10 +330,10 @@ class _Candidates:
         inputs = self.chains, self.measurements
         setup = replace(self.setup, learned=candidate.learned)
         setup = with_parameters(*inputs, setup, candidate.parameters)
-        model = fit_model(*inputs, setup, self.seed, tell)
-        measurements = model.weighted(self.measurements)
-        grouping, given = Grouping.of(measurements, setup), (model, measurements)
-        masks = folds(grouping, model.fit, self.seed)
+        fitted = fit_model(*inputs, setup, self.seed, tell)
+        measurements = fitted.weighted(self.measurements)
+        grouping, given = Grouping.of(measurements, setup), (fitted, measurements)
+        masks = folds(grouping, fitted, self.seed)
         if not masks:
             count = measurements.configurations
             raise OptionError(f"{count} configurations are too few to hold out a fold")
@@ -341,12 +342,12 @@ class _Candidates:
             for held_out in (masks, regions(grouping, self.seed))
         )
         away = tuple(part for part in away if not part.reason and len(part.positions))
-        scores = [scored(grouping, model, parts) for parts in (near, away) if parts]
+        scores = [scored(grouping, fitted, parts) for parts in (near, away) if parts]
         sizes, (errors, *others) = zip(*scores, strict=True)
         better = all(helps(sizes, below.sizes, self.use) for below in extends)
         figures = vars(errors) | {"away": others[0] if others else None}
-        candidate = replace(candidate, rank=model.fit.rank, helps=better, **figures)
-        return Judged(candidate, model, near, sizes)
+        candidate = replace(candidate, rank=fitted.rank, helps=better, **figures)
+        return Judged(candidate, fitted, near, sizes)
 
 
 def _further_effects(measurements: Observations, setup: Setup) -> tuple[str, ...]:

@@ -13,7 +13,6 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import ExpectedAccuracy, PoseErrors, TipAccuracy, rms
-from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
@@ -42,7 +41,7 @@ an error by which a bound is found, for each size of errors."""
 
 @serial_blas
 def tool_accuracy(
-    model: FittedModel,
+    fitted: Fit,
     expecting: Fit,
     term: Term,
     data: Observations,
@@ -51,17 +50,17 @@ def tool_accuracy(
     """The accuracy to expect of a chain where it was measured and elsewhere.
 
     Args:
-        model: The model.
-        expecting: Its fit with all that is known to move the tool. What models of two
+        fitted: The fit.
+        expecting: It with all that is known to move the tool. What models of two
             calibrations both lack is no part of the noise that sets them apart.
-        term: A term of the model, of the chain.
+        term: A term of the chain about the solution.
         data: The measurements that count.
         rng: Draws configurations, and errors.
     """
-    error = term.error.carrying(model.problem.setup.heaviest)
+    error = term.error.carrying(fitted.problem.setup.heaviest)
     term = replace(term, error=error)
     spread = error.chain.random_configurations(SAMPLES, rng)
-    tip, measured = ToolErrors.of(model.fit, term, spread).by_noise(), None
+    tip, measured = ToolErrors.of(fitted, term, spread).by_noise(), None
     if not expecting.noise:
         return ToolAccuracy(tip)
     prior, known = expecting.problem.setup.prior, ((0.0, 0.0), (0.0, 0.0))

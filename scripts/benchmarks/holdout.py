@@ -42,7 +42,7 @@ def main() -> None:
         rows = whole.weighted(rows)
         grouping = Grouping.of(rows, SETUP)
         parts = {
-            "near": folds(grouping, whole.fit, 0),
+            "near": folds(grouping, whole, 0),
             "away": regions(grouping, 0),
         }
         for where, masks in parts.items():
@@ -53,7 +53,7 @@ def main() -> None:
             for mask, one in zip(masks, found, strict=True):
                 some = rows.rows(~mask & (rows.weight > 0.0))
                 try:
-                    model = fit_model(chain, some, SETUP, 0, effects_of=whole.fit)
+                    model = fit_model(chain, some, SETUP, 0, effects_of=whole)
                     at = np.flatnonzero(mask)
                     again = model_errors(model, rows.rows(mask), at)
                 except InputError:

@@ -18,7 +18,7 @@ import time
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.estimation.fit import fit, learned_correction, with_learned
+from calib_pin.estimation.fit import fit, learned_correction
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
@@ -93,7 +93,7 @@ def _measure(size: int) -> dict[str, object]:
         away = np.concatenate(found)[:, :3, 3] - positions[size:]
         return 1e3 * float(np.sqrt((away**2).mean()))
 
-    corrected = with_learned(problem, learned).only.error
+    corrected = problem.learning(learned).only.error
     return {
         "fit": middle - start[0],
         "learned": end[0] - middle,

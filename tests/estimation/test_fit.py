@@ -409,16 +409,16 @@ def test_what_was_learned_is_on_top_of_the_fit(memory: Memory) -> None:
     chain, rows = measured_rows()
     plain = fit_model(chain, rows, OFFSETS_ALONE, 3)
     learned = fit_model(chain, rows, replace(OFFSETS_ALONE, learned="memory"), 3)
-    np.testing.assert_array_equal(learned.fit.theta, plain.fit.theta)
-    assert learned.fit.problem.only.error.learned is None
+    np.testing.assert_array_equal(learned.theta, plain.theta)
+    assert learned.problem.only.error.learned is None
     # It learned from what the fit has left, about the fitted frames.
     (given,) = memory.rows
     # Not those that turn the tool, which no position shows.
-    assert len(given.shift) == learned.fit.rank
+    assert len(given.shift) == learned.rank
     zero = np.zeros((len(rows), 6)), np.zeros(len(given.shift))
-    sigma = plain.fit.problem.sigma
-    left = plain.fit.problem.errors(plain.fit.theta) / sigma
-    table = plain.fit.problem.blocks[0].table
+    sigma = plain.problem.sigma
+    left = plain.problem.errors(plain.theta) / sigma
+    table = plain.problem.blocks[0].table
     np.testing.assert_allclose(
         given.by_joint(*zero).residual, table(left), rtol=0, atol=1e-8
     )
@@ -434,7 +434,7 @@ def test_left_out_measurements_have_no_part(memory: Memory) -> None:
     """The correction is asked once, and no part of the measurements is fitted."""
     chain, rows = measured_rows(repeats=2)
     model = fit_model(chain, rows, replace(OFFSETS_ALONE, learned="memory"), 7)
-    masks = folds(Grouping.of(rows, OFFSETS_ALONE), model.fit, 0)
+    masks = folds(Grouping.of(rows, OFFSETS_ALONE), model, 0)
     parts = left_out(model, masks, 7)
     (given, asked), (found,) = memory.rows, memory.masks
     np.testing.assert_array_equal(given.q, asked.q)

@@ -13,7 +13,7 @@ import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.estimation import problem as problems
 from calib_pin.estimation.evidence import Gain
-from calib_pin.estimation.fit import FittedModel, fit, fit_model
+from calib_pin.estimation.fit import fit, fit_model
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import nuisance_basis
@@ -64,11 +64,7 @@ def fit_of(
     shift = 5e-5 * rng.normal(size=(count * repeats, rows.only.values.shape[1]))
     shift = shift[np.unique(rows.groups(), return_index=True)[1]][rows.groups()]
     rows = Observations.of(replace(rows.only, values=rows.only.values + shift))
-    return fit_model(CHAIN, rows, replace(SETUP, prior=prior or {}), 0).fit
-
-
-def model_of(fitted: Fit) -> FittedModel:
-    return FittedModel(fitted, *fitted.problem.rebased(fitted.theta))
+    return fit_model(CHAIN, rows, replace(SETUP, prior=prior or {}), 0)
 
 
 def without(fitted: Fit, mask: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
@@ -112,7 +108,7 @@ def test_left_out_is_refitted(
     assert "transmission" not in kinds or fitted.effects is not None
     label = fitted.problem.data.groups()
     masks = [np.isin(label, (0, 1)), label % 3 == 2]
-    for mask, found in zip(masks, left_out(model_of(fitted), masks), strict=True):
+    for mask, found in zip(masks, left_out(fitted, masks), strict=True):
         assert found is not None
         before, after, variance = without(fitted, mask)
         np.testing.assert_array_equal(found.positions, np.flatnonzero(mask))
@@ -128,7 +124,7 @@ def test_one_step_for_every_configuration() -> None:
     label = fitted.problem.data.groups()
     found = press_check(fitted, label)
     masks = [label == k for k in range(10)]
-    for mask, one in zip(masks, left_out(model_of(fitted), masks), strict=True):
+    for mask, one in zip(masks, left_out(fitted, masks), strict=True):
         assert one is not None
         sigma = np.sqrt(one.variance)
         assert np.abs((found.after[mask] - one.after) / sigma).max() < 0.01
@@ -166,7 +162,7 @@ def test_sockets_of_a_place_are_where_its_rows_put_them(
     back = np.array([name.startswith("back") for name in rows.target])
     whole = fit_model(CHAIN, rows, IN_SOCKETS, 0)
     grouping = Grouping.of(rows, IN_SOCKETS)
-    masks = folds(grouping, whole.fit, 0)
+    masks = folds(grouping, whole, 0)
     assert grouping.validation_name(len(masks)) == "leave-one-place-out"
     np.testing.assert_array_equal(np.sum(masks, axis=0), 1)
     assert any((mask == back).all() for mask in masks)
@@ -205,7 +201,7 @@ def test_very_many_are_left_out_by_sums(monkeypatch: pytest.MonkeyPatch) -> None
     def found() -> ModelErrors:
         fitted = fit_of("position", 40)
         label = fitted.problem.data.groups()
-        (one,) = left_out(model_of(replace(fitted, effects=None)), [label % 4 == 1])
+        (one,) = left_out(replace(fitted, effects=None), [label % 4 == 1])
         assert one is not None
         return one
 
@@ -230,12 +226,12 @@ def test_parts_promise_what_new_measurements_have() -> None:
     chain, rows = problem.chains[""], problem.data
     model = fit_model(chain, rows, LEARNED, 0)
     assert model.learned is not None
-    masks = folds(Grouping.of(rows, LEARNED), model.fit, 0)
+    masks = folds(Grouping.of(rows, LEARNED), model, 0)
     parts = [part for part in left_out(model, masks, 0) if part is not None]
     assert sorted(ModelErrors.joined(parts).positions) == list(range(80))
     rng = np.random.default_rng(9)
     fresh = calib_pin.simulate(problem, truth, rng, count=300, noise=1e-5)
-    plain = replace(model, problem=model.fit.problem, theta=model.fit.theta)
+    plain = replace(model, learned=None)
     found, new, without = (
         np.sqrt((errors.after**2).mean())
         for errors in (
@@ -357,7 +353,7 @@ def rows_of(
     )
 
 
-def fitted_to(rows: Observations) -> FittedModel:
+def fitted_to(rows: Observations) -> Fit:
     return fit_model(CHAIN, rows, SETUP, 0)
 
 

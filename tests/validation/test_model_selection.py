@@ -135,7 +135,7 @@ def test_what_a_robot_has_is_kept(
     assert list(rungs(selected))[:5] == RUNGS[:5] and BOTH in rungs(selected)
     found = kept(selected)
     assert (found.name, found.parameters) == (expected, parameters)
-    assert selected.model.fit.problem.setup.parameters == parameters
+    assert selected.fit.problem.setup.parameters == parameters
     helps = {rung.name for rung in selected.selection.candidates if rung.helps}
     assert {"joint offset", expected} <= helps
     assert ("geometric" in helps) == ("placement" in truth)
@@ -147,8 +147,8 @@ def test_what_a_robot_has_is_kept(
     assert (error.name, error.unit) == ("position", "m")
     # The mean length of three components of unit deviation is 1.6.
     assert error.mean == pytest.approx(1.6 * NOISE * found.score, rel=0.1)
-    assert selected.model.fit.rank == found.rank
-    assert set(selected.model.problem.setup.parameters) == set(parameters)
+    assert selected.fit.rank == found.rank
+    assert set(selected.fit.solved.problem.setup.parameters) == set(parameters)
 
 
 def test_the_scores_are_those_of_unseen_rows(
@@ -164,7 +164,7 @@ def test_the_scores_are_those_of_unseen_rows(
     assert found.deviation == pytest.approx(sizes.std(ddof=1) / np.sqrt(30))
     assert found.errors[0][2] == pytest.approx(np.linalg.norm(after, axis=1).mean())
     # The fit itself has seen them all.
-    fitted = fitted_errors(selected.model, rows).after
+    fitted = fitted_errors(selected.fit, rows).after
     assert np.mean(fitted**2) < np.mean(after**2)
 
 
@@ -298,8 +298,8 @@ def test_learned_rungs_stand_on_the_last_that_helped(chain: Chain) -> None:
     assert not found["+ wrong"].helps and not found["+ wrong"].reason
     assert kept(selected) is found["+ right"] and kept(selected).helps
     assert kept(selected).score < 0.4 * found["joint offset"].score
-    assert selected.model.fit.problem.setup.learned == "right"
-    learned = selected.model.problem.only.error.learned
+    assert selected.fit.problem.setup.learned == "right"
+    learned = selected.fit.solved.problem.only.error.learned
     assert isinstance(learned, LearnedCorrection)
     assert isinstance(learned.model, Wave) and learned.model.size == 5e-4
     # Its errors on unseen rows, not those of the parameters alone.

@@ -59,12 +59,12 @@ def folds(rows: Observations, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
 def test_of_very_many_some_are_held_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """In whole groups, of every part."""
     chain, rows = measured_rows(repeats=2)
-    every = folds(rows, fit_model(chain, rows, SETUP, 0).fit, 0)
+    every = folds(rows, fit_model(chain, rows, SETUP, 0), 0)
     monkeypatch.setattr("calib_pin.estimation.problem.MANY", 1)
     monkeypatch.setattr("calib_pin.validation.splits.MOST", 4)
     model = fit_model(chain, rows, SETUP, 0)
-    masks, groups = folds(rows, model.fit, 0), rows.groups()
-    assert model.fit.problem.many and len(masks) == len(every)
+    masks, groups = folds(rows, model, 0), rows.groups()
+    assert model.problem.many and len(masks) == len(every)
     for mask, whole in zip(masks, every, strict=True):
         assert 2 <= mask.sum() < whole.sum() and not (mask & ~whole).any()
         np.testing.assert_array_equal(mask, np.isin(groups, groups[mask]))
@@ -77,7 +77,7 @@ def test_of_very_many_some_are_held_out(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize("repeats", [1, 4])
 def test_repetitions_stay_together(repeats: int, seed: int) -> None:
     chain, rows = measured_rows(repeats=repeats, count=43)
-    masks = folds(rows, fit_model(chain, rows, SETUP, 0).fit, seed)
+    masks = folds(rows, fit_model(chain, rows, SETUP, 0), seed)
     assert len(masks) == FOLDS
     np.testing.assert_array_equal(np.sum(masks, axis=0), 1)
     configurations = [
@@ -92,15 +92,15 @@ def test_few_configurations_have_no_folds() -> None:
     """What is fitted without a part must still determine the robot."""
     chain, rows = measured_rows()
     labels = rows.groups()
-    rank = fit_model(chain, rows, SETUP, 0).fit.structure.rank
+    rank = fit_model(chain, rows, SETUP, 0).structure.rank
     # So many configurations that four parts of five hold more values than that.
     enough = next(n for n in range(5, 40) if 3 * (n - -(-n // 5)) > rank)
     for count, expected in ((enough - 1, 0), (enough, FOLDS), (4, 0)):
         some = rows.rows(labels < count)
-        assert len(folds(some, fit_model(chain, some, SETUP, 0).fit, 0)) == expected
+        assert len(folds(some, fit_model(chain, some, SETUP, 0), 0)) == expected
     # Repetitions do not help.
     thrice = rows.rows(np.repeat(np.flatnonzero(labels < enough - 1), 3))
-    assert not folds(thrice, fit_model(chain, thrice, SETUP, 0).fit, 0)
+    assert not folds(thrice, fit_model(chain, thrice, SETUP, 0), 0)
 
 
 def at_stations(*counts: int, tools: Sequence[str] = ("",)) -> Observations:
@@ -132,7 +132,7 @@ def test_every_fold_has_its_share_of_every_station() -> None:
             for key, count in zip(keys, (40, 12, 3), strict=True)
         )
     )
-    masks = folds(rows, fit_model(chain, rows, SETUP, 0).fit, 0)
+    masks = folds(rows, fit_model(chain, rows, SETUP, 0), 0)
     assert len(masks) == FOLDS
     sizes = np.array([np.bincount(rows.block_of[mask], minlength=3) for mask in masks])
     # Without one of its three configurations nobody knew where the last one is.

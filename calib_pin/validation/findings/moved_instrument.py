@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem, distinct_values, measured_count
 from calib_pin.estimation.statistics.distributions import chi_square_tail
 from calib_pin.estimation.terms import BASE, FRAME
@@ -54,7 +54,7 @@ STATION = (
 
 
 def registered_if_moved(
-    model: FittedModel,
+    fitted: Fit,
     before: Registered,
     after: Registered,
     positions: NDArray[np.intp],
@@ -68,7 +68,7 @@ def registered_if_moved(
     against `S' / (M - k)`, is then far beyond chance.
 
     Args:
-        model: The fitted model.
+        fitted: The fit.
         before: The nominal robot, with the stations of the fit.
         after: The fitted model, with the same measurements.
         positions: Positions of these among all, shape (N,).
@@ -77,19 +77,19 @@ def registered_if_moved(
         The errors, None if the measurements suffice for no more than the registration;
         and a finding for every instrument that was moved.
     """
-    errors = errors_of_registered(model, before, after, positions)
+    errors = errors_of_registered(fitted, before, after, positions)
     data, findings, mask = after.problem.data, [], np.ones(len(positions), bool)
-    fitted = {term.frames.station for term in model.problem.terms.values()}
+    stations = {term.frames.station for term in fitted.problem.terms.values()}
     named = [after.problem.terms[key].frames.station for key in data.keys]
     of_row = np.array(named)[data.block_of]
     robots = [(*r.problem.rebased(r.theta), r.new) for r in (before, after)]
-    for station in dict.fromkeys(filter(fitted.__contains__, named)):
+    for station in dict.fromkeys(filter(stations.__contains__, named)):
         rows = np.flatnonzero(of_row == station)
         nominal, calibrated = (
             Registered(replace(problem, data=data.rows(rows)), theta, new)
             for problem, theta, new in robots
         )
-        anew, moved = _if_moved(model, errors.at(rows), nominal, calibrated, station)
+        anew, moved = _if_moved(fitted, errors.at(rows), nominal, calibrated, station)
         findings += moved
         if anew is None:
             mask[rows] = False
@@ -99,7 +99,7 @@ def registered_if_moved(
 
 
 def _if_moved(
-    model: FittedModel,
+    fitted: Fit,
     errors: ModelErrors,
     before: Registered,
     after: Registered,
@@ -108,7 +108,7 @@ def _if_moved(
     """Errors of the measurements from one station, and a finding, if it was moved.
 
     Args:
-        model: The fitted model.
+        fitted: The fit.
         errors: The errors with the station of the fit.
         before: The nominal robot with these measurements, about its frames.
         after: The fitted model with these measurements, about its frames.
@@ -124,7 +124,7 @@ def _if_moved(
     if nominal is None:
         return errors, []
     errors_here: ModelErrors | None
-    errors_here = errors_of_registered(model, nominal, here, errors.positions)
+    errors_here = errors_of_registered(fitted, nominal, here, errors.positions)
     owner = "" if station == BASE else f" from '{station.rpartition('.')[0]}'"
     off, anew = (float(np.sqrt(square / values)) for square in (S, S_new))
     end, remedy = "has moved, and both robots are registered on them", STATION
@@ -134,7 +134,7 @@ def _if_moved(
             return errors, []
         # Where the fit does not know the robot as well, it is that far off.
         sample = replace(after.problem, data=after.problem.data.sample(MEASUREMENTS))
-        square = mahalanobis(model.fit, sample, after.theta)
+        square = mahalanobis(fitted, sample, after.theta)
         if chi_square_tail(square, measured_count(sample)) > CHANCE:
             return errors, []
         errors_here, end = errors, "may have moved before them"

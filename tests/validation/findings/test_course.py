@@ -35,7 +35,7 @@ def findings(job, *blocks):
 
 def drifts(job, block):
     """The findings of a drift."""
-    fitted = fit_model(job.chain, Observations.of(block), Setup(), 0).fit
+    fitted = fit_model(job.chain, Observations.of(block), Setup(), 0)
     case = Case.of(fitted, fitted.problem.chains)
     return list(findings_of(case, drift(case)))
 
@@ -172,7 +172,7 @@ def test_four_things_do_not_change_in_a_day(moved_job) -> None:
 
 def test_what_comes_and_goes_at_once_is_no_change(moved_job, unsought) -> None:
     job = moved_job((30,), ())
-    fitted = fit_model(job.chain, Observations.of(job.plain.only), Setup(), 0).fit
+    fitted = fit_model(job.chain, Observations.of(job.plain.only), Setup(), 0)
     case = Case.of(fitted, fitted.problem.chains)
     _, found = changes_of(case, _unchanged(case))
     (change,) = found.changes

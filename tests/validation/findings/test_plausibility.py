@@ -226,7 +226,7 @@ def unlike(fleet, seed: int, count: int, spreads: float, prior: bool = True):
     change = {name: spreads * fleet.spread[fleet.problem.parameters.index(name)]}
     data, _ = fleet.measured(seed, count, change)
     setup = Setup(prior=fleet.prior if prior else {})
-    own = fit_model(chain, data, setup, 0).fit
+    own = fit_model(chain, data, setup, 0)
     return list(population(Case.of(own, own.problem.chains))), name
 
 

@@ -142,7 +142,7 @@ def test_a_reading_that_leaves_half_a_meter_is_no_cause(erring) -> None:
     rows = erring("heavy6", Setup(tool_frame=TOOL), 3, count=50).only
     q = rows.q * [-1, 1, 1, -1, 1, -1] + np.radians([0, -90, 90, 0, 0, 0])
     chain = calib_pin.load_chain("heavy6", tip="tool")
-    fitted = fit_model(chain, replace(rows, q=q), Setup(), 0).fit
+    fitted = fit_model(chain, replace(rows, q=q), Setup(), 0)
 
     def zeros(case: Case) -> list[Alternative]:
         return [one for one in joint_columns(case) if one.code == "joint-offset"]

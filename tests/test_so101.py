@@ -140,3 +140,23 @@ def test_without_encoders_there_are_no_steps(stated, capsys):
     assert main(words.split()) == 1
     said = capsys.readouterr().err
     assert "'elbow_flx'" in said and "elbow_flex" in said
+
+
+def test_what_slack_leaves_in_close_images_is_no_mystery(capsys):
+    """A millimeter of slack is 4.5 px where the camera is 0.2 m from its board."""
+    Path("setup.yaml").write_text(yaml.safe_dump(WEBCAM))
+    seen(np.array([0.1, 0.3, -0.1, -0.4, 0.0]), 1)
+    lines = Path("measured.csv").read_text().splitlines()
+    header, *rows = csv.reader(line for line in lines if not line.startswith("#"))
+    chain = calib_pin.load_chain(ROBOT, tip="gripper_link")
+    joints = [header.index(joint) for joint in chain.joints]
+    rng, slack = np.random.default_rng(1), dict[tuple[str, ...], np.ndarray]()
+    for row in rows:
+        stated = tuple(row[k] for k in joints)
+        moved = slack.setdefault(stated, rng.uniform(-0.004, 0.004, 5))
+        for k, shift in zip(joints, moved, strict=True):
+            row[k] = str(float(row[k]) + shift)
+    Path("measured.csv").write_text("\n".join(map(",".join, [header, *rows])))
+    main(f"calibrate {ROBOT} measured.csv --setup setup.yaml".split())
+    output = capsys.readouterr().out
+    assert "px" in output and "nothing that was estimated" not in output

@@ -31,7 +31,13 @@ from calib_pin.progress import Progress
 from calib_pin.setup import JointPrior
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings import LACKS, Findings, find
-from calib_pin.validation.findings.case import DOUBTFUL, FOREIGN, Case, Others
+from calib_pin.validation.findings.case import (
+    DOUBTFUL,
+    FOREIGN,
+    MEASUREMENTS,
+    Case,
+    Others,
+)
 from calib_pin.validation.findings.sentences import shown
 from calib_pin.validation.held_out import ALL, PRESS, HeldOut
 from calib_pin.validation.model_errors import ModelErrors, quantity_errors
@@ -278,13 +284,29 @@ def error_limit(problem: Problem, unit: str, part: float = LARGE) -> float:
 
     Args:
         problem: The problem of measurements of the robot.
-        unit: The unit; an angle or a pixel counts as the length that is as usual.
+        unit: The unit; an angle or a pixel counts as the length that is as usual. Of a
+            camera that is closer than a meter so many pixels do as this moves images.
         part: The part of the reach, `LARGE` or `COARSE`.
     """
     blocks = problem.blocks
     tips = (term.error.chain.poses(data.q)[:, :3, 3] for term, data, _, _ in blocks)
     reach = max(float(np.linalg.norm(points, axis=1).max()) for points in tips)
-    return part * reach * expected_size(unit) / expected_size("m")
+    by_length = expected_size(unit) / expected_size("m")
+    if unit == "px":
+        by_length = max(by_length, _pixels_per_meter(problem))
+    return part * reach * by_length
+
+
+def _pixels_per_meter(problem: Problem) -> float:
+    """How far images move with the base of the robot, the median [px/m]."""
+    data = problem.data.rows(problem.data.weight > 0.0).sample(MEASUREMENTS)
+    problem = replace(problem, data=data)
+    _, J = problem.linearize_rows(np.zeros(len(problem.parameters)))
+    J = J[: len(problem.sigma)] * problem.sigma[:, None]
+    cameras = [block for block in problem.blocks if block.data.model == "camera"]
+    motions = [J[block.values][:, block.term.index[:3]] for block in cameras]
+    sizes = np.linalg.norm(np.concatenate(motions), axis=1)
+    return float(np.median(sizes[np.isfinite(sizes)]))
 
 
 def summary(findings: Sequence[Finding]) -> str:

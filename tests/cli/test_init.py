@@ -313,6 +313,7 @@ def test_orientations_as_controllers_write_them(run, names, convention, first, h
     setup = read_setup("setup.yaml")
     ours, theirs = first.split(": ")
     assert setup.model == "pose" and setup.columns[ours].split(" [")[0] == theirs
+    assert "computed are as wrong" in Path("setup.yaml").read_text()
     held = setup.reading.orientation
     assert hold == (held and held.hold) and "not used" not in result.err
     said = hold is not None or ours not in theirs.lower()

@@ -102,8 +102,8 @@ TEXTS = {
     "the tool: both are estimated. State them if you know them.",
     "internal": "Tool and instrument are estimated; the base link is the frame of "
     "reference. State 'frames', 'targets' or 'planes' that you know.",
-    "pose": " Poses that a camera has computed are as wrong as the size of its board and "
-    "its focal length: take the corners of its images instead ('detect').",
+    "pose": " Poses that a camera has computed are as wrong as the size of its board "
+    "and its focal length: take the corners of its images instead ('detect').",
     "gauge": " Readings of the gauge count. In 'dial' pushed in is positive; if yours "
     "counts the other way, name its column 'deviation' under 'columns'.",
     "zeros": "The zeros of the joints alone: {}. From 100 measurements on try "

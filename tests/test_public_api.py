@@ -17,12 +17,12 @@ FILES = {"pandas", "pydantic", "scipy", "yaml"}
 
 LAZY = {
     "dir(calib_pin); calib_pin.CalibPinError": FILES
-    | {"numba", "numpy", "pinocchio", "rich", "typer"},
+    | {"numba", "numpy", "pinocchio", "click", "rich"},
     "import calib_pin.validation.result": {
         *("calib_pin.solvers", "calib_pin.estimation.fit", "matplotlib"),
         *("calib_pin.estimation.solve", "scipy.optimize"),
     },
-    "calib_pin.Chain": {"rich", "scipy", "typer", "yaml"},
+    "calib_pin.Chain": {"click", "rich", "scipy", "yaml"},
     "import calib_pin.io.setup, calib_pin.io.measurements": FILES,
 }
 """What may not be loaded yet, after the lines before and this one."""

@@ -15,9 +15,6 @@ from calib_pin.workers.threads import limit_blas
 
 __all__ = ["main"]
 
-INTERRUPTED = 130
-"""Status of the application after Ctrl-C."""
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
@@ -39,9 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         atexit.register(_flush_output)
     _prepare_streams()
 
-    from typer.exceptions import TyperException
+    import click
 
-    from calib_pin.cli.application import application
+    from calib_pin.cli.application import INTERRUPTED, application
     from calib_pin.cli.printing import complaint, pop_notices, tell_notices
 
     pop_notices()
@@ -55,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except _Terminated:
         _complain("terminated")
         return 143
-    except KeyboardInterrupt:  # Outside the application, which returns a status.
+    except (KeyboardInterrupt, click.Abort):
         status = INTERRUPTED
     except BrokenPipeError:
         # The reader of our output went away; that is its right.
@@ -63,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if "--debug" in given:
             raise
-        usage = isinstance(error, TyperException)
+        usage = isinstance(error, click.ClickException)
         _complain(_usage(error) if usage else complaint(error))
         return 1
     tell_notices()

@@ -13,11 +13,9 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from importlib import import_module
-from inspect import Parameter, Signature, cleandoc, signature
+from inspect import cleandoc, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_type_hints
-
-import typer
 
 from calib_pin.cli.printing import notice, say, say_written, show
 from calib_pin.errors import OptionError, require_known
@@ -26,9 +24,6 @@ from calib_pin.units import as_number
 if TYPE_CHECKING:
     from calib_pin.report.blocks import Block
     from calib_pin.workers.base import Workers
-
-PLACES = {"output": -1, "force": 1, "quiet": 2, "json": 3}
-"""Options of nearly all commands, by their places before or behind others."""
 
 # --- how a field is stated ----------------------------------------------------------
 
@@ -156,44 +151,6 @@ def meanings(cls: type) -> dict[str, str]:
             name, _, meaning = entry.partition(": ")
             texts[name] = " ".join(meaning.split())
     return texts
-
-
-def _declared(name: str, spec: Spec, kind: Any, meaning: str) -> Any:
-    """The argument or the option for a field."""
-    unit = "".join(f" {unit}" for unit in re.findall(r"\[(m|s|m, rad)\]", meaning)[:1])
-    shared: dict[str, Any] = {"metavar": spec.word or None, "help": meaning}
-    if not spec.heading:
-        return typer.Argument(**shared)
-    return typer.Option(
-        *["-o"] * (name == "output"),
-        as_option(name),
-        **shared,
-        parser=spec.parser(name, kind, unit),
-        rich_help_panel=spec.heading,
-    )
-
-
-def command(name: str, kind: type) -> Callable[..., int]:
-    """The command that takes a request, which the module of its name does."""
-    hints, texts = get_type_hints(kind, include_extras=True), meanings(kind)
-    given, only = signature(kind).parameters, Parameter.KEYWORD_ONLY
-    parameters = [Parameter("context", only, annotation=typer.Context)]
-    for field in sorted(hints, key=lambda name: PLACES.get(name, 0)):
-        (spec,), of = hints[field].__metadata__, hints[field].__origin__
-        made: Any = Annotated[of, _declared(field, spec, of, texts[field])]
-        parameters.append(given[field].replace(annotation=made, kind=only))
-
-    def run(context: typer.Context, **given: Any) -> int:
-        asked = kind(**given)
-        require_partners(asked)
-        work = getattr(import_module(f"calib_pin.cli.{name}"), name)
-        words = (context.obj,)[: len(signature(work).parameters) - 1]
-        return int(work(asked, *words))
-
-    run.__doc__ = cleandoc(kind.__doc__ or "").partition("\n\nAttributes:")[0]
-    run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {p.name: p.annotation for p in parameters}
-    return run
 
 
 def same(asked: object, function: Callable[..., Any]) -> dict[str, Any]:

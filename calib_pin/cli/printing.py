@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from time import monotonic
 from typing import IO, TYPE_CHECKING
 
-import typer
+import click
 
 from calib_pin.errors import CalibPinError, one_line
 from calib_pin.progress import Progress, named
@@ -62,7 +62,7 @@ def say(text: str) -> None:
         OSError: If it cannot be written, as to a full disk.
     """
     try:
-        typer.echo(text, nl=False)
+        click.echo(text, nl=False)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-import typer
+import click
 
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import View, Windowed
@@ -68,9 +68,9 @@ def serve(asked: Windowed, window: Window) -> None:
             free = f"port {asked.port} cannot be used; {window.port} is free"
             printing.notice(free)
         printing.tell_notices()
-        typer.echo(f"viewing at {window.url} (Ctrl-C ends it)")
+        click.echo(f"viewing at {window.url} (Ctrl-C ends it)")
         window.run()
     except KeyboardInterrupt:
-        typer.echo()
+        click.echo()
     finally:
         window.close()

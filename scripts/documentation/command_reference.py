@@ -25,8 +25,10 @@ robot, or `example:<name>` ([robots](robots.md)). MEASUREMENTS are CSV or Parque
 
 Results go to standard output, remarks and progress to standard error. `NO_COLOR` is
 respected, and what is piped is plain text of 80 columns. `--json` prints the same
-numbers in SI units; other commands have them in the files that they write. This page is
-made by `scripts/document` from the commands.
+numbers in SI units; other commands have them in the files that they write.
+`eval "$(_CALIB_PIN_COMPLETE=bash_source calib-pin)"` in `~/.bashrc` completes commands
+and options (`zsh_source` and `fish_source` as well). This page is made by
+`scripts/document` from the commands.
 """
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import click
 import pytest
-from typer.exceptions import TyperException
 
 import calib_pin.cli.application as cli_app
 from calib_pin.cli import main
@@ -188,7 +188,7 @@ def refuses(fails: Callable[..., Run]) -> Callable[..., None]:
     ) -> None:
         result = fails(words, *((text,) if isinstance(text, str) else text))
         if text:
-            assert isinstance(result.error, TyperException | OutputError)
+            assert isinstance(result.error, click.ClickException | OutputError)
         else:
             assert result.err == f"calib-pin: {' '.join(str(result.error).split())}\n"
             with refused(InputError, **fields):

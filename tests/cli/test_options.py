@@ -7,8 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import typer
-
 import calib_pin
 from calib_pin.cli.application import application
 
@@ -71,7 +69,7 @@ NAMED = re.compile(r"(?:\b([a-z-]+) )?(--[a-z][a-z-]*[a-z])")
 
 def test_every_option_that_is_named_exists() -> None:
     """And of the command that is named before it."""
-    commands = typer.main.get_command(application([])).commands
+    commands = application([]).commands
     options = {
         name: {word for p in command.params for word in (*p.opts, *p.secondary_opts)}
         for name, command in commands.items()

@@ -138,18 +138,20 @@ def _declared(
     kinds = {kind, *get_args(kind)}
     several, of_files = list[Path] in kinds, not kinds.isdisjoint((Path, list[Path]))
     unit = "".join(f" {unit}" for unit in re.findall(r"\[(m|s|m, rad)\]", meaning)[:1])
-    shared: dict[str, Any] = {
-        "metavar": spec.word or None,
-        "required": default is Parameter.empty,
-        "type": spec.parser(name, kind, unit) or (Path if of_files else None),
-    }
+    parse: Any = spec.parser(name, kind, unit)
+    if parse is None and (of_files or not spec.heading):
+        # A shell completes files; a robot is mostly one, too.
+        parse = click.Path(path_type=Path if of_files else str)
+    required = default is Parameter.empty
+    shared: dict[str, Any] = {"type": parse, "required": required}
+    shared["metavar"] = spec.word or None
     if not spec.heading:
         return click.Argument([name], nargs=-1 if several else 1, **shared)
     return click.Option(
         [name, *["-o"] * (name == "output"), as_option(name)],
         multiple=several,
         is_flag=kind is bool,
-        **({} if shared["required"] else {"default": default}),
+        **({} if required else {"default": default}),
         show_default=kind is not bool,
         help=meaning,
         **shared,

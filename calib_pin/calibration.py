@@ -158,7 +158,7 @@ def calibrate(
             fitted = fit_model(chains, training, setup, seed, tell)
         errors = model_errors.fitted_errors(fitted, training)
         tell = named(progress, "joint readings")
-        known = examine(chains, fitted, seed, tell, others)
+        known = examine(fitted, seed, tell, others)
         # Fits to parts of what no robot explains are slow, and say nothing.
         counted = errors.counted(fitted.problem.data.weight)
         sizes = model_errors.quantity_errors(fitted.problem.layout.quantities, counted)
@@ -318,7 +318,7 @@ def _urdf(
         geometry, training, seed, validation=held, validate=validate, workers=workers
     )
     errors = model_errors.fitted_errors(geometry, training)
-    known = examine(chains, geometry, seed, seek=False)
+    known = examine(geometry, seed, seek=False)
     geometric = judge(geometry, errors, held_out, known)
     return UrdfResult(
         geometric.errors,

@@ -160,7 +160,7 @@ class Fitted:
 
     @cached_property
     def _case(self) -> Case | None:
-        return Case.of(self.model, self.chains) if self.model else None
+        return Case.of(self.model) if self.model else None
 
     def causes(self, all_rows: Observations, others: Others) -> tuple[Finding, ...]:
         """Why no robot explains the rows, those among them that were set aside."""
@@ -187,7 +187,7 @@ class Fitted:
         try:
             errors = model_errors.fitted_errors(model, self.rows)
             held_out = check(model, self.rows, self.seed, validate=False)
-            examined = examine(self.chains, model, self.seed, seek=seek)
+            examined = examine(model, self.seed, seek=seek)
             judgement = judge(model, errors, held_out, examined)
         except CalibPinError as error:
             return replace(known, reason=str(error)), ()

@@ -610,7 +610,7 @@ def with_errors(look: Look, robot: Robot, files: Sequence[Path], apart: bool) ->
             raise InputError(reason, file=files[0])
         errors, share = _errors(ready)
         quick = QuickFit(ready.problem, ready.theta)
-        case = Case(chains, data, quick, rank, ready.theta)
+        case = Case(data, quick, rank, ready.theta)
         exact = next(computed_values(case), None)
         far = _far_off(ready)
         if share >= FITS and len(far) == len(rows) and far.any():

@@ -24,8 +24,6 @@ from calib_pin.estimation.problem import (
 )
 from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
 from calib_pin.estimation.statistics.variance_components import unplaced
-from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.chains import Chains
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import JointPrior
@@ -199,7 +197,6 @@ class Examined(NamedTuple):
 
 
 def examine(
-    chains: Chain | Chains,
     fitted: Fit,
     seed: int,
     progress: Progress | None = None,
@@ -209,7 +206,6 @@ def examine(
     """Examine a fit.
 
     Args:
-        chains: The nominal chains.
         fitted: The fit.
         seed: Seed of configurations.
         progress: Told how far the search for explanations is.
@@ -228,7 +224,7 @@ def examine(
         )
         for name, term in fitted.solved.problem.by_chain.items()
     }
-    case = Case.of(fitted, Chains.of(chains), progress, others, accuracies)
+    case = Case.of(fitted, progress, others, accuracies)
     return Examined(accuracies, find(case, seek))
 
 

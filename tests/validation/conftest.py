@@ -114,6 +114,6 @@ def quick_case() -> Callable[..., Case]:
     def make(chain: Chain, data: Observations, setup: Setup | None = None) -> Case:
         problem = make_problem(chain, data, setup or Setup())
         fit = QuickFit.of(problem)
-        return Case(problem.chains, data, fit, np.arange(len(data)), fit.theta)
+        return Case(data, fit, np.arange(len(data)), fit.theta)
 
     return make

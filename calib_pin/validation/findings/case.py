@@ -532,7 +532,6 @@ class Case:
     """Measurements, and a robot that was fitted to them.
 
     Attributes:
-        chains: The nominal chains.
         data: The measurements that were fitted, with the weights of the fit.
         fit: The solution before some of them, in the order of the blocks.
         rank: Place of each of these in the order of the files, among all, (N,).
@@ -543,7 +542,6 @@ class Case:
         accuracies: Accuracy to expect of each chain; empty where nothing is known.
     """
 
-    chains: Chains
     data: Observations
     fit: QuickFit
     rank: Indices
@@ -554,13 +552,13 @@ class Case:
     accuracies: Mapping[str, ToolAccuracy] = field(default_factory=dict)
 
     @staticmethod
-    def of(fitted: Fit, chains: Chains, *more: Any, **named: Any) -> Case:
+    def of(fitted: Fit, *more: Any, **named: Any) -> Case:
         """The case of a whole fit, with further attributes."""
         data = fitted.problem.data
         sample, rank = subset(data)
         problem = replace(fitted.problem, data=sample, expected=None)
         fit = QuickFit(problem, fitted.theta)
-        return Case(chains, data, fit, rank, fitted.before, fitted, *more, **named)
+        return Case(data, fit, rank, fitted.before, fitted, *more, **named)
 
     @staticmethod
     def of_robot(
@@ -589,13 +587,18 @@ class Case:
         sample, rank = subset(data)
         problem = make_problem(chains, sample, replace(setup, learned=None))
         zero = np.zeros(len(problem.parameters))
-        return Case(chains, data, QuickFit(problem, zero), rank, zero, others=others)
+        return Case(data, QuickFit(problem, zero), rank, zero, others=others)
 
     def unit(self, joint: str) -> str:
         """Unit of a joint's position; one that is in no chain turns."""
         joints, revolute = self.chains.joints, self.chains.revolute
         turns = joint not in joints or revolute[joints.index(joint)]
         return "rad" if turns else "m"
+
+    @property
+    def chains(self) -> Chains:
+        """The nominal chains."""
+        return self.fit.problem.chains
 
     @property
     def setup(self) -> Setup:

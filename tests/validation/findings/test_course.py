@@ -36,7 +36,7 @@ def findings(job, *blocks):
 def drifts(job, block):
     """The findings of a drift."""
     fitted = fit_model(job.chain, Observations.of(block), Setup(), 0)
-    case = Case.of(fitted, fitted.problem.chains)
+    case = Case.of(fitted)
     return list(findings_of(case, drift(case)))
 
 
@@ -173,7 +173,7 @@ def test_four_things_do_not_change_in_a_day(moved_job) -> None:
 def test_what_comes_and_goes_at_once_is_no_change(moved_job, unsought) -> None:
     job = moved_job((30,), ())
     fitted = fit_model(job.chain, Observations.of(job.plain.only), Setup(), 0)
-    case = Case.of(fitted, fitted.problem.chains)
+    case = Case.of(fitted)
     _, found = changes_of(case, _unchanged(case))
     (change,) = found.changes
     again = (c for _, _, c in found.candidates if c.subject == change.subject)
@@ -182,7 +182,7 @@ def test_what_comes_and_goes_at_once_is_no_change(moved_job, unsought) -> None:
     fitted = replace(
         fitted, problem=replace(fitted.problem, data=Observations.of(wrong))
     )
-    case = Case.of(fitted, fitted.problem.chains)
+    case = Case.of(fitted)
     assert len(changes_of(case, _unchanged(case))[1].changes) == 1
 
 

@@ -68,7 +68,7 @@ def case_of(
     setup: Setup,
     progress: Callable[[float], None] | None = None,
 ) -> Case:
-    return Case.of(fit_model(arm, rows, setup, 0), arm, progress=progress)
+    return Case.of(fit_model(arm, rows, setup, 0), progress=progress)
 
 
 def explained(case: Case) -> Explanation | None:

@@ -33,7 +33,7 @@ SETUP = Setup()
 
 def case_of(rows, setup=SETUP, chain=ARM):
     data = rows if isinstance(rows, Observations) else Observations.of(rows)
-    return Case.of(fit_model(chain, data, setup, 0), Chains.of(chain))
+    return Case.of(fit_model(chain, data, setup, 0))
 
 
 @pytest.fixture(scope="module")

@@ -62,7 +62,7 @@ def fitted(rows: Measurements, setup: Setup) -> Fit:
 
 
 def found_in(fitted: Fit) -> tuple[Finding, ...]:
-    return tuple(plausibility(Case.of(fitted, fitted.problem.chains)))
+    return tuple(plausibility(Case.of(fitted)))
 
 
 def found(rows: Measurements, setup: Setup) -> tuple[Finding, ...]:
@@ -227,7 +227,7 @@ def unlike(fleet, seed: int, count: int, spreads: float, prior: bool = True):
     data, _ = fleet.measured(seed, count, change)
     setup = Setup(prior=fleet.prior if prior else {})
     own = fit_model(chain, data, setup, 0)
-    return list(population(Case.of(own, own.problem.chains))), name
+    return list(population(Case.of(own))), name
 
 
 @pytest.mark.slow

@@ -147,7 +147,7 @@ def test_a_reading_that_leaves_half_a_meter_is_no_cause(erring) -> None:
     def zeros(case: Case) -> list[Alternative]:
         return [one for one in joint_columns(case) if one.code == "joint-offset"]
 
-    assert explain(Case.of(fitted, Chains.of(chain)), (zeros,)) is None
+    assert explain(Case.of(fitted), (zeros,)) is None
 
 
 def test_a_tool_that_touches_sockets_beyond_the_stated_tip(tmp_path) -> None:

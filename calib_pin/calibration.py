@@ -178,10 +178,10 @@ def calibrate(
     judgement = judge(fitted, errors, held_out, known)
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
     result = replace(
-        _result(fitted, training, errors, held_out, judgement, seed),
+        _result(training, errors, held_out, judgement, seed),
         files=tuple(filter(None, dict.fromkeys(files))),
         model_selection=None if selected is None else selected.selection,
-        urdf=_urdf(chains, training, fitted, held, seed, validate, judgement, workers),
+        urdf=_urdf(training, held, seed, validate, judgement, workers),
         recalibration=begun,
     )
     if start is not None:
@@ -191,7 +191,6 @@ def calibrate(
 
 
 def _result(
-    fitted: Fit,
     training: Observations,
     errors: model_errors.ModelErrors,
     held_out: HeldOut,
@@ -199,6 +198,7 @@ def _result(
     seed: int,
 ) -> CalibrationResult:
     """The result of a fit, from its steps."""
+    fitted = judgement.fitted
     parameters, groups = assessment.estimates(
         fitted.problem.parameters, fitted.structure, fitted
     )
@@ -283,9 +283,7 @@ def _require_ends(
 
 
 def _urdf(
-    chains: Chains,
     training: Observations,
-    fitted: Fit,
     held: Observations | None,
     seed: int,
     validate: bool,
@@ -297,6 +295,7 @@ def _urdf(
     None where the calibration is nothing but geometry; without a model where that is
     not to be trusted. Without a gain it is the nominal robot.
     """
+    fitted = judgement.fitted
     if judgement.verdict[0] == "no-gain":
         nominal = CalibratedModel.create(fitted.problem, fitted.before)
         return UrdfResult((), "", nominal)
@@ -312,6 +311,7 @@ def _urdf(
     geometry = replace(fitted, problem=problem, learned=None)
     if names != setup.parameters:
         # A gear ratio and an offset may nearly cancel: alone it needs its own fit.
+        chains = fitted.problem.chains
         setup = formulation.with_parameters(chains, training, setup, names)
         geometry = fit_model(chains, training, setup, seed)
     held_out = check(

@@ -45,9 +45,7 @@ class EvolutionResult:
         nfev: Number of members evaluated.
         status: Outcome of the search.
         population: Last population, shape (S, D).
-        population_energies: Its costs, shape (S,).
         best_history: Best cost of every generation, shape (nit + 1,).
-        mean_history: Mean cost of every generation, shape (nit + 1,).
     """
 
     x: Floats
@@ -56,9 +54,7 @@ class EvolutionResult:
     nfev: int
     status: Status
     population: Floats
-    population_energies: Floats
     best_history: Floats
-    mean_history: Floats
 
 
 @dataclass(frozen=True)
@@ -77,13 +73,18 @@ class Stops:
     atol: float
     evaluations: int
 
-    def reached(self, best: float, mean: float, deviation: float) -> Status | None:
-        """The stop that a population has reached, if any.
+    def reached(self, costs: Floats) -> Status | None:
+        """The stop that a population of these costs, shape (S,), has reached, if any.
 
-        With infinite members the standard deviation is NaN: no spread to judge.
+        Of infinite members there is no spread to judge.
         """
-        if best <= self.target:
+        if costs.min() <= self.target:
             return Status.TARGET
+        mean = float(np.add.reduce(costs)) / len(costs)
+        if not math.isfinite(mean):
+            return None
+        apart = costs - mean
+        deviation = math.sqrt(float(np.dot(apart, apart)) / len(costs))
         converged = deviation <= self.atol + self.tol * abs(mean)
         return Status.CONVERGED if converged else None
 
@@ -191,9 +192,8 @@ def evolve(
     # Own copies: these two arrays evolve in place.
     population, energies = population.copy(), np.asarray(costs(population), float)
     energies = np.where(np.isnan(energies), np.inf, energies)
-    nfev, best, (mean, deviation) = len(energies), energies.argmin(), _moments(energies)
-    best_history, mean_history = [float(energies[best])], [mean]
-    status = stops.reached(best_history[0], mean, deviation)
+    nfev, best, status = len(energies), energies.argmin(), stops.reached(energies)
+    best_history = [float(energies[best])]
     if best_history[0] == np.inf:
         status = Status.NOT_FINITE
     while status is None:
@@ -208,10 +208,8 @@ def evolve(
         better = fresh <= energies
         np.copyto(population, trials, where=better[:, None])
         np.copyto(energies, fresh, where=better)
-        best, (mean, deviation) = energies.argmin(), _moments(energies)
+        best, status = energies.argmin(), stops.reached(energies)
         best_history.append(float(energies[best]))
-        mean_history.append(mean)
-        status = stops.reached(best_history[-1], mean, deviation)
         if callback is not None:
             generation = len(best_history) - 1
             stop = callback(generation, population[best].copy(), best_history[-1])
@@ -223,19 +221,8 @@ def evolve(
         nfev=nfev,
         status=status,
         population=population,
-        population_energies=energies,
         best_history=np.array(best_history),
-        mean_history=np.array(mean_history),
     )
-
-
-def _moments(energies: Floats) -> tuple[float, float]:
-    """Mean and standard deviation of costs; the latter NaN if one is infinite."""
-    mean = float(np.add.reduce(energies)) / len(energies)
-    if not math.isfinite(mean):
-        return mean, math.nan
-    deviations = energies - mean
-    return mean, math.sqrt(float(np.dot(deviations, deviations)) / len(energies))
 
 
 def below(limit: int | Floats, shape: int | tuple[int, ...], rng: Rng) -> Indices:

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from benchmarks.exact import exact_problem
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import named_targets, observable_configurations
@@ -38,7 +39,7 @@ from calib_pin.setup import (
     SphereSetup,
     ToolSetup,
 )
-from calib_pin.simulation import draw_errors, exact_problem, simulate
+from calib_pin.simulation import draw_errors, simulate
 
 FRAMED = Setup(
     base_frame=FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4), estimate=True),

@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
+from benchmarks.exact import exact_at
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import (
     named_targets,
@@ -24,7 +25,6 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey, Conditions, Observations
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.setup import Setup
-from calib_pin.simulation import exact_at
 from tests.shared import equipped_problem, visited
 
 STEP = 1e-6

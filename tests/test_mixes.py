@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from benchmarks.exact import exact_at
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.identifiability import visible_directions
@@ -40,7 +41,6 @@ from calib_pin.setup import (
     SphereSetup,
     ToolSetup,
 )
-from calib_pin.simulation import exact_at
 from calib_pin.solvers import Status
 from tests.shared import urdf_of
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from benchmarks.exact import exact_at
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import unmeasured
@@ -29,7 +30,7 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
-from calib_pin.simulation import draw_errors, exact_at, simulate
+from calib_pin.simulation import draw_errors, simulate
 
 PLANES = {"wall": PlaneSetup((0, 1, 4.6), -0.69), "floor": PlaneSetup((0, 0, 1), 0.2)}
 SETUPS = {

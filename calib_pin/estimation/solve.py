@@ -290,11 +290,11 @@ class PopulationCost:
         >>> import numpy as np, calib_pin
         >>> from calib_pin.estimation.formulation import nominal_problem
         >>> from calib_pin.setup import Setup
-        >>> from calib_pin.simulation import exact_problem
-        >>> chain = calib_pin.load_chain("space6")
+        >>> chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(0)
         >>> nominal = nominal_problem(chain, "position", Setup())
         >>> zero = np.zeros(len(nominal.parameters))
-        >>> problem = exact_problem(nominal, zero, np.zeros((5, 6)), [""] * 5)
+        >>> exact = calib_pin.simulate(nominal, zero, rng, count=5, noise=0.0)
+        >>> problem = replace(nominal, data=exact)
         >>> PopulationCost(problem)(np.array([zero, zero + 1e-3])) > 1e-6
         array([False,  True])
     """

@@ -14,6 +14,7 @@ import pinocchio as pin
 from numba import config
 
 import calib_pin
+from benchmarks.exact import exact_problem
 from benchmarks.timing import best, show
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import unmeasured
@@ -22,7 +23,6 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
-from calib_pin.simulation import exact_problem
 
 IMAGES = 10_000
 NOISE = 0.5

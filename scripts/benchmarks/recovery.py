@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib_pin
+from benchmarks.exact import exact_at
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
@@ -34,7 +35,6 @@ from calib_pin.setup import (
     SphereSetup,
     ToolSetup,
 )
-from calib_pin.simulation import exact_at
 
 RUNS = 200
 SIZE = 0.3

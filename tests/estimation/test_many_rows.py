@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.exact import exact_problem
 from calib_pin.compiled.blocks import BLOCK
 from calib_pin.compiled.threads import Threads
 from calib_pin.estimation.fit import fit
@@ -31,7 +32,6 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
 )
-from calib_pin.simulation import exact_problem
 from calib_pin.solvers import Status
 from tests.residual_models.corrections import Wave
 from tests.shared import FRAMED, chain_of, measured, simulated, urdf_of

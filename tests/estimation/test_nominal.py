@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
+from benchmarks.exact import exact_at
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import (
@@ -35,7 +36,6 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
-from calib_pin.simulation import exact_at
 from tests.shared import chain_of, refused, simulated, urdf_of
 
 ARM = calib_pin.load_chain("space6")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from benchmarks.exact import exact_problem
 from benchmarks.recovery import CASES, Study
 from calib_pin.errors import OptionError
 from calib_pin.estimation.fit import fit
@@ -16,7 +17,6 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.setup import Setup, SolverSetup
-from calib_pin.simulation import exact_problem
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates, fitted_ranks
 from tests.shared import refused

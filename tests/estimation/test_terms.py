@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from benchmarks.exact import exact_at
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import named_targets, registered, unmeasured
@@ -26,7 +27,6 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
 )
-from calib_pin.simulation import exact_at
 from tests.shared import equipped_problem, refused, simulated, urdf_of
 
 ARM = calib_pin.load_chain("space6")

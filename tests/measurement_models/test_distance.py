@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
+from benchmarks.exact import exact_problem
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import nominal_problem
@@ -18,7 +19,6 @@ from calib_pin.measurement_models.distance import PointDistance, RelativeDistanc
 from calib_pin.measurement_models.references import Anchor, Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import AnchorSetup, FrameSetup, Setup
-from calib_pin.simulation import exact_problem
 
 ARM = calib_pin.load_chain("space6")
 TIP = np.array([0.05, -0.03, 0.12])

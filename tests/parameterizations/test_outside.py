@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import calib_pin
+from benchmarks.exact import exact_problem
 from calib_pin.cli import main
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.parameterizations import PARAMETERIZATIONS, outside_urdf
 from calib_pin.setup import Setup
-from calib_pin.simulation import exact_problem
 
 SETUP = Setup(parameters=("poe",))
 

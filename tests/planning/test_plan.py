@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from benchmarks.exact import exact_problem
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.identifiability import observability
@@ -21,7 +22,6 @@ from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.search import METHODS
 from calib_pin.setup import FrameSetup, PlaneSetup, Region, Setup
-from calib_pin.simulation import exact_problem
 from calib_pin.solvers import Status
 from tests.shared import refused, simulated
 

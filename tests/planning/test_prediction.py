@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from benchmarks.exact import exact_problem
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
@@ -16,7 +17,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.planning.plan import Plan
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
-from calib_pin.simulation import exact_problem
 
 FRAMES = {
     "base_frame": FrameSetup((0.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True),

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import calib_pin
+from benchmarks.exact import exact_problem
 from calib_pin.errors import InputError
 from calib_pin.estimation import problem as problems
 from calib_pin.estimation.evidence import Gain
@@ -23,7 +24,6 @@ from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
-from calib_pin.simulation import exact_problem
 from calib_pin.validation.held_out import (
     HeldOut,
     check,

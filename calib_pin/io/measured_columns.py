@@ -353,7 +353,7 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     """
     if len(asked) == 1:
         return asked[0]
-    names = asked or [name for name in MEASUREMENT_MODELS if declared(name).inference]
+    names = asked or [name for name in MEASUREMENT_MODELS if declared(name).inferred]
     # No instrument repeats all of its digits.
     numbers = [table.columns[name].numbers for name in ORIENTED & table.columns.keys()]
     turned = any(len(n) < FEW or bool(np.ptp(n) != 0.0) for n in numbers)
@@ -368,8 +368,7 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     fitting = {n for n in names if needs[n] <= present} - idle
     # What is there in part is told as missing; `u` alone may mean something else.
     for name in () if asked else partly:
-        way = about[name].inference
-        if way and not way.complete and (turned or not about[name].oriented):
+        if about[name].inferred == "part" and (turned or not about[name].oriented):
             fitting.add(name)
     fitting = {n for n in fitting if not any(needs[n] < needs[m] for m in fitting)}
     fitting = fitting or {*(() if asked else partly[:1])}

@@ -22,7 +22,6 @@ from calib_pin.measurement_models.camera import CameraModel
 from calib_pin.measurement_models.contact import PlaneContact, SphereContact
 from calib_pin.measurement_models.declaration import (
     Declaration,
-    Inference,
     Quantity,
 )
 from calib_pin.measurement_models.distance import PointDistance, RelativeDistance
@@ -40,7 +39,6 @@ __all__ = [
     "Batch",
     "BatchedModel",
     "Declaration",
-    "Inference",
     "Linearization",
     "MeasurementModel",
     "Quantity",

@@ -27,7 +27,6 @@ from calib_pin.measurement_models.base import (
 from calib_pin.measurement_models.camera_start import Rays
 from calib_pin.measurement_models.declaration import (
     Declaration,
-    Inference,
     Naming,
     Quantity,
 )
@@ -79,7 +78,7 @@ class CameraModel(MeasurementModel):
         at_once=True,
         separable=True,
         naming=Naming("point", "every"),
-        inference=Inference("pixels", complete=True),
+        inferred="all",
         yardstick="the size of the board's squares ('board' or 'targets')",
         unmeasurable="the point is behind the camera or outside its image",
     )

@@ -74,23 +74,6 @@ class Naming:
 
 
 @dataclass(frozen=True)
-class Inference:
-    """How the columns of a file show that it is of a model.
-
-    Of the models with one phrase, the first in their list that has an orientation as
-    the file does is the one.
-
-    Attributes:
-        phrase: Content of such a file, as in "both a position and a distance".
-        complete: Whether only all columns together show it: of names as short as `u`
-            one may stand for something else.
-    """
-
-    phrase: str
-    complete: bool = False
-
-
-@dataclass(frozen=True)
 class Declaration:
     """A measurement model as users and other rooms see it.
 
@@ -116,7 +99,8 @@ class Declaration:
         separable: Whether a target may be wrong while others of its configuration are
             right, as a corner in an image may; those of others fail together.
         naming: Meaning of `target`.
-        inference: How columns show this model; None where only its name does.
+        inferred: How columns show this model: some of them, or only all together, as
+            one of a name as short as `u` may mean something else; else only its name.
         yardstick: Where measured lengths come from; empty where none are measured.
         unmeasurable: Why a configuration cannot be measured, after a colon.
     """
@@ -133,7 +117,7 @@ class Declaration:
     at_once: bool = False
     separable: bool = False
     naming: Naming = Naming()
-    inference: Inference | None = None
+    inferred: Literal["", "part", "all"] = ""
     yardstick: str = ""
     unmeasurable: str = (
         "the tool does not come into contact from there within the joint limits"

@@ -19,7 +19,6 @@ from calib_pin.measurement_models.contact import planes_of_setup
 from calib_pin.measurement_models.declaration import (
     INSTRUMENT,
     Declaration,
-    Inference,
     Naming,
     Quantity,
 )
@@ -60,7 +59,7 @@ class PlaneDistance(MeasurementModel):
         components=("distance",),
         quantities=(Quantity("distance", "m", slice(0, 1), 1e-4),),
         naming=Naming("plane"),
-        inference=Inference("a distance"),
+        inferred="part",
         yardstick=INSTRUMENT,
         unmeasurable="the beam misses the plane, meets it too flat or too far away",
     )

@@ -25,7 +25,6 @@ from calib_pin.measurement_models.base import (
 from calib_pin.measurement_models.declaration import (
     INSTRUMENT,
     Declaration,
-    Inference,
     Quantity,
 )
 from calib_pin.measurement_models.registration import register_poses
@@ -51,7 +50,7 @@ class Pose(MeasurementModel):
         oriented=True,
         external=True,
         tracks="pose",
-        inference=Inference("a position"),
+        inferred="part",
         yardstick=INSTRUMENT,
     )
 

@@ -11,7 +11,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import (
     INSTRUMENT,
     Declaration,
-    Inference,
     Naming,
     Quantity,
 )
@@ -39,7 +38,7 @@ class Position(PointModel):
         at_once=True,
         tracks="point",
         naming=Naming("point of the tool"),
-        inference=Inference("a position"),
+        inferred="part",
         yardstick=INSTRUMENT,
     )
     comparison = "position"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import calib_pin
 from calib_pin.cli import main
-from calib_pin.measurement_models import Declaration, Inference, Quantity
+from calib_pin.measurement_models import Declaration, Quantity
 from calib_pin.measurement_models.named_points import located_tool, tip_points
 from calib_pin.measurement_models.tool_point import PointMeasurement, PointModel
 
@@ -27,7 +27,7 @@ class HeightGauge(PointModel):
         help="height of a point on the tool above a surface plate: height gauge",
         components=("height",),
         quantities=(Quantity("height", "m", slice(0, 1), 1e-5),),
-        inference=Inference("a height"),
+        inferred="part",
         yardstick="the height gauge",
     )
 

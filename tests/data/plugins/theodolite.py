@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import (
     Declaration,
-    Inference,
     Naming,
     Quantity,
 )
@@ -36,7 +35,7 @@ class Theodolite(PointModel):
         external=True,
         tracks="point",
         naming=Naming("point of the tool"),
-        inference=Inference("directions"),
+        inferred="part",
     )
     alone = True
 

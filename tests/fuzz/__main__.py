@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import redirect_stdout
 from itertools import count
 
-from tests.fuzz.cases import Case, Outcome, Pool, fault, make_case
+from tests.fuzz.cases import Case, Outcome, fault, make_case, outcomes
 from tests.fuzz.corpus import written
 
 
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace, corpus: Mapping[str, bytes]) -> int:
 
     faults, statuses = Counter[str](), Counter[int | None]()
     slowest, largest = 0.0, 0
-    for case, outcome in Pool(options.jobs).run(cases()):
+    for case, outcome in outcomes(cases(), options.jobs):
         statuses[outcome.status] += 1
         slowest = max(slowest, outcome.seconds)
         largest = max(largest, outcome.memory)

@@ -8,7 +8,6 @@ import os
 import random
 import re
 import resource
-import shutil
 import signal
 import sys
 import tempfile
@@ -35,9 +34,6 @@ MEMORY = 2 << 30
 
 LONGEST = 300
 """Longest line on standard error, in characters."""
-
-CASES_OF_A_WORKER = 400
-"""Cases after which a process is replaced, so that its memories do not add up."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +63,7 @@ class Outcome:
         status: Exit status; None where the process died or was killed.
         err: What stands on standard error, or how the process ended.
         seconds: Time of its processor.
-        memory: Most memory of the process so far [bytes].
+        memory: Most memory of the process [bytes].
         changed: Files that are there afterwards and were not before, or differ.
     """
 
@@ -121,106 +117,69 @@ def fault(case: Case, outcome: Outcome) -> str | None:
     return None
 
 
-class Pool:
-    """Processes that run cases, each with limits of its own.
+def outcomes(cases: Iterable[Case], jobs: int = 1) -> Iterator[tuple[Case, Outcome]]:
+    """The outcomes of cases as they come, each of a process with limits of its own.
 
     They are forked from this one, which has loaded and compiled everything.
     """
-
-    def __init__(self, jobs: int = 1) -> None:
-        """Nothing is started yet."""
-        self._jobs = jobs
-
-    def run(self, cases: Iterable[Case]) -> Iterator[tuple[Case, Outcome]]:
-        """The outcomes of cases, as they come."""
-        todo = iter(cases)
-        idle = [_Worker() for _ in range(self._jobs)]
-        busy: dict[Connection, _Worker] = {}
-        try:
-            while True:
-                while idle and (case := next(todo, None)) is not None:
-                    worker = idle.pop()
-                    worker.start(case)
-                    busy[worker.pipe] = worker
-                if not busy:
-                    return
-                for pipe in wait(list(busy), timeout=1.0):
-                    worker = busy.pop(pipe)  # type: ignore[call-overload]
-                    yield worker.case, worker.outcome()
-                    idle.append(worker.fresh())
-                for worker in busy.values():
-                    if time.monotonic() > worker.deadline:
-                        worker.process.kill()
-        finally:
-            for worker in (*idle, *busy.values()):
-                worker.process.kill()
-                worker.process.join()
+    todo, running = iter(cases), dict[Connection, _Child]()
+    try:
+        while True:
+            while len(running) < jobs and (case := next(todo, None)) is not None:
+                child = _Child(case)
+                running[child.pipe] = child
+            if not running:
+                return
+            for pipe in wait(list(running), timeout=1.0):
+                child = running.pop(pipe)  # type: ignore[call-overload]
+                yield child.case, child.outcome()
+            for child in running.values():
+                if time.monotonic() > child.deadline:
+                    child.process.kill()
+    finally:
+        for child in running.values():
+            child.process.kill()
+            child.process.join()
 
 
-class _Worker:
-    """A process that runs one case after the other."""
+class _Child:
+    """A process that runs a case."""
 
-    case: Case
-
-    def __init__(self) -> None:
+    def __init__(self, case: Case) -> None:
         context = multiprocessing.get_context("fork")
-        self.pipe, theirs = context.Pipe()
-        self.process = context.Process(
-            target=_serve, args=(self.pipe, theirs), daemon=True
-        )
+        self.case = case
+        self.pipe, theirs = context.Pipe(duplex=False)
+        self.process = context.Process(target=_run, args=(case, theirs), daemon=True)
         self.process.start()
         theirs.close()
-        self.deadline = 0.0
-        self._done = 0
-
-    def start(self, case: Case) -> None:
-        self.case = case
         self.deadline = time.monotonic() + PATIENCE * SECONDS
-        self.pipe.send(case)
 
     def outcome(self) -> Outcome:
-        self._done += 1
-        try:
-            found: Outcome = self.pipe.recv()
-            return found
-        except EOFError:
-            self.process.join()
-            self._done = CASES_OF_A_WORKER
-            code = -(self.process.exitcode or 0)
-            if time.monotonic() > self.deadline:
-                return Outcome(None, "hang")
-            return Outcome(None, signal.Signals(code).name if code > 0 else "exit")
-
-    def fresh(self) -> _Worker:
-        """This process, or another in its place."""
-        if self._done < CASES_OF_A_WORKER:
-            return self
-        self.pipe.close()
-        self.process.kill()
+        with self.pipe:
+            try:
+                found: Outcome = self.pipe.recv()
+            except EOFError:
+                self.process.join()
+                code = -(self.process.exitcode or 0)
+                hung = time.monotonic() > self.deadline
+                died = signal.Signals(code).name if code > 0 else "exit"
+                return Outcome(None, "hang" if hung else died)
         self.process.join()
-        return _Worker()
+        return found
 
 
 class _TooLong(BaseException):
     """A case takes longer than it may."""
 
 
-def _serve(ours: Connection, pipe: Connection) -> None:
-    """Run the cases that come through a pipe, until nobody holds its other end."""
-    ours.close()
+def _run(case: Case, pipe: Connection) -> None:
+    """Send the outcome of a case."""
     _limit_memory()
     # Figures take a hundred times longer than reading what they show.
     calib_pin.cli.calibrate.draw_calibration = lambda *about: []  # type: ignore
     signal.signal(signal.SIGPROF, _stop)
     with tempfile.TemporaryDirectory() as folder:
-        work = Path(folder, "work")
-        while True:
-            try:
-                case = pipe.recv()
-            except EOFError:
-                return
-            shutil.rmtree(work, ignore_errors=True)
-            pipe.send(_outcome(case, work))
+        pipe.send(_outcome(case, Path(folder, "work")))
 
 
 def _limit_memory() -> None:

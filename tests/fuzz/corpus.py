@@ -10,54 +10,31 @@ from pathlib import Path
 import trimesh
 
 from calib_pin.cli import main
-from tests.shared import collada, joint, urdf_of
+from tests.shared import collada
 
 BALL = '<geometry><sphere radius="0.05"/></geometry>'
 ROD = '<geometry><cylinder radius="0.04" length="0.4"/></geometry>'
 PLATE = '<geometry><box size="0.2 0.2 0.1"/></geometry>'
 ALONG = '<origin xyz="0.25 0 0" rpy="0 1.5708 0"/>'
 
-ARM = urdf_of(
-    joint(
-        "joint1",
-        "base_link link1",
-        "0 0 0.4",
-        limits="-2.5 2.5",
-        mass=(8.0, (0, 0, 0.1)),
-        inside="<!-- a comment -->",
-    ),
-    joint(
-        "joint2",
-        "link1 link2",
-        "0.1 0 0;0.1 0 0",
-        "0 1 0",
-        limits="-2 2",
-        more='<dynamics damping="0.1" friction="0.0"/>',
-        mass=(6.5, (0.25, 0, 0)),
-        inside=f"<visual>{BALL}</visual><collision>{ALONG}{ROD}</collision>",
-    ),
-    joint(
-        "joint3",
-        "link2 link3",
-        "0.5 0 0.05",
-        "0 1 0",
-        limits="-2.5 2.5",
-        mass=(3, (0.2, 0, 0)),
-        inside=f"<collision>{BALL}</collision>",
-    ),
-    joint("joint4", "link3 link4", "0.4 0 0", kind="continuous"),
-    joint("tool_joint", "link4 tool", "0.1 0.02 0.05;0 1.4 0", kind="fixed"),
-    joint(
-        "finger_joint",
-        "link4 finger",
-        axis="1 0 0",
-        kind="prismatic",
-        limits="0 0.05",
-        more='<mimic joint="joint4" multiplier="0.01" offset="0.02"/>',
-    ),
-    name="arm",
-    inside=f'<collision><origin xyz="0 0 -0.1"/>{PLATE}</collision>',
-)
+MASS = """<inertial><origin xyz="0.2 0 0.1"/><mass value="6.5"/>
+<inertia ixx="1" ixy="0.1" ixz="0" iyy="2" iyz="0" izz="3"/></inertial>"""
+FINGER = """<link name="finger"/><joint name="finger_joint" type="prismatic">
+<parent link="link4"/><child link="finger"/><axis xyz="1 0 0"/>
+<mimic joint="joint4" multiplier="0.01" offset="0.02"/>
+<limit lower="0" upper="0.05" effort="1" velocity="1"/>
+<dynamics damping="0.1" friction="0.0"/></joint></robot>"""
+INSIDE = {
+    "base_link": f'<collision><origin xyz="0 0 -0.1"/>{PLATE}</collision>',
+    "link1": f"<!-- a comment -->{MASS}",
+    "link2": f"<visual>{BALL}</visual><collision>{ALONG}{ROD}</collision>{MASS}",
+    "link3": f"<collision>{BALL}</collision>{MASS}",
+}
+ARM = Path(__file__).parents[1].joinpath("cli/arm.urdf").read_text()
+ARM = ARM.replace("</robot>", FINGER)
+ARM = ARM.replace('"joint4" type="revolute"', '"joint4" type="continuous"')
+for _name, _inside in INSIDE.items():
+    ARM = ARM.replace(f'"{_name}"/>', f'"{_name}">{_inside}</link>', 1)
 
 SHAPES = {
     '<box size="0.2 0.2 0.1"/>': '<mesh filename="block.stl" scale="0.1 0.1 0.1"/>',

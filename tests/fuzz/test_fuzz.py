@@ -14,7 +14,7 @@ import pytest
 
 from tests.fuzz import cases, corpus
 from tests.fuzz.__main__ import run
-from tests.fuzz.cases import Case, Outcome, Pool, fault, make_case
+from tests.fuzz.cases import Case, Outcome, fault, make_case, outcomes
 from tests.fuzz.mutators import damaged
 
 # --- the fuzzer itself -------------------------------------------------------------
@@ -62,7 +62,7 @@ def test_a_process_that_fails(command, what, monkeypatch) -> None:
     monkeypatch.setattr(cases, "main", lambda words: command())
     monkeypatch.setattr(cases, "SECONDS", 0.3)
     monkeypatch.setattr(cases, "PATIENCE", 200.0)  # The machine may be busy.
-    ((_, outcome),) = Pool().run([CASE])
+    ((_, outcome),) = outcomes([CASE])
     assert fault(CASE, outcome) == what
 
 
@@ -87,7 +87,7 @@ def test_what_is_a_failure(status: int, said: str, what: str | None) -> None:
 
 def test_after_a_death_the_others_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cases, "main", lambda words: die() if words == ["b"] else 0)
-    run = Pool(2).run(Case(word, word, "", {}, "") for word in "abcd")
+    run = outcomes((Case(word, word, "", {}, "") for word in "abcd"), 2)
     found = {case.name: outcome.status for case, outcome in run}
     assert found == {"a": 0, "b": None, "c": 0, "d": 0}
 
@@ -113,7 +113,7 @@ def test_the_corpus_is_valid(files: dict[str, bytes]) -> None:
         Case("", job.words, "", corpus.needed(job.words, files), "")
         for job in corpus.JOBS
     ]
-    for case, outcome in Pool().run(jobs):
+    for case, outcome in outcomes(jobs):
         assert outcome.status in (0, 2), (case.words, outcome)
         assert fault(case, outcome) is None, (case.words, outcome)
     damageable = {name for job in corpus.JOBS for name in job.files.split()}

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
+from calib_pin.io.measurements import read_configurations
 from calib_pin.io.results import read_calibration
-from tests.cli.files import document, numbers, table, write
+from calib_pin.io.setup import read_setup
+from calib_pin.kinematics.spatial import so3_log
+from tests.cli.files import column, document, numbers, table, write
 
 DONE = "compensate done/calibration.json"
 RUN = f"{DONE} targets.csv -o commands.csv"
@@ -82,25 +85,16 @@ def test_starts_and_their_units(model, run, unit, turn, zero):
 GUESSED = "calib-pin: note: base or tool"
 
 
-def test_poses_in_all_ways_to_write_them(model, run):
-    import pinocchio as pin
-
+def test_poses(model, run):
     T = model.poses(Q)
-    quaternions = np.array([pin.Quaternion(R).coeffs() for R in T[:, :3, :3]])
-    vectors = np.array([pin.log3(R) for R in T[:, :3, :3]])
-    angles = np.array([pin.rpy.matrixToRpy(R) for R in T[:, :3, :3]])
-    heads = {
-        "qx,qy,qz,qw": quaternions,
-        "rx,ry,rz": vectors,
-        "roll [deg],pitch [deg],yaw [deg]": np.degrees(angles),
-    }
-    for head, columns in heads.items():
-        write("targets.csv", f"x,y,z,{head}", np.hstack([T[:, :3, 3], columns]))
-        result = run(f"{RUN} --force")
-        assert result.status == 0
-        assert result.err.count("\n") == 1 and "orientation" in result.out
-        found = numbers("commands.csv")[:, :4]
-        np.testing.assert_allclose(model.poses(found), T, atol=2e-9)
+    rows = np.hstack([T[:, :3, 3], so3_log(T[:, :3, :3])])
+    write("targets.csv", "x,y,z,rx,ry,rz", rows)
+    result = run(RUN)
+    assert result.status == 0
+    assert result.err.count("\n") == 1 and "orientation" in result.out
+    np.testing.assert_allclose(
+        model.poses(numbers("commands.csv")[:, :4]), T, atol=2e-9
+    )
     assert run(f"{RUN} --force --point tip").err.startswith(GUESSED)
     result = run(f"{RUN} --force --position")
     assert (result.status, result.err) == (0, "")
@@ -159,8 +153,8 @@ def test_a_motion(model, run):
     assert "30 of 30 configurations" in result.out
     before, after = table("targets.csv"), table("commands.csv")
     assert after[0] == before[0]
-    for column in (0, 5, 6):
-        assert [row[column] for row in after[1]] == [row[column] for row in before[1]]
+    for k in (0, 5, 6):
+        assert [row[k] for row in after[1]] == [row[k] for row in before[1]]
     found = np.radians([[float(cell) for cell in row[1:5]] for row in after[1]])
     tips = model.error.tip_poses(found, model.theta)[:, :3, 3]
     np.testing.assert_allclose(tips, model.chain.poses(q)[:, :3, 3], atol=1e-9)
@@ -215,20 +209,11 @@ def test_columns_of_a_controller(placed, model, run):
     Path("map.yaml").write_text(MAP)
     result = run(f"{RUN} --setup map.yaml")
     assert (result.status, result.err.startswith(GUESSED)) == (0, not placed)
-    header, rows, _ = table("commands.csv")
-    found = dict(zip(header, np.array(rows, float).T, strict=True))
-    heads = list(columns)[:5]
+    header, heads = table("commands.csv")[0], list(columns)[:5]
     assert set(header) == {*heads, "row"} if placed else header == heads
-    np.testing.assert_array_equal(found["rail"], rail)
-    q = np.stack(
-        [
-            -0.5 * 1e-3 * found["A1 [mrad]"] + 0.2,
-            found["A2"],
-            np.radians(found["A3 [deg]"]) + found["A2"] + 0.1 * rail,
-            found["A4"] - 0.1,
-        ],
-        axis=1,
-    )
+    np.testing.assert_array_equal(np.array(column("commands.csv", "rail"), float), rail)
+    joints = read_setup("map.yaml").joints
+    q = read_configurations("commands.csv", model.chain, joints)
     if placed:
         np.testing.assert_allclose(model.poses(q)[:, :3, 3], targets, atol=1e-9)
     else:

@@ -21,7 +21,6 @@ import calib_pin.calibration
 from calib_pin.cli import main
 from calib_pin.cli.asked import COMMANDS
 from calib_pin.errors import InputError
-from calib_pin.io.setup import read_setup, setup_document
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.residual_models import RESIDUAL_MODELS
 from tests.cli.files import document, marked, numbers, table, write
@@ -342,52 +341,6 @@ def test_names_that_a_file_system_cannot_hold(here, run):
 
 
 # --- beyond geometry ---------------------------------------------------------------
-
-CORRECTED = """\
-model: position
-parameters: [placement, transmission, compliance]
-frames: {tool: {xyz: [0.05, 0.08, 0.1], estimate: true}}
-gravity: [0.5, 0, -9.8]
-payloads: {gripper: {mass: 6, com: [0.02, 0, 0.1]}}
-gear_ratios: {joint_2: 50}
-noise: {position: 2.0e-5}
-"""
-
-
-def test_gears_and_compliance_from_simulation_to_evaluation(alone, run):
-    Path("setup.yaml").write_text(CORRECTED)
-    words = "simulate pa10 --setup setup.yaml --count 60 --seed 3 -o rows.csv"
-    assert run(words).status == 0
-    result = run("calibrate pa10 rows.csv --setup setup.yaml --holdout 0.2 -o out")
-    assert (result.status, result.err) == (0, "")
-    assert "urad/Nm" in result.out and "joint_4 k" in result.out
-    found = document("out")
-    check_form(found, CONTRACT)
-    units = {p["name"]: p["unit"] for p in found["parameters"]}
-    assert units["joint_4.compliance.k"] == "rad/Nm"
-    assert units["joint_4.transmission.gain"] == "rad/rad"
-    assert units["joint_2.transmission.motor_cos"] == "rad"
-    status = {p["name"]: p["status"] for p in found["parameters"]}
-    assert status["joint_4.compliance.k"] == "identifiable"
-    accuracy = found["errors"]["position"]
-    # Twenty times worse without them, on the same unseen rows.
-    unseen = accuracy["validation"]["after"]["rms"]
-    assert unseen < 1e-4
-    alone = found["urdf"]["errors"]["position"]
-    assert (alone["unit"], found["urdf"]["reason"]) == ("m", "")
-    assert alone["validation"]["after"]["rms"] > 10.0 * unseen
-    stated = setup_document(read_setup("setup.yaml"))
-    assert json.loads(json.dumps(stated)) == found["setup"]
-
-    def rms(words: str) -> float:
-        result = run(f"evaluate {words} --json")
-        assert result.status == 0
-        return json.loads(result.out)["errors"]["position"]["rms"]
-
-    # What is read back has it all; the URDF has the geometry alone.
-    parts = accuracy["training"]["after"]["rms"] ** 2 * 48 + unseen**2 * 12
-    assert rms("out/calibration.json rows.csv") == pytest.approx(np.sqrt(parts / 60))
-    assert rms("out/pa10.urdf rows.csv --setup setup.yaml") > 10.0 * unseen
 
 
 def test_a_model_ladder(here, run, monkeypatch):

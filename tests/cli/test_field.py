@@ -81,10 +81,6 @@ def a_lost_joint(job: Job) -> str:
     return text({named("j{}"): q, XYZ: job.points})
 
 
-def decimal_commas(job: Job) -> str:
-    return text({OWN: job.q, "x_mm y_mm z_mm": 1e3 * job.points}, ";").replace(".", ",")
-
-
 def computed(job: Job) -> Mapping[str, Floats]:
     """Columns that a controller writes beside its joints."""
     poses = np.hstack([job.T[:, :3, 3], so3_log(job.T[:, :3, :3])])
@@ -111,18 +107,6 @@ READ: Mapping[str, Callable[[Job], str | bytes]] = {
             "X Y Z": 1e3 * job.T[:, :3, 3].round(5),
             "LT_X LT_Y LT_Z": 1e3 * job.points,
         }
-    ),
-    "an orientation that never moves": lambda job: text(
-        {OWN: job.q, XYZ: job.points, "qx qy qz qw": np.tile([0.0, 0, 0, 1], (40, 1))}
-    ),
-    "a word of Excel": lambda job: "sep=;\n" + decimal_commas(job),
-    "an old code page": lambda job: (
-        decimal_commas(job)
-        .replace("x_mm;y_mm;z_mm", "Maß x_mm;Maß y_mm;Maß z_mm")
-        .encode("cp1252")
-    ),
-    "elements of vectors": lambda job: text(
-        {named("q_{}"): job.q, "p_1 p_2 p_3": 1e3 * job.points}
     ),
     "a joint that is missing": a_lost_joint,
     "sorted by name": lambda job: text(

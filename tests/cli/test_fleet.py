@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.cli.jobs import read_jobs
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import read_result
 from calib_pin.io.setup import prior_document
@@ -182,14 +181,6 @@ def test_a_table_of_a_spreadsheet(here, run, inside):
     assert run("fleet jobs.csv -o out --no-pages").status == 0
     row = rows_of("out")["007"]
     assert (row["date"], row["held_out"]) == ("2026-01-05", "12")
-
-
-def test_serial_numbers_keep_their_digits(here):
-    """Also where there are many, and all of them are numbers."""
-    serials = [f"{k:04d}" for k in range(300)] + ["7.1", "7.10"]
-    rows = [f"arm.urdf,{k}.csv,{serial}\n" for k, serial in enumerate(serials)]
-    Path("jobs.csv").write_text("robot,measurements,Serial number\n" + "".join(rows))
-    assert [job.serial_number for job in read_jobs("jobs.csv")] == serials
 
 
 STUDY = """\

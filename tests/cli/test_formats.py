@@ -16,7 +16,7 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.validation.joint_errors import configurations
 from tests.cli.conftest import ARM
 from tests.cli.files import document, table
-from tests.io.test_mjcf_child import BASE, BODIES, written
+from tests.io.test_mjcf_child import BODIES, written
 
 XACRO = ARM.replace(
     '<robot name="arm">',
@@ -111,44 +111,6 @@ def test_it_comes_back_corrected(alone, run):
     assert np.abs(again.poses(q) - expected).max() < 1e-9
     assert again.joints == nominal.joints
     assert np.allclose(again.upper, nominal.upper)
-
-
-@pytest.mark.needs("mujoco")
-def test_the_file_is_an_input(alone, run):
-    before = written(alone, BASE).read_bytes()
-    words = "simulate arm.xml --tip tool --model pose --count 20 -o arm.xml --force"
-    result = run(words)
-    assert result.status == 1 and "arm.xml: is an input" in result.err
-    assert Path("arm.xml").read_bytes() == before
-
-
-# --- Parquet ----------------------------------------------------------------------
-
-
-CALIBRATE = "calibrate arm.urdf {} --setup setup.yaml -o {} --quiet"
-
-
-def days() -> None:
-    """The measurements as two Parquet files and the rest as CSV."""
-    import pyarrow.parquet as parquet
-    from pyarrow import csv
-
-    header, lines, _ = table("rows.csv")
-    third = len(lines) // 3
-    parts = lines[:third], lines[third : 2 * third], lines[2 * third :]
-    for number, part in enumerate(parts):
-        file = Path(f"day{number}.csv")
-        file.write_text("\n".join(map(",".join, [header, *part])) + "\n")
-        if number < 2:
-            parquet.write_table(csv.read_csv(file), f"day{number}.parquet")
-
-
-@pytest.mark.needs("parquet")
-def test_a_bad_file_costs_a_line(here, refuses):
-    days()
-    whole = Path("day0.parquet").read_bytes()
-    Path("day0.parquet").write_bytes(whole[: len(whole) // 2])
-    refuses(CALIBRATE.format("day0.parquet day2.csv", "bad"), file="day0.parquet")
 
 
 # --- what is exported -------------------------------------------------------------

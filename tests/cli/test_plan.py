@@ -79,18 +79,6 @@ targets: {a: {xyz: [0.02, 0, 0]}, b: {xyz: [0, 0.02, 0]}, c: {xyz: [0, 0, 0.03]}
     assert len(table("more.csv")[1]) == 4
 
 
-def test_a_place_that_the_setup_does_not_state_is_named(here, fails):
-    Path("places.yaml").write_text(
-        "model: position\nparameters: [joint-offset]\n"
-        "stations: {day 1: {xyz: [1, 0, 0]}}\n"
-    )
-    Path("plan.csv").write_text(
-        "joint1,joint2,joint3,joint4,station\n0,0,0.2,0,day 1\n0,0,0.5,0,day 3\n"
-    )
-    words = "simulate arm.urdf --setup places.yaml --configurations plan.csv"
-    fails(f"{words} -o none.csv", "configuration 2")
-
-
 @pytest.mark.parametrize(
     ("words", "measured"),
     [

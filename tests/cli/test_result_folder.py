@@ -176,12 +176,6 @@ def test_what_is_not_needed_may_be_absent(here, run):
         assert run(EVALUATE.format("done")).status == 0
 
 
-def test_a_file_of_the_set_is_no_place_for_commands(here, fails):
-    Path("targets.csv").write_text("x,y,z\n0.6,0.2,0.7\n")
-    words = "compensate done/calibration.json targets.csv --force -o done/report.html"
-    fails(words, "done/report.html: is an input")
-
-
 # --- over an earlier run -----------------------------------------------------------
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
 from calib_pin.errors import InputError
@@ -73,9 +71,7 @@ def test_another_lens_is_fitted_or_refused(camera, lens):
 @pytest.mark.parametrize(
     "text",
     [
-        "fx: 3",
         "- 3",
-        json.dumps({"FocalLength": [610.5, 608], "PrincipalPoint": [403, 298]}),
         "cam0: {intrinsics: [610.5, 608, 402, 297], resolution: [800, 600]}",
         ROS.replace("distortion_coefficients", "dist"),
         ROS.replace("camera_matrix", "IntrinsicMatrix"),

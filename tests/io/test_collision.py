@@ -210,7 +210,6 @@ def test_with_an_srdf_nothing_else_is_left_out(loaded, write):
     [
         ("group: arm", {}),
         ("<robot name='arm'>\n<group>", {"line": 2}),
-        ("<launch/>", {}),
         (urdf("", ""), {}),
         ('<robot name="leg"/>', {"value": "leg"}),
         (None, {}),

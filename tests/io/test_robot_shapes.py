@@ -189,7 +189,6 @@ BAD = [
     ("a.obj", obj(face="1 2 4")),
     ("a.dae", dae("0 1 3")),
     ("a.stl", stl("0 nan 0")),
-    ("a.obj", obj("0 nan 0")),
     ("a.obj", obj("0 1e308 0")),
     ("a.stl", binary_stl(((0, 0, 0), (1, 0, 0), (0, 2e6, 0)))),
     ("a.stl", binary_stl(((0, 0, 1),) * 3)),

@@ -189,7 +189,6 @@ def motors(**changes: dict[str, int]) -> str:
     [
         motors(m1={"range_max": 4096}),
         motors(m1={"range_min": -1}),
-        motors(m2={"range_min": 3400, "range_max": 700}),
         motors(m2={"range_min": 3400}),
         motors(m4={"id": 0}),
         *("{", "[]", '{"m0": {"homing_offset": 1}}'),
@@ -247,7 +246,6 @@ def test_a_reduction_is_kept_however_it_is_spelled(
     ("tag", "kind", "joint", "actuator"),
     [
         ("type", "transmission_interface/DifferentialTransmission", ROS_2, ""),
-        ("plugin", "a/FourBarLinkageTransmission", ROS_2, ""),
         ("type", "a/SimpleTransmission", ROS_2, ROS_1.replace("40", "50")),
         ("type", "a/SimpleTransmission", "<gear_ratio>3</gear_ratio>", ""),
         ("type", "a/SimpleTransmission", ROS_1.replace("40", "0"), ""),

@@ -138,15 +138,6 @@ def test_a_robot_alone(here, run, opened):
     assert run("view example:talos_reduced --port 5").status == 0
 
 
-def test_a_robot_with_measurements_and_a_plan(here, run, opened):
-    result = run("view arm.urdf rows.csv --setup setup.yaml --plan new.csv --port 5")
-    assert (result.status, result.err) == (0, "")
-    (scene,) = opened
-    assert scene.rows is not None and scene.plan is not None
-    assert list(scene.rows.stages) == ["before"]
-    assert (len(scene.rows.data), len(scene.plan)) == (40, 25)
-
-
 def test_a_calibration(here, run, opened):
     words = "view done/calibration.json new.csv rows.csv --port 5"
     assert run(words).status == 0

@@ -18,7 +18,7 @@ from calib_pin.io.columns import ANGLE, LENGTH, Column
 from calib_pin.io.dialects import DIALECTS, Dialect, Reading
 from calib_pin.io.foreign_headers import foreign, measured, with_our_names
 from calib_pin.io.measured_columns import TIME, read_quaternions
-from calib_pin.io.table import Table, read_table
+from calib_pin.io.table import read_table
 from calib_pin.kinematics.spatial import from_quaternion, so3_exp, to_quaternion
 from tests.shared import refused
 
@@ -32,52 +32,52 @@ def test_whole_seconds_and_the_rest(table):
     assert not table("time,sec,usec,x\n0,1,2,3\n").remarks
 
 
-@pytest.mark.parametrize("first", [0, 1])
-def test_matrices_are_orientations(table, first):
-    """With a fourth column they are poses; what is not orthonormal is no matrix."""
+def poses() -> np.ndarray:
+    """Three poses, whose positions are the numbers from 1 to 9."""
     T = np.tile(np.eye(4), (3, 1, 1))
     T[:, :3, :3] = so3_exp(np.random.default_rng(0).normal(size=(3, 3)))
-    T[:, :3, 3] = [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
-    ends = range(first, 4 + first)
-    names = ",".join(f"T{i}{j}" for i in ends for j in ends)
+    T[:, :3, 3] = np.arange(1.0, 10.0).reshape(3, 3)
+    return T
 
-    def read(T: np.ndarray) -> Table:
-        rows = (",".join(map(repr, row)) for row in T.reshape(3, 16).tolist())
-        return table("\n".join([names, *rows]))
 
-    found, expected = read(T), to_quaternion(T[:, :3, :3])
+def lines(names: list[str], cells: np.ndarray) -> str:
+    rows = (",".join(map(repr, row)) for row in cells.reshape(3, -1).tolist())
+    return "\n".join([",".join(names), *rows])
+
+
+NAMES = [
+    *([f"T{i + k}{j + k}" for i in range(4) for j in range(4)] for k in (0, 1)),
+    *([f"T[{k}]" for k in range(count)] for count in (12, 16)),
+]
+
+
+@pytest.mark.parametrize(
+    ("names", "by_columns"),
+    [*((names, False) for names in NAMES), *((names, True) for names in NAMES[2:])],
+)
+def test_matrices_are_orientations(table, names, by_columns):
+    """With a fourth column they are poses; what is not orthonormal is no matrix.
+
+    Of elements that have one number each, as Franka's O_T_EE, the order is looked for.
+    """
+    T = poses()
+    cells = T[:, : len(names) // 4]
+    cells = np.swapaxes(cells, 1, 2) if by_columns else cells
+    found, expected = table(lines(names, cells)), to_quaternion(T[:, :3, :3])
     assert np.allclose(read_quaternions(found, "quaternion"), expected, atol=1e-12)
     for axis, column in zip("xyz", T[:, :3, 3].T, strict=True):
         assert found.columns[axis].numbers.tolist() == column.tolist()
-    assert "qx" not in read(2.0 * T).columns
-
-
-@pytest.mark.parametrize("count", [12, 16])
-@pytest.mark.parametrize("by_columns", [False, True])
-def test_poses_by_rows_or_columns(table, count, by_columns):
-    """As Franka's O_T_EE, whose elements have one number each."""
-    T = np.tile(np.eye(4), (3, 1, 1))
-    T[:, :3] = np.random.default_rng(0).normal(size=(3, 3, 4))
-    T[:, :3, :3] = so3_exp(T[:, :3, 3])
-    cells = T[:, : count // 4]
-    cells = np.swapaxes(cells, 1, 2) if by_columns else cells
-    rows = (",".join(map(repr, row)) for row in cells.reshape(3, count).tolist())
-    found = table("\n".join([",".join(f"T[{k}]" for k in range(count)), *rows]))
-    expected = to_quaternion(T[:, :3, :3])
-    assert np.allclose(read_quaternions(found, "quaternion"), expected, atol=1e-12)
-    assert found.columns["y"].numbers.tolist() == T[:, 1, 3].tolist()
+    assert "qx" not in table(lines(names, 2.0 * cells)).columns
 
 
 def test_several_matrices_keep_their_names(table):
     """Nine numbers are a rotation by rows; a position is that of its matrix."""
-    R = so3_exp(np.random.default_rng(0).normal(size=(3, 3)))
-    T = np.tile(np.eye(4), (3, 1, 1))
-    T[:, :3] = np.concatenate([R, np.arange(9.0).reshape(3, 3, 1)], axis=2)
+    T = poses()
+    R = T[:, :3, :3]
     names = [*(f"a[{k}]" for k in range(16)), *(f"b_{k}" for k in range(9))]
     cells = np.hstack([T.reshape(3, 16), R.swapaxes(1, 2).reshape(3, 9)])
-    rows = [",".join(map(repr, row)) for row in cells.tolist()]
-    found = table("\n".join([",".join(names), *rows])).columns
-    assert found["a_y"].numbers.tolist() == [1.0, 4.0, 7.0]
+    found = table(lines(names, cells)).columns
+    assert found["a_y"].numbers.tolist() == [2.0, 5.0, 8.0]
     for name, turn in (("a", R), ("b", R.swapaxes(1, 2))):
         q = np.column_stack([found[f"{name}_q{axis}"].numbers for axis in "xyzw"])
         assert np.allclose(from_quaternion(q), turn, atol=1e-12)

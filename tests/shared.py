@@ -321,14 +321,16 @@ def simulated(
     robot: str | Chain | Chains = "space6",
     noise: float | None = 0.0,
     changes: Mapping[str, float] | None = None,
+    again: int | None = None,
     **how: Any,
 ) -> tuple[Problem, Floats]:
     """Measurements of a robot: `simulated(model, setup, count, size, seed, ...)`.
 
     Returns the problem with the rows, and the true errors: those of the robot have so
     many times their expected size, and changes by name come on top. The robot, space6
-    by default, is a name or a chain; without `noise` there is none. Further arguments
-    are those of `simulate`.
+    by default, is a name or a chain; without `noise` there is none. With a seed `again`
+    it is the same robot at other configurations. Further arguments are those of
+    `simulate`, where `q` takes the place of the count.
     """
 
     rng = np.random.default_rng(seed)
@@ -337,7 +339,9 @@ def simulated(
     theta = size * draw_errors(problem.parameters, rng)
     for name, change in (changes or {}).items():
         theta[problem.parameters.index(name)] += change
-    rows = simulate(problem, theta, rng, count=count, noise=noise, **how)
+    rng = rng if again is None else np.random.default_rng(again)
+    how |= {} if "q" in how else {"count": count}
+    rows = simulate(problem, theta, rng, noise=noise, **how)
     return replace(problem, data=rows), theta
 
 

@@ -17,9 +17,9 @@ import calib_pin
 from calib_pin.cli import main
 from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.cli.options import OfRobot
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.setup import FrameSetup, Setup
+from tests.shared import simulated
 
 ROBOT = "example:ur5_robot"
 NOISE = 3e-5
@@ -47,14 +47,11 @@ class Job:
 @pytest.fixture(scope="module")
 def job() -> Job:
     chain = calib_pin.load_chain(ROBOT, tip="tool0")
-    frames = {
-        "tool_frame": FrameSetup((0.03, 0.02, 0.11)),
-        "base_frame": FrameSetup((1.9, -0.6, 0.35), (0.1, -0.2, 0.9)),
-    }
-    problem = nominal_problem(chain, "position", Setup(**frames))
-    rng = np.random.default_rng(7)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, theta, rng, count=40, noise=NOISE).only
+    tool = FrameSetup((0.03, 0.02, 0.11))
+    base = FrameSetup((1.9, -0.6, 0.35), (0.1, -0.2, 0.9))
+    setup = Setup(tool_frame=tool, base_frame=base)
+    problem, _ = simulated("position", setup, 40, 1.0, 7, robot=chain, noise=NOISE)
+    rows = problem.data.only
     return Job(rows.q, chain.poses(rows.q), rows.values)
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 import calib_pin
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import Quantity
@@ -34,7 +33,7 @@ from calib_pin.validation.result import (
     QuantityError,
     Validation,
 )
-from tests.shared import chain_of, joint, urdf_of
+from tests.shared import chain_of, joint, simulated, urdf_of
 
 OFFSETS = ("joint-offset",)
 
@@ -87,15 +86,15 @@ def solve(
     **options: Any,
 ) -> CalibrationResult:
     """A calibration of an arm."""
-    chain, setup = arm(*names), setup or Setup()
-    problem = nominal_problem(chain, model, setup)
-    rng = np.random.default_rng(1)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, theta, rng, count=count)
-    return calib_pin.calibrate(chain, rows, setup, **options)
+    problem, _ = simulated(model, setup, count, 1.0, 1, robot=arm(*names), noise=None)
+    return calib_pin.calibrate(problem.chains, problem.data, setup, **options)
 
 
 # --- of every kind -----------------------------------------------------------------
+
+
+def drawn(robot: Any, model: Any, setup: Setup, count: int) -> Observations:
+    return simulated(model, setup, count, 1.0, 3, robot=robot, noise=None)[0].data
 
 
 def several_blocks(make: Callable[..., Any]) -> CalibrationResult:
@@ -114,7 +113,7 @@ def several_blocks(make: Callable[..., Any]) -> CalibrationResult:
         BlockKey("pose", "", "day2", "ball"),
         BlockKey("position", "", "day2", "probe"),
     ]
-    rows = simulated(chain, keys, setup, 120)
+    rows = drawn(chain, keys, setup, 120)
     first, second, third = rows.blocks
     later = replace(third.rows(slice(20, None)), station="day3")
     data = Observations((first, second, third.rows(slice(20))))
@@ -125,7 +124,7 @@ def two_hands(make: Callable[..., Any]) -> CalibrationResult:
     chain = calib_pin.load_chain("example:talos_reduced", tip="arm_left_7_link")
     names = ("arm_left_7_link", "arm_right_7_link")
     chains, setup = Chains(chain.robot, names=names), Setup(parameters=OFFSETS)
-    rows = simulated(chains, [BlockKey("pose", name) for name in names], setup, 80)
+    rows = drawn(chains, [BlockKey("pose", name) for name in names], setup, 80)
     return calib_pin.calibrate(chains, rows, setup)
 
 
@@ -136,7 +135,7 @@ def lost_motion(make: Callable[..., Any]) -> CalibrationResult:
     setup = Setup(
         parameters=("placement", "hysteresis"), tool_frame=FrameSetup((0.1, 0.05, 0.1))
     )
-    rows = simulated(chain, "position", setup, 40).only
+    rows = drawn(chain, "position", setup, 40).only
     warmth = np.random.default_rng(4).uniform(20.0, 30.0, len(rows))
     held = replace(rows.conditions, source="order", temperature=warmth)
     rows = replace(rows, conditions=held)
@@ -166,7 +165,7 @@ def distances(make: Callable[..., Any]) -> CalibrationResult:
 
 def learned(make: Callable[..., Any]) -> CalibrationResult:
     chain = calib_pin.load_chain("space6")
-    rows = simulated(chain, "pose", Setup(), 60).only
+    rows = drawn(chain, "pose", Setup(), 60).only
     values = rows.values.copy()
     values[:, :3] += 2e-3 * np.sin(3.0 * rows.q[:, 1:4])
     setup = Setup(parameters=OFFSETS, learned="gaussian-process")
@@ -181,15 +180,6 @@ def search(make: Callable[..., Any]) -> CalibrationResult:
 
 def camera(make: Callable[..., Any]) -> CalibrationResult:
     return make("camera", SEEN, 60, noise=None, holdout=0.25)
-
-
-def simulated(
-    chain: Chain | Chains, model: Any, setup: Setup, count: int
-) -> Observations:
-    problem = nominal_problem(chain, model, setup)
-    rng = np.random.default_rng(3)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    return calib_pin.simulate(problem, theta, rng, count=count)
 
 
 KINDS: dict[str, Callable[[Callable[..., Any]], CalibrationResult]] = {

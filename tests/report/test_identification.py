@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from calib_pin.report.terminal import plain_text
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.assessment import identify, robot_errors
 from calib_pin.validation.result import CalibrationResult, Coefficient, RobotError
+from tests.shared import simulated
 
 ARM = "example:so101"
 TIP = "gripper_frame_link"
@@ -27,14 +29,14 @@ def chain() -> Chain:
     return calib_pin.load_chain(ARM, tip=TIP)
 
 
+def measured(chain: Chain) -> tuple[Any, Any]:
+    """Full poses of the printed arm, and its errors."""
+    return simulated("pose", None, 60, 1.0, 3, robot=chain, noise=None)
+
+
 @pytest.fixture(scope="module")
 def result(chain: Chain) -> CalibrationResult:
-    """The printed arm, its geometry measured with full poses."""
-    problem = nominal_problem(chain, "pose", Setup())
-    rng = np.random.default_rng(3)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, theta, rng, count=60)
-    return calib_pin.calibrate(chain, rows, validate=False)
+    return calib_pin.calibrate(chain, measured(chain)[0].data, validate=False)
 
 
 def known(errors: tuple[RobotError, ...]) -> list[RobotError]:
@@ -71,8 +73,7 @@ def test_what_a_denavit_hartenberg_table_says(result):
 
 def test_values_and_deviations_are_those_of_the_full_sum(chain, result):
     """Nearly all lie within two standard deviations of the truth."""
-    problem = nominal_problem(chain, "pose", Setup())
-    theta = calib_pin.draw_errors(problem.parameters, np.random.default_rng(3))
+    problem, theta = measured(chain)
     structure, _ = analyze_structure(
         problem, np.zeros(len(theta)), np.random.default_rng(0)
     )

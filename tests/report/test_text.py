@@ -11,7 +11,6 @@ import pytest
 from rich.console import Console
 
 from calib_pin.estimation.evidence import Outlier
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.report.accuracy import evaluated
@@ -20,11 +19,11 @@ from calib_pin.report.tables import quantity, significant
 from calib_pin.report.terminal import laid_out, plain_text
 from calib_pin.report.text import format_report, report
 from calib_pin.setup import Setup
-from calib_pin.simulation import simulate
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.evaluation import evaluate
 from calib_pin.validation.result import CalibrationResult
 from tests.report.results import LADDER, arm, changed, full_report, solve
+from tests.shared import simulated
 
 
 @pytest.fixture(scope="module")
@@ -230,9 +229,7 @@ def test_structure_without_estimates():
 
 def test_evaluations(result):
     chain = arm("arm", "j1", "j2", "j3")
-    problem = nominal_problem(chain, "pose", Setup())
-    zero = np.zeros(len(problem.parameters))
-    rows = simulate(problem, zero, np.random.default_rng(2), count=12)
+    rows = simulated("pose", count=12, seed=2, robot=chain, noise=None)[0].data
     nominal = plain_text(evaluated(evaluate(chain, rows)))
     assert nominal.splitlines()[2].split()[:2] == ["position", "12"]
     assert " mm" in nominal and " deg" in nominal

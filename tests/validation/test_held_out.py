@@ -55,11 +55,8 @@ def fit_of(
 ) -> Fit:
     """A fit of rows of a robot with errors of some kinds, 5e-5 of noise each."""
     setup = replace(SETUP, parameters=kinds)
-    problem, rng = nominal_problem(CHAIN, model, setup), np.random.default_rng(0)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(
-        problem, truth, rng, count=count, noise=5e-5, repeats=repeats
-    )
+    job, _ = simulated(model, setup, count, 1.0, noise=5e-5, repeats=repeats)
+    rows, rng = job.data, np.random.default_rng(0)
     # Readings of one configuration may differ by less than configurations do.
     shift = 5e-5 * rng.normal(size=(count * repeats, rows.only.values.shape[1]))
     shift = shift[np.unique(rows.groups(), return_index=True)[1]][rows.groups()]
@@ -345,12 +342,8 @@ def rows_of(
     count: int, seed: int = 1, model: str = "position", repeats: int = 1
 ) -> Observations:
     """Rows of one robot; the seed chooses its configurations and the noise."""
-    problem = nominal_problem(CHAIN, model, SETUP)
-    truth = calib_pin.draw_errors(problem.parameters, np.random.default_rng(7))
-    rng = np.random.default_rng(seed)
-    return calib_pin.simulate(
-        problem, truth, rng, count=count, noise=5e-5, repeats=repeats
-    )
+    how = {"again": seed, "noise": 5e-5, "repeats": repeats}
+    return simulated(model, SETUP, count, 1.0, 7, **how)[0].data
 
 
 def fitted_to(rows: Observations) -> Fit:
@@ -488,10 +481,9 @@ STATIONS = {
 def from_station(name: str, count: int, seed: int = 1) -> Observations:
     """Positions of the same robot by an instrument that stands elsewhere."""
     keys = [BlockKey("position", station=station) for station in STATIONS]
-    problem = nominal_problem(CHAIN, keys, replace(SETUP, stations=STATIONS))
-    truth = calib_pin.draw_errors(problem.parameters, np.random.default_rng(7))
-    rng, key = np.random.default_rng(seed), keys[list(STATIONS).index(name)]
-    return calib_pin.simulate(problem, truth, rng, key=key, count=count, noise=5e-5)
+    setup, key = replace(SETUP, stations=STATIONS), keys[list(STATIONS).index(name)]
+    how = {"again": seed, "noise": 5e-5, "key": key}
+    return simulated(keys, setup, count, 1.0, 7, **how)[0].data
 
 
 def two_stations() -> Observations:

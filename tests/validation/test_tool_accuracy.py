@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 import calib_pin
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.observations import Measurements
 from calib_pin.setup import BoardSetup, CameraSetup, FrameSetup, Setup
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import absorbed
+from tests.shared import simulated
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
 CHAIN = calib_pin.load_chain("space6")
@@ -23,11 +23,9 @@ def measured(
     seed: int, count: int, model: str = "pose"
 ) -> tuple[Problem, Floats, Measurements]:
     """One robot, measured again with other noise."""
-    problem = nominal_problem(CHAIN, model, Setup(tool_frame=TOOL))
-    truth = calib_pin.draw_errors(problem.parameters, np.random.default_rng(0))
-    rng = np.random.default_rng(seed)
-    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=1e-4)
-    return problem, truth, rows.only
+    setup = Setup(tool_frame=TOOL)
+    problem, truth = simulated(model, setup, count, 1.0, noise=1e-4, again=seed)
+    return problem, truth, problem.data.only
 
 
 def fit(rows: Measurements, setup: Setup | None = None) -> CalibrationResult:
@@ -78,10 +76,8 @@ def test_images_of_many_corners_count_as_one_configuration_each() -> None:
     board = BoardSetup("chessboard", 8, 6, 0.02)
     far = FrameSetup((0.0, 0.0, 4.0), (0.3, 0.2, 0.1))
     setup = Setup(base_frame=far, tool_frame=TOOL, camera=camera, board=board)
-    problem = nominal_problem(CHAIN, "camera", setup)
-    errors = calib_pin.draw_errors(problem.parameters, np.random.default_rng(0))
-    options = {"count": 20, "per_configuration": True, "noise": 0.1}
-    rows = calib_pin.simulate(problem, errors, np.random.default_rng(1), **options)
+    how = {"again": 1, "per_configuration": True, "noise": 0.1}
+    rows = simulated("camera", setup, 20, 1.0, **how)[0].data
     assert rows.configurations == 20 and len(rows) > 400
     found = fit(rows.only, setup).accuracy
     assert found.measured is not None and found.workspace is not None

@@ -10,6 +10,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import FrameSetup, Setup
+from tests.shared import simulated
 
 
 @pytest.fixture(scope="session")
@@ -39,12 +40,10 @@ def ur10(erring):
     """Makes measurements of a UR10 that errs by some millimeters."""
     chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
     frame = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
-    problem = nominal_problem(chain, "position", Setup(tool_frame=frame))
-    theta = calib_pin.draw_errors(problem.parameters, np.random.default_rng(0))
+    setup, same = Setup(tool_frame=frame), {"robot": chain, "again": 1, "noise": 1e-4}
 
-    def measured(**how):
-        rng = np.random.default_rng(1)
-        return calib_pin.simulate(problem, theta, rng, noise=1e-4, **how)
+    def measured(count=0, **how):
+        return simulated("position", setup, count, 1.0, **same, **how)[0].data
 
     return measured
 

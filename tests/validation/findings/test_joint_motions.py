@@ -9,7 +9,6 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.fit import fit_model
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import FrameSetup, Setup
@@ -24,7 +23,7 @@ from calib_pin.validation.findings.joint_motions import (
     periodogram,
     ripples,
 )
-from tests.shared import chain_of, joint, urdf_of
+from tests.shared import chain_of, joint, simulated, urdf_of
 
 ARM = calib_pin.load_chain("space6")
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -87,15 +86,12 @@ def test_a_gear_that_the_fit_has_is_no_fault(rows) -> None:
 @pytest.mark.parametrize("each", [False, True])
 def test_joints_that_were_still_moving(each: bool) -> None:
     """All arrive 6 deg after they were read, or the farthest and the others with it."""
-    angle, problem = np.radians(6.0), nominal_problem(ARM, "position", SETUP)
-    rng = np.random.default_rng(5)
-    arrived = ARM.random_configurations(50, rng)
+    arrived = ARM.random_configurations(50, np.random.default_rng(5))
     way = np.diff(arrived, axis=0, prepend=arrived[:1])
     far = np.abs(way) if each else np.abs(way).max(axis=1, keepdims=True)
-    q = arrived - np.minimum(angle / np.maximum(far, 1e-9), 1.0) * way
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, q=q, noise=1e-4).only
-    found = joint_motion(case_of(replace(rows, q=arrived)))
+    q = arrived - np.minimum(np.radians(6.0) / np.maximum(far, 1e-9), 1.0) * way
+    job, _ = simulated("position", SETUP, 0, 1.0, 5, robot=ARM, q=q, noise=1e-4)
+    found = joint_motion(case_of(replace(job.data.only, q=arrived)))
     (fault,) = found.faults
     said = f"{'every joint' if each else 'the farthest'} has 6 deg to go"
     assert fault.code == "lag" and said in fault.words

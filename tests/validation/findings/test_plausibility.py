@@ -356,9 +356,7 @@ def test_gains_that_draw_contacts_to_a_point_explain_nothing() -> None:
     pairs = zip(normals, (-0.3, -1.0, -0.8, -2.2, -1.7), strict=True)
     planes = {f"p{k}": PlaneSetup(*plane) for k, plane in enumerate(pairs)}
     setup = Setup(tool_frame=FrameSetup((0.03, 0.02, -0.1)), planes=planes)
-    problem = nominal_problem(chain, "plane-contact", setup)
-    rng = np.random.default_rng(0)
-    errors = calib_pin.draw_errors(problem.parameters, rng)
-    rows = simulate(problem, errors, rng, count=200, noise=3e-5).only
+    job, _ = simulated("plane-contact", setup, 200, 1.0, robot=chain, noise=3e-5)
+    rows = job.data.only
     result = calib_pin.calibrate(chain, rows, setup, validate=False)
     assert "model-lacks" not in {finding.code for finding in result.findings}

@@ -170,12 +170,10 @@ def test_tip_behind_the_measured_link() -> None:
     short = calib_pin.load_chain(UR10, base="base_link", tip="wrist_1_link")
     rng = np.random.default_rng(0)
     q = WHOLE.random_configurations(50, rng)
-    problem = nominal_problem(short, "position", Setup(tool_frame=TOOL))
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, theta, rng, q=q[:, :4], noise=1e-4).only
-    rows = calib_pin.Measurements(
-        model="position", joints=WHOLE.joints, q=q, values=rows.values
-    )
+    setup, how = Setup(tool_frame=TOOL), {"q": q[:, :4], "noise": 1e-4}
+    job, _ = simulated("position", setup, size=1.0, robot=short, **how)
+    values, joints = job.data.only.values, WHOLE.joints
+    rows = calib_pin.Measurements(joints=joints, q=q, model="position", values=values)
     (found,) = of_robot(WHOLE, Observations.of(rows))
     assert found.setup == {"tip": "wrist_1_link"}
 
@@ -440,12 +438,10 @@ SEEN = Setup(camera=CAMERA, targets=BOARD)
 def images(count: int) -> calib_pin.Measurements:
     """Corners of a board in so many images."""
     away = FrameSetup((0.1, -0.2, 6.0), (0.3, -0.2, 0.4))
-    problem = nominal_problem(ARM, "camera", replace(SEEN, base_frame=away))
-    rng = np.random.default_rng(2)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    q, names = ARM.random_configurations(count, rng), tuple("abcd" * count)
-    q = np.repeat(q, 4, axis=0)
-    rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2).only
+    q = np.repeat(ARM.random_configurations(count, np.random.default_rng(2)), 4, axis=0)
+    how = {"robot": ARM, "q": q, "target": tuple("abcd" * count), "noise": 0.2}
+    job, _ = simulated("camera", replace(SEEN, base_frame=away), 0, 1.0, 2, **how)
+    rows = job.data.only
     lines = np.arange(2, len(rows) + 2)
     return replace(rows, lines=lines, files=("m.csv",) * len(rows))
 

@@ -48,14 +48,12 @@ OFFSETS = [0.004, -0.003, 0.002, 0.005, -0.001, 0.003]
 
 def offsets_problem(setup: Setup, noise: float = 0.0) -> tuple[Problem, np.ndarray]:
     """`space6` with joint offsets, measured by position."""
-    rng = np.random.default_rng(1)
-    chain = calib_pin.load_chain("space6")
-    free = nominal_problem(chain, "position", replace(SETUP, tool_frame=OFF_AXIS))
-    names = [n for n in free.parameters.names if n.endswith(".q")]
-    truth = free.parameters.vector(dict(zip(names, OFFSETS, strict=True)))
-    rows = calib_pin.simulate(free, truth, rng, count=30, noise=noise)
-    problem = nominal_problem(chain, "position", replace(setup, tool_frame=OFF_AXIS))
-    return replace(problem, data=rows), truth
+    offsets = {f"joint_{k}.joint-offset.q": x for k, x in enumerate(OFFSETS, start=1)}
+    about = {"seed": 1, "noise": noise, "changes": offsets}
+    job, truth = simulated("position", replace(SETUP, tool_frame=OFF_AXIS), 30, **about)
+    stated = replace(setup, tool_frame=OFF_AXIS)
+    problem = nominal_problem(job.chains, "position", stated)
+    return replace(problem, data=job.data), truth
 
 
 def run(problem: Problem) -> Fit:

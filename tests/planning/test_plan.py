@@ -12,7 +12,7 @@ import pytest
 import calib_pin
 from benchmarks.exact import exact_problem
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import observability
 from calib_pin.estimation.nominal import registered
 from calib_pin.estimation.problem import Problem
@@ -277,11 +277,8 @@ def test_a_target_that_nobody_has_placed_is_beside_the_tip() -> None:
 @pytest.fixture(scope="module")
 def measured() -> Observations:
     """Twelve poor rows: all of them near one configuration."""
-    rng = np.random.default_rng(8)
-    problem = nominal_problem(CHAIN, "position", SETUP)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    q = 0.3 + 0.25 * rng.normal(size=(12, 6))
-    return calib_pin.simulate(problem, theta, rng, q=q, noise=2e-4)
+    q = 0.3 + 0.25 * np.random.default_rng(8).normal(size=(12, 6))
+    return simulated("position", SETUP, 0, 1.0, 8, q=q, noise=2e-4)[0].data
 
 
 def test_additions_beat_random_ones(measured: Observations) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import calib_pin
 from calib_pin.cli.evaluate import evaluation_document
-from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.formulation import make_problem
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.report.accuracy import evaluated
 from calib_pin.report.terminal import plain_text
@@ -127,13 +127,11 @@ def test_corners_that_a_board_states_are_not_placed_by_measurements() -> None:
     board = BoardSetup("charuco", columns=7, rows=5, square=0.03)
     frames = {"base_frame": FrameSetup((0.0, 1.0, 3.0), (np.pi / 2, 0.0, 0.0))}
     setup = Setup(parameters=(), camera=camera, board=board, **frames)
-    chain = calib_pin.load_chain("space6")
-    nominal = nominal_problem(chain, "camera", setup)
-    theta, rng = np.zeros(len(nominal.parameters)), np.random.default_rng(0)
-    rows = calib_pin.simulate(nominal, theta, rng, count=60, noise=0.0)
+    job, _ = simulated("camera", setup, 60)
+    rows = job.data
     some = np.isin(np.array(rows.target), ("3", "17", "20"))
     assert some.any() and not some.all()
-    problem = make_problem(chain, rows.rows(some), setup)
+    problem = make_problem(job.chains, rows.rows(some), setup)
     there = registered(problem, np.zeros(len(problem.parameters)), rows)
     assert len(there.problem.references) > len(problem.references)
     assert there.located == ()

@@ -219,15 +219,16 @@ def test_very_many_are_left_out_by_sums(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_parts_promise_what_new_measurements_have() -> None:
     waves = replace(LEARNED, parameters=("placement", "transmission"), learned=None)
-    problem, truth = simulated("position", waves, 80, 0.5, seed=3, noise=1e-5)
-    chain, rows = problem.chains[""], problem.data
+    (problem, _), (other, _) = (
+        simulated("position", waves, count, 0.5, 3, again=again, noise=1e-5)
+        for count, again in ((80, None), (300, 9))
+    )
+    chain, rows, fresh = problem.chains[""], problem.data, other.data
     model = fit_model(chain, rows, LEARNED, 0)
     assert model.learned is not None
     masks = folds(Grouping.of(rows, LEARNED), model, 0)
     parts = [part for part in left_out(model, masks, 0) if part is not None]
     assert sorted(ModelErrors.joined(parts).positions) == list(range(80))
-    rng = np.random.default_rng(9)
-    fresh = calib_pin.simulate(problem, truth, rng, count=300, noise=1e-5)
     plain = replace(model, learned=None)
     found, new, without = (
         np.sqrt((errors.after**2).mean())

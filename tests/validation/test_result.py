@@ -10,7 +10,6 @@ import pytest
 from matplotlib.figure import Figure
 
 import calib_pin
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.parameterizations import frame_pose
@@ -97,13 +96,10 @@ def test_every_block_has_its_own_columns() -> None:
         BlockKey("pose", station="b"),
         BlockKey("plane-distance", station="a"),
     ]
-    problem = nominal_problem(chain, keys, setup)
-    rng = np.random.default_rng(5)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
     data = Observations.of(
         *(
-            calib_pin.simulate(problem, truth, rng, key=key, count=count, noise=1e-5)
-            for key, count in zip(keys, (30, 20, 10), strict=True)
+            simulated(keys, setup, n, 1.0, 5, again=n, key=key, noise=1e-5)[0].data
+            for key, n in zip(keys, (30, 20, 10), strict=True)
         )
     )
     result = calib_pin.calibrate(chain, data, setup, validate=False)

@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Measurements, Observations
@@ -123,16 +121,13 @@ def at_stations(*counts: int, tools: Sequence[str] = ("",)) -> Observations:
 def test_every_fold_has_its_share_of_every_station() -> None:
     keys = [BlockKey("position", "", s) for s in "abc"]
     stations = {s: FrameSetup((k, 1.0, 0.3)) for k, s in enumerate("abc")}
-    chain = calib_pin.load_chain("space6")
-    problem = nominal_problem(chain, keys, replace(SETUP, stations=stations))
-    rng, still = np.random.default_rng(0), np.zeros(len(problem.parameters))
-    rows = Observations.of(
-        *(
-            calib_pin.simulate(problem, still, rng, key=key, count=count, noise=5e-5)
-            for key, count in zip(keys, (40, 12, 3), strict=True)
-        )
-    )
-    masks = folds(rows, fit_model(chain, rows, SETUP, 0), 0)
+    setup, counts = replace(SETUP, stations=stations), (40, 12, 3)
+    jobs = [
+        simulated(keys, setup, count, again=count, key=key, noise=5e-5)[0]
+        for key, count in zip(keys, counts, strict=True)
+    ]
+    rows = Observations.of(*(job.data for job in jobs))
+    masks = folds(rows, fit_model(jobs[0].chains, rows, SETUP, 0), 0)
     assert len(masks) == FOLDS
     sizes = np.array([np.bincount(rows.block_of[mask], minlength=3) for mask in masks])
     # Without one of its three configurations nobody knew where the last one is.

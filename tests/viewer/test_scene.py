@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.results import write_urdf
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_chain, load_robot
@@ -22,13 +21,12 @@ from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.references import Plane
 from calib_pin.observations import BlockKey, Conditions
-from calib_pin.setup import ChainSetup, Payload, Setup
-from calib_pin.simulation import simulate
+from calib_pin.setup import ChainSetup, Payload
 from calib_pin.validation.evaluation import registered_robot
 from calib_pin.validation.model_errors import Registered
 from calib_pin.viewer.scene import bodies_of, stage_errors
 from calib_pin.viewer.stage import sight
-from tests.shared import joint, urdf_of
+from tests.shared import joint, simulated, urdf_of
 
 MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}
 """Of the robots below; each moves like the other."""
@@ -203,10 +201,8 @@ def test_several_chains_are_drawn_in_the_root():
     stated["touch"] = ChainSetup(hands["right"], hands["left"])
     chains = Chains(robot, setups=stated, names=("left", "touch"))
     keys = [BlockKey("position", "left"), BlockKey("position", "touch")]
-    problem = nominal_problem(chains, keys, Setup())
-    theta, rng = np.zeros(len(problem.parameters)), np.random.default_rng(4)
-    data = simulate(problem, theta, rng, count=6, noise=0.0)
-    ready = Registered(replace(problem, data=data), theta)
+    problem, theta = simulated(keys, count=6, seed=4, robot=chains)
+    ready, data = Registered(problem, theta), problem.data
     link = drawn_link(chains)
     assert link == robot.root
     errors = stage_errors(ready, link)

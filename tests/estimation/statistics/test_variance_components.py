@@ -113,12 +113,9 @@ def component(
     seed: int, noise: float, shared: float, repeats: int, *, stated: float | None = None
 ) -> VarianceComponent:
     """Of positions with noise, and with errors that repetitions have in common."""
-    problem = nominal_problem(CHAIN, "position", SETUP)
-    rng = np.random.default_rng(seed)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(
-        problem, truth, rng, count=40, noise=noise, repeats=repeats
-    ).only
+    how = {"noise": noise, "repeats": repeats}
+    problem, _ = simulated("position", SETUP, 40, 1.0, seed, **how)
+    rows, rng = problem.data.only, np.random.default_rng(seed)
     each = shared * rng.normal(size=(40, 3))
     rows = replace(
         rows,

@@ -13,7 +13,6 @@ import pytest
 import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fit import fit_model
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
@@ -29,7 +28,7 @@ from calib_pin.validation.findings.alternatives import (
 )
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.readings import joint_columns
-from tests.shared import chain_of, joint, urdf_of
+from tests.shared import chain_of, joint, simulated, urdf_of
 
 KNOWN = FrameSetup((0.4, -0.2, 0.3), (0.1, 0.2, 0.3), estimate=False)
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -125,13 +124,9 @@ def test_without_a_measurement_frame(arm: Chains) -> None:
     """Closed forms are poor there; the registration is fitted."""
     wire = {"w": AnchorSetup((1.5, 0.2, 0.4), estimate=False)}
     setup = Setup(anchors=wire, tool_frame=TOOL, parameters=("joint-offset",))
-    problem = nominal_problem(arm, "point-distance", setup)
-    rng = np.random.default_rng(7)
-    zero = np.zeros(len(problem.parameters))
-    exact = calib_pin.simulate(problem, zero, rng, count=40, noise=5e-5)
-    case = case_of(
-        arm, misread(exact, reverse), replace(setup, tool_frame=FrameSetup())
-    )
+    job, _ = simulated("point-distance", setup, 40, seed=7, robot=arm, noise=5e-5)
+    wrong = misread(job.data, reverse)
+    case = case_of(arm, wrong, replace(setup, tool_frame=FrameSetup()))
     assert said(explained(case)) == ["joint-reversed"]
 
 

@@ -13,10 +13,8 @@ from benchmarks.verdict import defects
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import fit, fit_model
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import growth, registered
-from calib_pin.estimation.problem import Problem
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import (
     AnchorSetup,
@@ -26,7 +24,6 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
 )
-from calib_pin.simulation import simulate
 from calib_pin.validation.findings import find
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.plausibility import plausibility, population
@@ -43,19 +40,10 @@ WIRE = Setup(
 )
 
 
-def robot_errors(problem: Problem, rng: np.random.Generator, size: float) -> Floats:
-    free = problem.parameters.free & ~problem.parameters.nuisance
-    drawn = rng.normal(size=len(free)) * size * problem.parameters.scales
-    return np.where(free, drawn, 0.0)
-
-
 def measured(
     model: str, setup: Setup, seed: int, size: float = 1.0, count: int = 60
 ) -> Measurements:
-    rng = np.random.default_rng(seed)
-    problem = nominal_problem(ARM, model, setup)
-    theta = robot_errors(problem, rng, size)
-    return simulate(problem, theta, rng, count=count, noise=1e-4).only
+    return simulated(model, setup, count, size, seed, noise=1e-4)[0].data.only
 
 
 def fitted(rows: Measurements, setup: Setup) -> Fit:
@@ -103,13 +91,11 @@ def test_growth_is_that_of_all_origins(model: str, setup: Setup) -> None:
 @pytest.mark.parametrize("factor", [1.0, 1.05])
 def test_gears_that_are_left_out_hide_no_wrong_lengths(factor: float) -> None:
     """A robot grows a little to explain them, but not by a twentieth."""
-    rng = np.random.default_rng(6)
+    sizes = np.random.default_rng(6).normal(0.0, 0.005, 6)
+    gains = {f"joint_{k}.transmission.gain": x for k, x in enumerate(sizes, start=1)}
     setup = replace(FRAMES, parameters=("placement", "transmission"))
-    problem = nominal_problem(ARM, "position", setup)
-    theta = robot_errors(problem, rng, 1.0)
-    gains = [n.endswith("gain") for n in problem.parameters.names]
-    theta[gains] = rng.normal(0.0, 0.005, sum(gains))
-    rows = simulate(problem, theta, rng, count=60, noise=1e-4).only
+    job, _ = simulated("position", setup, 60, 1.0, 6, changes=gains, noise=1e-4)
+    rows = job.data.only
     codes = [f.code for f in found(replace(rows, values=factor * rows.values), FRAMES)]
     assert ("scale" in codes) == (factor != 1.0)
 
@@ -144,13 +130,10 @@ def test_a_robot_that_grows_with_its_frames_is_told(kind: str, job: int) -> None
 @pytest.mark.parametrize(("part", "severity"), [(3e-3, "warning"), (6e-3, "error")])
 def test_lengths_that_are_a_little_too_long(part: float, severity: str) -> None:
     """A robot that errs by tenths of a millimeter has not grown by as much."""
-    chain = calib_pin.load_chain("space6")
-    setup, rng = Setup(tool_frame=TOOL), np.random.default_rng(0)
-    problem = nominal_problem(chain, "position", setup)
-    theta = robot_errors(problem, rng, 0.2)
-    rows = simulate(problem, theta, rng, count=60, noise=5e-5).only
+    job, _ = simulated("position", Setup(tool_frame=TOOL), 60, 0.2, noise=5e-5)
+    rows = job.data.only
     rows = replace(rows, values=(1.0 + part) * rows.values)
-    result = calib_pin.calibrate(chain, rows, validate=False)
+    result = calib_pin.calibrate(job.chains, rows, validate=False)
     (one,) = (finding for finding in result.findings if finding.severity != "info")
     assert (one.code, one.severity) == ("scale", severity)
     assert one.evidence["scale"] == pytest.approx(part, rel=0.1)
@@ -186,12 +169,11 @@ def test_errors_of_the_gears_move_no_joint_by_centimeters() -> None:
     With other errors of the gears, the expected size of the robot's holds it back.
     """
     rng = np.random.default_rng(4)
-    problem = nominal_problem(ARM, "point-distance", WIRE)
-    theta = robot_errors(problem, rng, 0.3)
     center = np.array([0.1, 0.3, -0.5, 0.2, 0.5, 0.1])
     q = center + rng.uniform(-0.2, 0.2, (60, 6))
-    rows = simulate(problem, theta, rng, q=q, noise=1e-4).only
-    gears = 6e-3 * np.sin(4 * rows.q + rng.uniform(0, 6, 6))
+    job, _ = simulated("point-distance", WIRE, 0, 0.3, 4, q=q, noise=1e-4)
+    rows = job.data.only
+    gears = 8e-3 * np.sin(4 * rows.q + rng.uniform(0, 6, 6))
     (finding,) = found(replace(rows, sigma=None, q=rows.q + gears), WIRE)
     assert (finding.code, finding.severity) == ("implausible-correction", "error")
     assert float(finding.evidence["move"]) > 0.02
@@ -211,12 +193,9 @@ def test_no_gear_leaves_half_a_meter(unsought) -> None:
 
 def test_zeros_of_servos_are_no_wonder() -> None:
     """Eight degrees are what is looked for, if the zeros are all that is."""
-    rng = np.random.default_rng(0)
     setup = replace(FRAMES, parameters=("joint-offset",))
-    problem = nominal_problem(ARM, "position", setup)
-    robot = problem.parameters.free & ~problem.parameters.nuisance
-    theta = np.where(robot, np.radians(8.0), 0.0)
-    rows = simulate(problem, theta, rng, count=30, noise=1e-3).only
+    zeros = {f"joint_{k}.joint-offset.q": np.radians(8.0) for k in range(1, 7)}
+    rows = simulated("position", setup, 30, changes=zeros, noise=1e-3)[0].data.only
     assert not found(replace(rows, sigma=None), setup)
     # As a part of whole placements they are looked at as before.
     both = replace(setup, parameters=("joint-offset", "placement"))

@@ -410,16 +410,12 @@ def test_groups_with_a_tool_of_their_own() -> None:
         FrameSetup((0.0, 0.0, 0.1)),
         FrameSetup((0.05, -0.2, 0.0), (0.3, 0.0, 1.0)),
     ]
-    rng, parts = np.random.default_rng(4), []
-    for own, frame in zip((names[:3], names[3:]), tools, strict=True):
+    parts = []
+    for k, frame in enumerate(tools):
+        own = names[3 * k : 3 * k + 3]
         setup = Setup(targets={n: points[n] for n in own}, tool_frame=frame)
-        problem = nominal_problem(ARM, "position", setup)
-        none = np.zeros(len(problem.parameters))
-        parts.append(
-            calib_pin.simulate(
-                problem, none, rng, count=45, noise=1e-4, target=tuple(own) * 15
-            ).only
-        )
+        how = {"noise": 1e-4, "target": tuple(own) * 15}
+        parts.append(simulated("position", setup, 45, seed=k, **how)[0].data.only)
     data = Observations.of(*(replace(part, sigma=None) for part in parts))
     case = Case.of_robot(Chains.of(ARM), data, Setup(targets=points))
     found = explain(case, (targets, target_frames))

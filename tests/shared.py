@@ -24,7 +24,7 @@ from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import BlockKey, Observations, Targets
+from calib_pin.observations import BlockKey, Measurements, Observations, Targets
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import (
     AnchorSetup,
@@ -343,6 +343,24 @@ def simulated(
     how |= {} if "q" in how else {"count": count}
     rows = simulate(problem, theta, rng, noise=noise, **how)
     return replace(problem, data=rows), theta
+
+
+def rows_of(model: str, values: Floats, *names: str) -> Measurements:
+    """Values that no robot has, one row after another; named targets are in turn.
+
+    They stand in m.csv, from line 2 on.
+    """
+
+    count = len(values)
+    return Measurements(
+        ("j",),
+        np.zeros((count, 1)),
+        model,
+        values,
+        target=tuple(names[k % len(names)] for k in range(count)) if names else (),
+        lines=np.arange(2, count + 2),
+        files=("m.csv",) * count,
+    )
 
 
 def _instrument(model: str, points: Floats) -> dict[str, Any]:

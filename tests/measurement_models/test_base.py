@@ -18,7 +18,7 @@ from calib_pin.measurement_models import (
 )
 from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, Setup
-from tests.shared import EQUIPPED
+from tests.shared import EQUIPPED, rows_of
 
 SETUP = Setup(
     planes={
@@ -57,13 +57,7 @@ def poses(model: MeasurementModel, seed: int = 0, count: int = 20) -> Floats:
 def exact(model: MeasurementModel, T: Floats, instrument: Floats) -> Measurements:
     names = tuple(model.targets) or ("",)
     target = tuple(names[i % len(names)] for i in range(len(T)))
-    return Measurements(
-        joints=("j",),
-        q=np.zeros((len(T), 1)),
-        model=model.name,
-        values=model.predict(T, instrument, target),
-        target=target,
-    )
+    return rows_of(model.name, model.predict(T, instrument, target), *names)
 
 
 def parameters_of(model: MeasurementModel) -> Floats:

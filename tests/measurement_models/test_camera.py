@@ -18,7 +18,7 @@ from calib_pin.measurement_models.pinhole import distort, turning_radius, undist
 from calib_pin.observations import Measurements
 from calib_pin.setup import BoardSetup, CameraSetup, FrameSetup, PointSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
-from tests.shared import refused
+from tests.shared import refused, rows_of
 
 ARM = load_chain("space6")
 LENS = (-0.2, 0.05, 0.002, -0.001, 0.01)
@@ -75,19 +75,6 @@ def views(
     seen = np.flatnonzero(model.observable(T, zero(model), names))[:count]
     assert len(seen) == count
     return (q if chain else T)[seen], tuple(names[k] for k in seen)
-
-
-def data_of(model: CameraModel, T: Floats, target: tuple[str, ...]) -> Measurements:
-    values = model.predict(T, zero(model), target)
-    return Measurements(
-        ("j",),
-        np.zeros((len(T), 1)),
-        "camera",
-        values,
-        target=target,
-        lines=np.arange(2, len(T) + 2),
-        files=("m.csv",) * len(T),
-    )
 
 
 def images(
@@ -210,7 +197,7 @@ def test_derivatives_of_a_camera_on_the_hand() -> None:
     """Those of a camera in the world are in `test_jacobians`."""
     model = model_of("hand", SPACE, True, (1, 4, 7))
     T, target = views(model, 30)
-    data = data_of(model, T, target)
+    data = rows_of("camera", model.predict(T, zero(model), target), *target)
     scales = np.array([p.scale for p in model.parameters])
     instrument = np.random.default_rng(2).normal(size=len(scales)) * scales * 0.02
     linear = model.linearize(T, instrument, data)
@@ -343,7 +330,7 @@ def test_focal_lengths_that_are_estimated_start_from_the_images(
 def test_what_cannot_be_registered() -> None:
     model = model_of("hand", GRID)
     T, target = views(model, 3)
-    data = data_of(model, T, target)
+    data = rows_of("camera", model.predict(T, zero(model), target), *target)
     with refused(InputError):
         model.register(T[:1], data.rows(np.arange(1)), None, None)
     # All points are behind the camera.
@@ -362,9 +349,7 @@ def test_cameras_that_cannot_be() -> None:
     targets = {"a": PointSetup((0.0, 0.0, 0.0)), "b": PointSetup()}
     model = CameraModel.from_setup(Setup(camera=SEEN, targets=targets), ("a", "b"))
     assert "'b'" in model.missing
-    data = Measurements(
-        ("j",), np.zeros((2, 1)), "camera", np.zeros((2, 2)), None, ("a", "b")
-    )
+    data = rows_of("camera", np.zeros((2, 2)), "a", "b")
     with refused(InputError, "'b'"):
         model.register(np.tile(np.eye(4), (2, 1, 1)), data, None, None)
     with refused(OptionError, "'camera'", file="s.yaml"):

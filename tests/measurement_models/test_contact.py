@@ -17,6 +17,7 @@ from calib_pin.measurement_models.references import Plane, Sphere
 from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, PointSetup, Setup, SphereSetup
 from tests.measurement_models.test_contact_registration import poses
+from tests.shared import rows_of
 
 ARM = calib_pin.load_chain("space6")
 TIP = np.array([0.05, -0.03, 0.12])
@@ -26,9 +27,7 @@ BALL = SphereSetup((0.5, 0.2, 0.4), 0.15)
 
 
 def data_of(model: str, count: int, *names: str) -> Measurements:
-    target = tuple(names[k % len(names)] for k in range(count))
-    q, values = np.zeros((count, 1)), np.zeros((count, 0))
-    return Measurements(("j",), q, model, values, target=target)
+    return rows_of(model, np.zeros((count, 0)), *names)
 
 
 def touching(points: Floats) -> Floats:
@@ -102,6 +101,7 @@ def test_measurements_of_several_sites_keep_their_own() -> None:
 def test_rows_of_something_unknown(model: str) -> None:
     setup = Setup(planes={"a": TABLE, "b": WALL}, spheres={"a": BALL, "b": BALL})
     F, data = touching(np.zeros((2, 3))), data_of(model, 2, "a", "c")
+    data = replace(data, files=())  # As a program has them.
     with pytest.raises(InputError, match=r"row 1: .*'c'"):
         measurement_model(model, setup).register(F, data, None, None)
 
@@ -140,8 +140,7 @@ def test_an_unknown_plane_faces_the_tool_that_reads(side: float) -> None:
             for p, R in zip(points, tilts, strict=True)
         ]
     )
-    values = rng.uniform(-5e-4, 5e-4, (30, 1))
-    data = replace(data_of("plane-contact", 30, "a"), values=values)
+    data = rows_of("plane-contact", rng.uniform(-5e-4, 5e-4, (30, 1)), "a")
     tool = pin.SE3(np.eye(3), long)
     for planes in ({}, {"a": TABLE}):
         model = measurement_model("plane-contact", Setup(planes=planes), ("a",))
@@ -162,7 +161,7 @@ def test_planes_and_the_point_that_touches_them(known: bool) -> None:
     base = pin.exp6(np.array([0.5, 0.2, -0.1, 0.3, -0.2, 0.8]))
     points = np.concatenate([on_plane(TABLE, 12), on_plane(WALL, 12)])
     F = base.inverse().homogeneous @ touching(points)
-    data = replace(data_of("plane-contact", 24, ""), target=target)
+    data = data_of("plane-contact", 24, *target)
     tool = pin.SE3(np.eye(3), TIP) if known else None
     model = measurement_model("plane-contact", Setup(), ("table", "wall"))
     found, found_base, found_tool = model.register(F, data, base, tool)
@@ -200,6 +199,3 @@ def test_spheres_and_the_point_that_touches_them(
     assert sphere.size == pytest.approx(0.15, abs=1e-10)
     # A radius that is stated is known, one that is not is estimated.
     assert [p.free for p in found.parameters] == [True] * 3 + [radius is None]
-
-
-# What can be known.

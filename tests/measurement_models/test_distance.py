@@ -17,8 +17,8 @@ from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.distance import PointDistance, RelativeDistance
 from calib_pin.measurement_models.references import Anchor, Point
-from calib_pin.observations import Measurements
 from calib_pin.setup import AnchorSetup, FrameSetup, Setup
+from tests.shared import rows_of
 
 ARM = calib_pin.load_chain("space6")
 TIP = np.array([0.05, -0.03, 0.12])
@@ -28,13 +28,6 @@ TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
 
 def tips(count: int, seed: int = 0) -> Floats:
     return ARM.poses(ARM.random_configurations(count, np.random.default_rng(seed)))
-
-
-def data_of(model: str, values: Floats, *names: str) -> Measurements:
-    count = len(values)
-    target = tuple(names[k % len(names)] for k in range(count))
-    q = np.zeros((count, 1))
-    return Measurements(("j",), q, model, values[:, None], target=target)
 
 
 # From an anchor.
@@ -48,7 +41,7 @@ def test_a_wire_by_hand() -> None:
     np.testing.assert_allclose(reading[:, 0], [5.5, 2.5], atol=1e-13)
     reading = model.predict(T, np.array([0.0, 3.0, 0.0, 0.1]), ("w", "w"))
     np.testing.assert_allclose(reading[0, 0], 4.6, atol=1e-13)
-    data = data_of(model.name, np.array([5.0, 3.0]), "w")
+    data = rows_of(model.name, np.array([[5.0], [3.0]]), "w")
     # Predicted minus measured.
     np.testing.assert_allclose(model.residual(T, np.zeros(4), data)[:, 0], [0.5, -0.5])
 
@@ -67,7 +60,7 @@ def test_anchors_and_points_are_registered(
     setup = Setup(anchors={"w": AnchorSetup(None, stated, True, estimate)})
     model = measurement_model("point-distance", setup)
     tool = pin.SE3(np.eye(3), TIP) if known else None
-    data = data_of("point-distance", values, "w")
+    data = rows_of("point-distance", values[:, None], "w")
     found, base, found_tool = model.register(F, data, None, tool)
     assert base == pin.SE3.Identity()
     np.testing.assert_allclose(found_tool.translation, TIP, atol=1e-9)
@@ -83,13 +76,13 @@ def test_several_wires() -> None:
     target = tuple("aab"[k % 3] for k in range(60))
     points = F[:, :3, :3] @ TIP + F[:, :3, 3]
     values = np.linalg.norm(points - [ends[name] for name in target], axis=1)
-    data = replace(data_of("point-distance", values, ""), target=target)
+    data = rows_of("point-distance", values[:, None], *"aab")
     model = measurement_model("point-distance", Setup(), data.target)
     found, _, tool = model.register(F, data, None, None)
     np.testing.assert_allclose(tool.translation, TIP, atol=1e-9)
     for anchor in found.references:
         np.testing.assert_allclose(anchor.xyz, ends[anchor.name], atol=1e-9)
-    with pytest.raises(InputError, match=r"row 2: .*'c'"):
+    with pytest.raises(InputError, match=r"m.csv:4: .*'c'"):
         found.register(F, replace(data, target=("a", "b", "c") * 20), None, None)
 
 
@@ -119,7 +112,8 @@ def test_points_are_registered_by_their_ways(names: tuple[str, ...]) -> None:
     target = tuple(names[k % len(names)] for k in range(60))
     t = np.array([points[name.rpartition("@")[0]] for name in target])
     ends = np.einsum("nij,nj->ni", T[:, :3, :3], t) + T[:, :3, 3]
-    data = data_of("relative-distance", np.linalg.norm(ends - t, axis=1), *names)
+    ways = np.linalg.norm(ends - t, axis=1, keepdims=True)
+    data = rows_of("relative-distance", ways, *names)
     model = measurement_model("relative-distance", Setup(), target)
     found, base, tool = model.register(T, data, None, None)
     assert base == pin.SE3.Identity()

@@ -13,6 +13,7 @@ from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import PointSetup, Setup
+from tests.shared import rows_of
 
 CENTERS = {"s/0": (0.6, 0.3, 0.4), "s/1": (0.5, -0.2, 0.6), "t/0": (0.3, 0.5, 0.5)}
 BALL = np.array([0.05, 0.08, 0.12])
@@ -40,9 +41,7 @@ def at_rest(
         R = pin.exp3(rng.normal(size=3))
         center = base.actInv(np.array(CENTERS[name]))
         F.append(pin.SE3(R, center - R @ tool).homogeneous)
-    q = np.zeros((len(names), 1))
-    values = np.zeros((len(names), 0))
-    return np.array(F), Measurements(("j",), q, "fixed-point", values, target=names)
+    return np.array(F), rows_of("fixed-point", np.zeros((len(names), 0)), *names)
 
 
 # The rows.
@@ -55,9 +54,7 @@ def test_the_gap_by_hand() -> None:
     T = np.tile(np.eye(4), (2, 1, 1))
     T[:, :3, 3] = [[0.7, 0.3, 0.4], [0.5, -0.2, 0.4]]
     instrument, target = np.zeros(6), ("s/0", "s/1")
-    data = Measurements(
-        ("j",), np.zeros((2, 1)), "fixed-point", np.zeros((2, 0)), target=target
-    )
+    data = rows_of("fixed-point", np.zeros((2, 0)), *target)
     # From the socket to the ball.
     gap = model.residual(T, instrument, data)
     np.testing.assert_allclose(gap, [[0.1, 0, 0], [0, 0, -0.2]], atol=1e-13)
@@ -86,9 +83,9 @@ def test_what_rows_can_name() -> None:
     ]
     _, data = at_rest(BALL, ("s/0", "s/1"))
     stated = fixed_point(setup, *data.target)
-    with pytest.raises(InputError, match=r"row 1: .*'s/11'"):
+    with pytest.raises(InputError, match=r"m.csv:3: .*'s/11'"):
         stated.names(("s/0", "s/11"), data)
-    with pytest.raises(InputError, match="row 0: "):
+    with pytest.raises(InputError, match="m.csv:2: "):
         stated.names(("", "s/1"), data)
 
 
@@ -114,6 +111,3 @@ def test_registration(ball: bool, known: tuple[str, ...], base: pin.SE3 | None) 
     assert found_base == (base or pin.SE3.Identity())
     centers = [s.xyz for s in model.sites if isinstance(s, Point)]
     np.testing.assert_allclose(centers, list(CENTERS.values())[:2], atol=1e-11)
-
-
-# What can be known.

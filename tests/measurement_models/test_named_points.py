@@ -16,7 +16,7 @@ from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.position import Position
 from calib_pin.observations import Measurements
 from calib_pin.setup import PointSetup, Setup
-from tests.shared import refused
+from tests.shared import refused, rows_of
 
 ARM = calib_pin.load_chain("space6")
 BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))
@@ -40,8 +40,7 @@ def seen(
     points = np.array([XYZ.get(name, (0.0, 0.0, 0.0)) for name in target])
     T = BASE.homogeneous @ F @ tool.homogeneous
     values = np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]
-    q = np.zeros((count, 1))
-    return F, Measurements(("j",), q, "position", values, target=target)
+    return F, rows_of("position", values, *target)
 
 
 def located(model: Position) -> Floats:
@@ -103,10 +102,9 @@ def test_unknown_points_hide_the_tool(known: str) -> None:
 def test_rows_of_an_unknown_point() -> None:
     _, data = seen(("a", "b"), 4)
     model = position(Setup(targets=STATED), *data.target)
-    stated = replace(data, lines=np.arange(2, 6), files=("m.csv",) * 4)
     for name in ("bb", ""):
         with refused(InputError, file="m.csv", line=4, column="target"):
-            model.names(("a", "b", name, "a"), stated)
+            model.names(("a", "b", name, "a"), data)
 
 
 # Registration.
@@ -135,6 +133,3 @@ def test_known_points_show_the_tool(
     np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-11)
     np.testing.assert_allclose(tool.homogeneous, TOOL.homogeneous, atol=1e-8)
     np.testing.assert_array_equal(located(found), located(model))
-
-
-# What can be known.

@@ -14,10 +14,10 @@ from calib_pin.kinematics.spatial import Floats, so3_exp
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.references import Plane
-from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, RangerSetup, Setup
-from tests.shared import refused
+from tests.shared import refused, rows_of
 
+RANGER = "plane-distance"
 FLOOR = Plane("floor", np.array([0.0, 0.0, 1.0]), 1.0)
 WALL = Plane("wall", np.array([0.6, 0.0, 0.8]), -2.0)
 
@@ -37,20 +37,6 @@ def beams(seed: int = 0, count: int = 30) -> Floats:
     ends = rng.normal(size=(2, count, 3))
     return np.array(
         [beam(p, d, r) for p, d, r in zip(*ends, ends[0, :, 0], strict=True)]
-    )
-
-
-def data_of(T: Floats, values: Floats, target: Any = "") -> Measurements:
-    names = (target,) * len(T) if isinstance(target, str) else tuple(target)
-    q = np.zeros((len(T), 1))
-    return Measurements(
-        ("j",),
-        q,
-        "plane-distance",
-        values,
-        target=names,
-        lines=np.arange(2, len(T) + 2),
-        files=("m.csv",) * len(T),
     )
 
 
@@ -86,14 +72,14 @@ def test_a_parallel_beam_has_no_finite_distance() -> None:
     model = PlaneDistance((FLOOR,))
     T = beam([0, 0, 0], [1.0, 0, 0])[None]
     T[0, 2, 2] = 0.0
-    data = data_of(T, np.zeros((1, 1)))
+    data = rows_of(RANGER, np.zeros((1, 1)))
     assert not np.isfinite(model.predict(T, np.zeros(3), ("",))).any()
     assert not np.isfinite(model.linearize(T, np.zeros(3), data).residual).any()
     # Nearly parallel ones are no start of a fit.
     F = np.array([beam([0, 0, 0], [0.0, 0, -1])] * 3)
     F[1] = beam([0, 0, 0], [1.0, 0, 5e-4])
     with refused(InputError, "'floor'", file="m.csv", line=3):
-        model.register(F, data_of(F, np.ones((3, 1))), None, None)
+        model.register(F, rows_of(RANGER, np.ones((3, 1))), None, None)
 
 
 # Registration.
@@ -105,7 +91,7 @@ def test_unknown_planes_are_registered_from_the_hits() -> None:
     target = tuple(("wall", "floor")[i % 2] for i in range(len(F)))
     B, X = pin.exp6(np.full(6, 0.2)), pin.exp6(np.full(6, -0.1))
     T = B.homogeneous @ F @ X.homogeneous
-    data = data_of(T, true.predict(T, np.zeros(6), target), target)
+    data = rows_of(RANGER, true.predict(T, np.zeros(6), target), "wall", "floor")
     unknown = PlaneDistance((Plane("wall"), Plane("floor")))
     found, base, tool = unknown.register(F, data, B, X)
     assert (base, tool) == (B, X)
@@ -148,11 +134,11 @@ def test_what_cannot_be_a_plane() -> None:
             Setup(planes={"wall": PlaneSetup(normal, 1.0)})
     F = beams(3, 2)
     for target in ("wal", ""):
-        data = data_of(F, np.ones((2, 1)), target)
+        data = rows_of(RANGER, np.ones((2, 1)), target)
         with refused(InputError, column="target"):
             PlaneDistance((FLOOR, WALL)).register(F, data, None, None)
     found, base, tool = PlaneDistance((WALL,)).register(
-        F, data_of(F, np.ones((2, 1))), None, None
+        F, rows_of(RANGER, np.ones((2, 1))), None, None
     )
     assert found.planes == (WALL,)
     assert base == tool == pin.SE3.Identity()
@@ -187,7 +173,7 @@ def test_rows_widen_the_window_where_they_reach_beyond_it(
 ) -> None:
     model = PlaneDistance((FLOOR,), near=0.5, reach=2.0)
     T = np.array([beam([0, 0, z], [0, 0, -1.0]) for z in (0.0, farthest - 1.0)])
-    data = data_of(T, np.array([[1.0], [farthest]]))
+    data = rows_of(RANGER, np.array([[1.0], [farthest]]))
     registered, _, _ = model.register(T, data, None, None)
     assert (registered.near, registered.reach) == (0.5, reach)
 

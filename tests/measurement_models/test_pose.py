@@ -11,6 +11,7 @@ from calib_pin.kinematics.spatial import Floats, so3_exp
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
 from calib_pin.observations import Measurements
+from tests.shared import rows_of
 
 
 def tips(count: int = 12) -> Floats:
@@ -19,8 +20,7 @@ def tips(count: int = 12) -> Floats:
 
 
 def data_of(T: Floats) -> Measurements:
-    values = Pose().predict(T, np.zeros(0), ())
-    return Measurements(("j",), np.zeros((len(T), 1)), "pose", values)
+    return rows_of("pose", Pose().predict(T, np.zeros(0), ()))
 
 
 def test_values_are_position_and_quaternion() -> None:
@@ -62,8 +62,7 @@ def test_registration(
     """A point has no orientation, but a tool that is known keeps its own."""
     F = tips()
     T = BASE.homogeneous @ F @ TOOL.homogeneous
-    values = model.predict(T, np.zeros(0), ("",) * len(T))
-    data = Measurements(("j",), np.zeros((len(T), 1)), model.name, values)
+    data = rows_of(model.name, model.predict(T, np.zeros(0), ("",) * len(T)))
     found, found_base, found_tool = model.register(F, data, base, tool)
     np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-11)
     np.testing.assert_allclose(found_tool.translation, TOOL.translation, atol=1e-11)

@@ -21,7 +21,6 @@ from tests.cli.files import document, numbers, table, write
 from tests.shared import joint, urdf_of
 
 JOINTS = [f"joint_{k}" for k in range(1, 7)]
-UNITS = np.array([180.0 / np.pi] * 6 + [1e3] * 3)
 INIT = "init space6 foreign.csv -o setup.yaml"
 
 

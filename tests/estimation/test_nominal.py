@@ -325,33 +325,6 @@ def test_frames_that_a_setup_leaves_out_are_asked_for(
 # Closed-form starts.
 
 
-PLACES = {
-    "one": BASE,
-    "two": FrameSetup((-0.8, 1.2, 0.1), (-0.1, 0.3, -1.0), estimate=True),
-    "three": FrameSetup((0.3, 1.9, -0.2), (0.2, -0.1, 0.6), estimate=True),
-}
-
-
-def exact(problem: Problem, count: int, **options: Any) -> Observations:
-    """Measurements of the nominal robot without noise."""
-    rng = np.random.default_rng(0)
-    return calib_pin.simulate(
-        problem, zero(problem), rng, count=count, noise=0.0, **options
-    )
-
-
-def largest(problem: Problem, theta: Floats | None = None) -> float:
-    """Of the errors, by default of the parameters at zero."""
-    at = zero(problem) if theta is None else theta
-    return float(np.abs(problem.errors(at)).max())
-
-
-def together(setup: Setup, counts: dict[str, int], order: int = 1) -> Observations:
-    """Measurements of several models on one robot."""
-    found = [simulated(name, setup, count)[0].data for name, count in counts.items()]
-    return Observations.of(*found[::order])
-
-
 @pytest.mark.parametrize("order", [1, -1])
 def test_frames_come_first_and_sites_after(order: int) -> None:
     """Sockets stand in the frame of a tracker, which is known when they are put."""
@@ -359,10 +332,11 @@ def test_frames_come_first_and_sites_after(order: int) -> None:
         base_frame=BASE, tool_frame=TOOL, sockets=SOCKETS, planes={"table": TABLE}
     )
     counts = {"fixed-point": 12, "plane-contact": 12, "position": 15}
-    problem = make_problem(ARM, together(setup, counts, order), Setup())
+    rows = [simulated(name, setup, count)[0].data for name, count in counts.items()]
+    problem = make_problem(ARM, Observations.of(*rows[::order]), Setup())
     assert any(term.measurement.missing for term in problem.terms.values())
     found = registered(problem, zero(problem))
-    assert largest(found) < 1e-9
+    assert np.abs(found.errors(zero(found))).max() < 1e-9
     located = found.references
     xyz = located["sockets", "s/1"].xyz
     np.testing.assert_allclose(xyz, SOCKETS["s/1"].xyz, atol=1e-9)

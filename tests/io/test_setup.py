@@ -26,8 +26,6 @@ from calib_pin.solvers import DifferentialEvolution
 from documentation.setup_reference import json_schema
 from tests.shared import refused
 
-Keys = tuple[str | int, ...]
-
 
 @pytest.fixture
 def write(write):

@@ -8,7 +8,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
@@ -19,7 +18,6 @@ from calib_pin.setup import PlaneSetup, PointSetup, Setup, SphereSetup
 from tests.measurement_models.test_contact_registration import poses
 from tests.shared import rows_of
 
-ARM = calib_pin.load_chain("space6")
 TIP = np.array([0.05, -0.03, 0.12])
 TABLE = PlaneSetup((0.0, 0.1, 1.0), -0.4)
 WALL = PlaneSetup((1.0, 0.1, 0.3), -0.5)

@@ -85,7 +85,7 @@ def test_what_rows_can_name() -> None:
     stated = fixed_point(setup, *data.target)
     with pytest.raises(InputError, match=r"m.csv:3: .*'s/11'"):
         stated.names(("s/0", "s/11"), data)
-    with pytest.raises(InputError, match="m.csv:2: "):
+    with pytest.raises(InputError, match=r"m.csv:2: "):
         stated.names(("", "s/1"), data)
 
 

@@ -37,11 +37,6 @@ def factored(M: Floats, f: int = NUISANCES) -> Information:
     return found
 
 
-def cost_of(criterion: Criterion, M: Floats, f: int = NUISANCES) -> float:
-    found = Information.of(M, f)
-    return np.inf if found is None else criterion.cost(found)
-
-
 def projected(rows: Floats, f: int = NUISANCES) -> Floats:
     """Singular values of the robot's columns with the nuisances projected out."""
     U = rows.reshape(-1, rows.shape[-1])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from calib_pin.planning.criteria import (
     Prediction,
     Selection,
 )
+from tests.planning.test_criteria import factored, gram
 
 COLUMNS, NUISANCES = 5, 2
 
@@ -27,10 +30,8 @@ def known() -> Floats:
     return 1e-3 * np.eye(COLUMNS)
 
 
-def cost_of(rows: Floats, criterion: Criterion, chosen: tuple[int, ...]) -> float:
-    U = rows[list(chosen)].reshape(-1, COLUMNS)
-    found = Information.of(known() + U.T @ U, NUISANCES)
-    return np.inf if found is None else criterion.cost(found)
+def information(rows: Floats, chosen: Iterable[int]) -> Information:
+    return factored(known() + gram(rows[list(chosen)]), NUISANCES)
 
 
 def select(rows: Floats, criterion: Criterion, *chosen: int) -> Selection:
@@ -52,10 +53,8 @@ def test_cost_and_value_follow_every_change(name: str) -> None:
     for change, chosen in changes:
         change()
         assert subset.chosen == list(chosen)
-        assert subset.cost == pytest.approx(cost_of(rows, criterion, chosen), rel=1e-9)
-        U = rows[list(chosen)].reshape(-1, COLUMNS)
-        found = Information.of(known() + U.T @ U, NUISANCES)
-        assert found is not None
+        found = information(rows, chosen)
+        assert subset.cost == pytest.approx(criterion.cost(found), rel=1e-9)
         value = criterion.value(found, len(chosen))
         assert subset.value == pytest.approx(value, rel=1e-9)
     assert given == [5, 4, 6]
@@ -75,7 +74,7 @@ def test_best_steps_are_those_of_brute_force(name: str) -> None:
         members = tuple(range(0, 12, 2))
         subset = select(rows, criterion, *members)
         costs = {
-            k: cost_of(rows, criterion, (*members, k))
+            k: criterion.cost(information(rows, (*members, k)))
             for k in range(30)
             if k not in members
         }
@@ -83,7 +82,7 @@ def test_best_steps_are_those_of_brute_force(name: str) -> None:
         assert candidate not in members
         check_best(name, costs, candidate, cost)
         costs = {
-            k: cost_of(rows, criterion, tuple(set(members) - {k})) for k in members
+            k: criterion.cost(information(rows, {*members} - {k})) for k in members
         }
         member, cost = subset.best_to_remove()
         check_best(name, costs, member, cost)

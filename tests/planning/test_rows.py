@@ -60,23 +60,25 @@ def configurations(of: IdentificationRows, count: int = 4) -> tuple[Floats, Indi
     return q, np.arange(len(q)) % len(aims)
 
 
+def rows_at(problem: Problem, aims: Aims, q: Floats, aim: Indices) -> Floats:
+    """Rows of one configuration, target by target, shape (M, P)."""
+    zero, rows = np.zeros(len(problem.parameters)), []
+    for look in aims.looks:
+        if look.of_aim[aim[0]] < 0:
+            continue
+        seen = look.seen(q, aim)[0] | (not look.at_once)
+        names = [look.names[code] for code in look.targets(aim)[0][seen]]
+        at = unmeasured(problem, look.term.key, np.repeat(q, len(names), axis=0), names)
+        J = jacobian_at(problem, zero, [at])
+        rows.append(J[: len(J) - len(problem.further)])
+    return np.concatenate(rows)
+
+
 def rows_of_the_problem(of: IdentificationRows, q: Floats, aim: Indices) -> Floats:
     """Their information, measurement by measurement, shape (N, m, m)."""
-    zero, result = np.zeros(len(of.problem.parameters)), []
-    for k in range(len(q)):
-        here, rows = slice(k, k + 1), []
-        for look in of.aims.looks:
-            if look.of_aim[aim[k]] < 0:
-                continue
-            seen = look.seen(q[here], aim[here])[0] | (not look.at_once)
-            names = [look.names[code] for code in look.targets(aim[here])[0][seen]]
-            key, many = look.term.key, np.repeat(q[here], len(names), axis=0)
-            at = unmeasured(of.problem, key, many, names)
-            J = jacobian_at(of.problem, zero, [at])
-            rows.append(J[: len(J) - len(of.problem.further)])
-        U = np.concatenate(rows) @ of.basis
-        result.append(U.T @ U)
-    return np.array(result)
+    at = ((of.problem, of.aims, q[[k]], aim[[k]]) for k in range(len(q)))
+    rows = (rows_at(*each) @ of.basis for each in at)
+    return np.array([U.T @ U for U in rows])
 
 
 def information(rows: Floats) -> Floats:

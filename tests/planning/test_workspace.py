@@ -17,7 +17,6 @@ import calib_pin
 from calib_pin.calibration import calibrate
 from calib_pin.errors import InputError, OptionError, RobotError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import jacobian_at, unmeasured
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.measurements import encode_configurations, read_held
 from calib_pin.io.table import read_table
@@ -41,6 +40,7 @@ from calib_pin.setup import (
 )
 from calib_pin.simulation import draw_errors, simulate
 from tests.planning.test_plan import Calls, value_of
+from tests.planning.test_rows import rows_at
 from tests.shared import chain_of, joint, refused, simulated, urdf_of
 
 PLANES = {
@@ -269,19 +269,14 @@ def aims_of(setup: Setup, *keys: BlockKey) -> Aims:
 
 def information(plan: Plan, problem: Problem) -> Floats:
     """Scaled identification matrix of a plan, target by target, shape (M, P)."""
-    zero, rows = np.zeros(len(problem.parameters)), []
     aims = Aims.of(problem, problem.data.keys)
-    for q, aim in zip(plan.q, plan.aims, strict=True):
-        code = np.array([aims.each.index(aim)])
-        for look in aims.looks:
-            if look.of_aim[code[0]] < 0:
-                continue
-            visible = look.seen(q[None], code)[0]
-            for k in look.targets(code)[0][visible]:
-                at = unmeasured(problem, look.term.key, q[None], (look.names[k],))
-                J = jacobian_at(problem, zero, [at])
-                rows.append(J[: len(J) - len(problem.further)])
-    J = np.concatenate(rows) * problem.parameters.scales
+    J = np.concatenate(
+        [
+            rows_at(problem, aims, q[None], np.array([aims.each.index(aim)]))
+            for q, aim in zip(plan.q, plan.aims, strict=True)
+        ]
+    )
+    J *= problem.parameters.scales
     return np.where(problem.parameters.free, J, 0.0)
 
 

@@ -139,23 +139,13 @@ class Bench:
     def chain(self):
         return self.problem.chains[""]
 
-    def measured(
-        self,
-        seed,
-        count=10,
-        changes=None,
-        noise=NOISE,
-        moved=(0.0, 0.0, 0.0),
-        tool=TOOL,
-    ):
+    def measured(self, seed, count=10, changes=None, *, moved=(0, 0, 0), tool=TOOL):
         """Measurements by a tracker that was moved, without stated noise."""
-        theta = self.changed(changes)
+        theta, rng = self.changed(changes), np.random.default_rng(seed)
         base = FrameSetup((1.0 + moved[0], *moved[1:]), (0.1, 0.2, 0.3), estimate=True)
-        problem = nominal_problem(
-            self.chain, "position", Setup(base_frame=base, tool_frame=tool)
-        )
-        rng = np.random.default_rng(seed)
-        rows = simulate(problem, theta, rng, count=count, noise=noise).only
+        setup = Setup(base_frame=base, tool_frame=tool)
+        problem = nominal_problem(self.chain, "position", setup)
+        rows = simulate(problem, theta, rng, count=count, noise=NOISE).only
         return Observations.of(replace(rows, sigma=None))
 
     def changed(self, changes):

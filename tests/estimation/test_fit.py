@@ -39,6 +39,8 @@ from calib_pin.validation.result import Provenance
 from calib_pin.validation.splits import Grouping, folds
 from tests.residual_models.corrections import Everywhere
 from tests.shared import FRAMED, measured, simulated
+from tests.validation.test_splits import SETUP as OFFSETS_ALONE
+from tests.validation.test_splits import measured_rows
 
 KNOWN = FrameSetup(estimate=False)
 SETUP = Setup(base_frame=KNOWN, tool_frame=KNOWN, parameters=("joint-offset",))
@@ -292,21 +294,6 @@ def test_a_calibration_tells_and_keeps_a_drift(
 
 
 RELATIVE = "relative-distance"
-OFFSETS_ALONE = Setup(
-    parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1))
-)
-
-
-def measured_rows(repeats: int = 1) -> tuple[Chain, Observations]:
-    """Positions of `space6`; the readings of a configuration differ by noise."""
-    problem, _ = simulated(
-        "position", OFFSETS_ALONE, 40, 1.0, 1, noise=5e-5, repeats=repeats
-    )
-    # Readings of one configuration need not stand side by side.
-    order = np.random.default_rng(1).permutation(len(problem.data))
-    return problem.chains[""], problem.data.rows(order)
-
-
 KINDS = ["placement", "transmission"]
 
 

@@ -50,7 +50,9 @@ POINTS = {
 }
 SOCKETS = {"s/0": PointSetup((0.6, 0.3, 0.4)), "s/1": PointSetup((0.5, -0.2, 0.6))}
 TABLE = PlaneSetup((0, 0.1, 1), -0.4)
+LEVELED = replace(TABLE, estimate=False)
 BALL = SphereSetup((0.5, 0.2, 0.4), 0.15)
+BALLOON = replace(BALL, estimate_radius=True)
 CAMERA = CameraSetup("world", (900.0, 910.0), (640.0, 500.0))
 TIED = (DistanceSetup(("s/0", "s/1"), 0.5, 1e-5),)
 IN_SOCKETS: dict[str, Any] = {"sockets": SOCKETS, "tool_frame": TOOL}
@@ -69,11 +71,8 @@ def sockets(count: int, estimate: bool = True) -> dict[str, Any]:
 
 
 def touched(**changes: Any) -> dict[str, Any]:
-    return {
-        "planes": {"a": TABLE},
-        "spheres": {"s": BALL},
-        "tool_frame": TOOL,
-    } | changes
+    some = {"planes": {"a": TABLE}, "spheres": {"s": BALL}, "tool_frame": TOOL}
+    return some | changes
 
 
 def wires(*anchors: AnchorSetup) -> dict[str, Any]:
@@ -82,8 +81,11 @@ def wires(*anchors: AnchorSetup) -> dict[str, Any]:
 
 
 AT = (1.5, 0.2, 0.4)
-CORNERS = (AT, (0, 2, 0), (0, 0, 2), (-1, 1, -1))
+CORNERS = [
+    AnchorSetup(at, estimate=False) for at in (AT, (0, 2, 0), (0, 0, 2), (-1, 1, -1))
+]
 WALL, DOOR = PlaneSetup((1, 0.1, 0.3), -0.5), PlaneSetup((0.2, 1, 0.1), -0.3)
+ROOM = {"a": TABLE, "b": WALL, "c": DOOR}
 SEEN: dict[str, Any] = {"camera": CAMERA, "base_frame": FAR}
 
 
@@ -112,12 +114,7 @@ def test_axes_that_meet_have_no_lengths(apart: float) -> None:
         # Turns about the anchor show nothing: three less than a position.
         ("point-distance", wires(AnchorSetup(AT)), 24, True),
         ("point-distance", wires(AnchorSetup(AT, 0.01, True, True)), 25, True),
-        (
-            "point-distance",
-            wires(*(AnchorSetup(at, estimate=False) for at in CORNERS)),
-            27,
-            True,
-        ),
+        ("point-distance", wires(*CORNERS), 27, True),
         # Not where the base stands: six less than positions.
         ("relative-distance", {"tool_frame": TOOL}, 21, True),
         ("relative-distance", {"tool_frame": TOOL, **points("ab")}, 24, True),
@@ -128,26 +125,11 @@ def test_axes_that_meet_have_no_lengths(apart: float) -> None:
         # A larger robot that stands elsewhere has its ball there too.
         ("fixed-point", sockets(1, False), 23, False),
         ("fixed-point", sockets(2, False), 26, True),
-        (
-            "plane-contact",
-            touched(planes={"a": replace(TABLE, estimate=False)}),
-            23,
-            False,
-        ),
-        (
-            "plane-contact",
-            touched(planes={"a": TABLE, "b": WALL, "c": DOOR}),
-            29,
-            False,
-        ),
+        ("plane-contact", touched(planes={"a": LEVELED}), 23, False),
+        ("plane-contact", touched(planes=ROOM), 29, False),
         # The radius of a sphere is the length that a plane lacks.
         ("sphere-contact", touched(), 24, True),
-        (
-            "sphere-contact",
-            touched(spheres={"s": replace(BALL, estimate_radius=True)}),
-            24,
-            False,
-        ),
+        ("sphere-contact", touched(spheres={"s": BALLOON}), 24, False),
         # So is what lies between points that are known.
         ("camera", {**SEEN, "tool_frame": TOOL, **points("abcd")}, 30, True),
         ("camera", {**SEEN, **points("abcd", True)}, 35, False),
@@ -225,9 +207,8 @@ def test_nothing_to_grow_and_nothing_to_tell() -> None:
 def test_too_many_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("calib_pin.estimation.nominal.MOST", 48)
     calib_pin.identify(ARM, "position")
-    targets = {name: POINTS[name] for name in "abc"}
     with refused(OptionError, value=57):
-        calib_pin.identify(ARM, "position", Setup(targets=targets))
+        calib_pin.identify(ARM, "position", Setup(**points("abc")))
 
 
 SETUP = Setup(

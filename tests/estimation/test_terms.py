@@ -116,10 +116,7 @@ def test_what_one_block_estimates_is_estimated() -> None:
     ("measured", "names"),
     [
         ([POINT, POINT._replace(tool="b")], ["position"]),
-        (
-            [POINT._replace(station=name) for name in "ab"],
-            ["position (a)", "position (b)"],
-        ),
+        ([POINT._replace(station=s) for s in "ab"], ["position (a)", "position (b)"]),
         ([POINT, POSE], ["position", "position (pose)", "orientation"]),
     ],
 )
@@ -158,19 +155,6 @@ def test_residuals_are_those_of_each_block_alone(
     np.testing.assert_allclose(r[:-1], errors / sigma, rtol=1e-12, atol=1e-9)
 
 
-# Fits.
-
-
-def together(setup: Setup, **counts: int) -> Observations:
-    """Measurements of several models on one robot."""
-    return Observations.of(
-        *(
-            simulated(model.replace("_", "-"), setup, count)[0].data
-            for model, count in counts.items()
-        )
-    )
-
-
 # What does not go.
 
 
@@ -182,13 +166,12 @@ def test_unknown_models_and_what_a_block_lacks() -> None:
 
 
 def test_measurements_of_an_unknown_socket() -> None:
-    data = together(SETUP, position=5, fixed_point=5)
-    positions, sockets = data.blocks
+    positions, sockets = (
+        simulated(model, SETUP, 5)[0].data.only for model in ("position", "fixed-point")
+    )
+    target = (*list(sockets.target)[:-1], "s/2")
     wrong = replace(
-        sockets,
-        target=(*list(sockets.target)[:-1], "s/2"),
-        lines=np.arange(6, 11),
-        files=("m.csv",) * 5,
+        sockets, target=target, lines=np.arange(6, 11), files=("m.csv",) * 5
     )
     problem = make_problem(ARM, Observations((positions, wrong)), SETUP)
     with refused(InputError, reason="'s/2'", file="m.csv", line=10):
@@ -196,6 +179,7 @@ def test_measurements_of_an_unknown_socket() -> None:
 
 
 MEASURED, CAMERA, TOUCH = map(BlockKey, ("position", "camera", "fixed-point"))
+BALL = MEASURED._replace(tool="ball")
 
 
 @pytest.fixture(scope="module")
@@ -215,50 +199,41 @@ def tree() -> Callable[..., Chains]:
     return make
 
 
-AT_BASE, AT_TOOL = "base.frame", "tool.frame"
+OWN = AT_BASE, AT_TOOL = "base.frame", "tool.frame"
 
 
 @pytest.mark.parametrize(
     ("keys", "expected"),
     [
-        ([MEASURED], [(AT_BASE, AT_TOOL)]),
+        ([MEASURED], [OWN]),
         # A name alone tells nothing apart.
-        ([MEASURED._replace(station="one", tool="ball")], [(AT_BASE, AT_TOOL)]),
+        ([MEASURED._replace(station="one", tool="ball")], [OWN]),
         (
-            [
-                MEASURED._replace(station="one"),
-                MEASURED._replace(station="two", tool="ball"),
-            ],
+            [MEASURED._replace(station="one"), BALL._replace(station="two")],
             [("one.station", AT_TOOL), ("two.station", "ball.tool")],
         ),
         # What stands still has the station of what moves.
-        (
-            [MEASURED, MEASURED._replace(chain=WORLD)],
-            [(AT_BASE, AT_TOOL), (AT_BASE, "root.tool")],
-        ),
+        ([MEASURED, MEASURED._replace(chain=WORLD)], [OWN, (AT_BASE, "root.tool")]),
         # A tool of each limb; the base is one link.
-        (
-            [MEASURED, MEASURED._replace(chain="right")],
-            [(AT_BASE, AT_TOOL), (AT_BASE, "end.tool")],
-        ),
+        ([MEASURED, MEASURED._replace(chain="right")], [OWN, (AT_BASE, "end.tool")]),
         # The same probe, mounted on one hand and then on the other.
         (
-            [MEASURED._replace(chain=chain, tool="ball") for chain in ("", "right")],
+            [BALL, BALL._replace(chain="right")],
             [(AT_BASE, "ball.tool"), (AT_BASE, "ball/end.tool")],
         ),
         # A hand that is touched is a place of its own.
         (
             [MEASURED, TOUCH._replace(chain="touch")],
-            [(AT_BASE, AT_TOOL), ("left.station", "end.tool")],
+            [OWN, ("left.station", "end.tool")],
         ),
         # A camera among others follows nothing that these do.
-        ([MEASURED, CAMERA], [(AT_BASE, AT_TOOL), ("camera.station", "camera.tool")]),
+        ([MEASURED, CAMERA], [OWN, ("camera.station", "camera.tool")]),
         (
             [MEASURED, CAMERA._replace(tool="ball")],
-            [(AT_BASE, AT_TOOL), ("camera.station", "ball.tool")],
+            [OWN, ("camera.station", "ball.tool")],
         ),
-        ([CAMERA], [(AT_BASE, AT_TOOL)]),
-        ([MEASURED, TOUCH], [(AT_BASE, AT_TOOL), (AT_BASE, AT_TOOL)]),
+        ([CAMERA], [OWN]),
+        ([MEASURED, TOUCH], [OWN, OWN]),
     ],
 )
 def test_names_of_frames(

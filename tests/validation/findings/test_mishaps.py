@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,19 @@ class Mishap:
     cured: bool = True
 
 
+warned = partial(Mishap, severity="warning")
+POSES = {"model": "pose"}
+
+
+def reading(**lines: Any) -> Mapping[str, Any]:
+    return {"reading": lines}
+
+
+def read_as(name: str, **how: Any) -> Mapping[str, Any]:
+    """The lines of a joint whose column is read otherwise."""
+    return {"joints": {name: {"joint": name, **how}}}
+
+
 def positions(change: Callable[[Floats], Floats]) -> Spoil:
     return lambda rows: replace(rows, q=change(rows.q))
 
@@ -113,7 +127,7 @@ def joint(k: int, change: Callable[[Floats], Floats]) -> Spoil:
     return positions(lambda q: np.where(np.arange(3) == k, change(q), q))
 
 
-def axes(signs: tuple[float, ...], order: tuple[int, ...]) -> Spoil:
+def axes(order: tuple[int, ...], signs: tuple[float, ...] = (1.0, 1.0, 1.0)) -> Spoil:
     """Columns x, y and z that hold other axes, or these negated."""
     return values(lambda v: np.hstack([v[:, order] * signs, v[:, 3:]]))
 
@@ -167,11 +181,20 @@ def by_steps(degrees: float) -> Spoil:
     return lambda rows: replace(computed(rows), q=(rows.q / step).round() * step)
 
 
-def repeated(rows: Measurements, index: Any) -> Measurements:
+def repeated(*again: int) -> Spoil:
     """Some measurements again, each with noise of its own."""
-    rows = rows.rows(index)
-    noise = NOISE * np.random.default_rng(1).normal(size=rows.values.shape)
-    return replace(rows, values=rows.values + noise)
+
+    def spoil(rows: Measurements) -> Measurements:
+        rows = rows.rows(np.array([*range(COUNT), *again]))
+        noise = NOISE * np.random.default_rng(1).normal(size=rows.values.shape)
+        return replace(rows, values=rows.values + noise)
+
+    return spoil
+
+
+def stated(times: float) -> Spoil:
+    """Noise of which the file states so many times as much."""
+    return lambda rows: replace(rows, sigma=np.full(rows.values.shape, times * NOISE))
 
 
 def path(q: Floats) -> Floats:
@@ -185,17 +208,11 @@ def ruler(length: float) -> Setup:
 
 
 MISHAPS = [
-    Mishap(
-        "joint-reversed",
-        joint(2, lambda q: -q),
-        {"joints": {J3: {"joint": J3, "sign": -1}}},
-        KNOWN,
-    ),
-    Mishap(
+    Mishap("joint-reversed", joint(2, lambda q: -q), read_as(J3, sign=-1), KNOWN),
+    warned(
         "joint-offset",
         joint(1, lambda q: q - 30.0 * DEGREE),
-        {"joints": {J2: {"joint": J2, "offset": pytest.approx(30.0 * DEGREE)}}},
-        severity="warning",
+        read_as(J2, offset=pytest.approx(30.0 * DEGREE)),
     ),
     Mishap(
         "joints-exchanged",
@@ -206,7 +223,7 @@ MISHAPS = [
     Mishap(
         "joint-gear",
         joint(2, lambda q: q / 1.03),
-        {"joints": {J3: {"joint": J3, "gear": pytest.approx(1.03, abs=1e-3)}}},
+        read_as(J3, gear=pytest.approx(1.03, abs=1e-3)),
     ),
     Mishap(
         "gear-ripple",
@@ -218,83 +235,63 @@ MISHAPS = [
         },
         severity="info",
     ),
-    Mishap(
+    warned(
         "model-lacks",
         lines={"parameters": ["placement"]},
         setup=Setup(parameters=("joint-offset",)),
-        severity="warning",
     ),
-    Mishap(
+    warned(
         "model-lacks",
         lines={"parameters": ["placement", "transmission"]},
         job={"count": 60, "effects": ("transmission",), "changes": GEARS},
-        severity="warning",
     ),
     Mishap("stuck-encoder", positions(stuck)),
     Mishap("outlying-stretch", of_another),
     Mishap(
         "joint-turns",
         joint(2, lambda q: q + TURN),
-        {"joints": {J3: {"joint": J3, "offset": pytest.approx(-TURN)}}},
+        read_as(J3, offset=pytest.approx(-TURN)),
         severity="info",
     ),
-    Mishap(
-        "lag",
-        positions(lagging),
-        {"reading": {"lag": {J2: pytest.approx(0.01, abs=5e-4)}}},
-    ),
+    Mishap("lag", positions(lagging), reading(lag={J2: pytest.approx(0.01, abs=5e-4)})),
     Mishap(
         "lines-shifted",
         positions(lambda q: np.roll(q, -3, axis=0)),
-        {"reading": {"shift": -3}},
+        reading(shift=-3),
         KNOWN,
     ),
     Mishap(
         "lines-shifted",
         positions(lambda q: np.delete(q, 24, axis=0)[[*range(len(q) - 1), -1]]),
-        {"reading": {"shift": -1, "shift_from": [26]}},
+        reading(shift=-1, shift_from=[26]),
         job={"count": 60},
     ),
     Mishap(
-        "lines-reversed",
-        positions(lambda q: q[::-1]),
-        {"reading": {"reversed": True}},
-        KNOWN,
+        "lines-reversed", positions(lambda q: q[::-1]), reading(reversed=True), KNOWN
     ),
-    Mishap(
-        "axes-exchanged",
-        axes((1.0, 1.0, 1.0), (1, 2, 0)),
-        {"reading": {"axes": ["y", "z", "x"]}},
-        KNOWN,
-    ),
+    Mishap("axes-exchanged", axes((1, 2, 0)), reading(axes=["y", "z", "x"]), KNOWN),
     Mishap(
         "axes-negated",
-        axes((-1.0, -1.0, 1.0), (0, 1, 2)),
-        {"reading": {"axes": ["-x", "-y", "z"]}},
-        setup=KNOWN,
-        job={"model": "pose"},
+        axes((0, 1, 2), (-1.0, -1.0, 1.0)),
+        reading(axes=["-x", "-y", "z"]),
+        KNOWN,
+        POSES,
     ),
-    Mishap("left-handed-frame", axes((1.0, 1.0, 1.0), (1, 0, 2)), setup=HELD),
+    Mishap("left-handed-frame", axes((1, 0, 2)), setup=HELD),
     Mishap(
         "orientation-convention",
         values(wxyz),
-        {"reading": {"orientation": {"columns": "quaternion", "hold": "wxyz"}}},
+        reading(orientation={"columns": "quaternion", "hold": "wxyz"}),
         KNOWN,
-        {"model": "pose"},
+        POSES,
     ),
-    Mishap(
-        "pose-inverted",
-        values(inverted),
-        {"reading": {"inverted": True}},
-        KNOWN,
-        {"model": "pose"},
-    ),
-    Mishap("unit", values(lambda v: v / 0.3048), {"reading": {"scale": 0.3048}}, KNOWN),
+    Mishap("pose-inverted", values(inverted), reading(inverted=True), KNOWN, POSES),
+    Mishap("unit", values(lambda v: v / 0.3048), reading(scale=0.3048), KNOWN),
     Mishap("scale", values(lambda v: 1.05 * v)),
     Mishap(
         "constant-orientation",
         values(lambda v: np.hstack([v[:, :3], np.eye(4)[[3] * len(v)]])),
-        job={"model": "pose"},
+        job=POSES,
     ),
     Mishap("constant-positions", values(lambda v: v[[0] * len(v)])),
     Mishap("constant-positions", values(lambda v: v * [1.0, 0.0, 0.0])),
@@ -302,58 +299,35 @@ MISHAPS = [
     Mishap("computed-values", computed),
     Mishap("computed-values", rounded),
     Mishap("computed-values", by_steps(0.001)),
-    Mishap("computed-values", by_steps(0.02), severity="warning"),
-    Mishap("coarse-steps", values(lambda v: np.round(v, 3)), severity="warning"),
+    warned("computed-values", by_steps(0.02)),
+    warned("coarse-steps", values(lambda v: np.round(v, 3))),
     Mishap("known-distance", setup=ruler(0.11), job={"names": "ab"}),
-    Mishap(
-        "noise",
-        lambda rows: replace(rows, sigma=np.full(rows.values.shape, 5.0 * NOISE)),
-        severity="warning",
-    ),
-    Mishap(
+    warned("noise", stated(5.0)),
+    warned(
         "copied-measurements",
         lambda rows: rows.rows(np.array([*range(COUNT), 3, 3])),
-        {"reading": {"without": [COUNT + 2, COUNT + 3]}},
-        severity="warning",
+        reading(without=[COUNT + 2, COUNT + 3]),
     ),
-    Mishap(
-        "few-configurations",
-        job={"shape": lambda q: np.repeat(q[:6], 20, axis=0)},
-        severity="warning",
-    ),
-    Mishap(
-        "one-configuration",
-        lambda rows: repeated(rows, np.append(np.arange(COUNT), np.zeros(100, int))),
-        severity="warning",
-    ),
-    Mishap(
+    warned("few-configurations", job={"shape": lambda q: np.repeat(q[:6], 20, axis=0)}),
+    warned("one-configuration", repeated(*[0] * 100)),
+    warned(
         "backlash",
         lines={"parameters": ["placement", "hysteresis"]},
         job={
+            "count": 60,
             "effects": ("hysteresis",),
             "changes": {f"{J2}.hysteresis.backlash": 5e-4},
-            "count": 60,
         },
         cured=False,
-        severity="warning",
     ),
-    Mishap(
-        "unmoved-joints", job={"shape": lambda q: q * [1, 1, 0]}, severity="warning"
-    ),
-    Mishap(
-        "small-range", job={"shape": lambda q: q * [1, 1, 0.02]}, severity="warning"
-    ),
-    Mishap("one-path", job={"shape": path}, severity="warning"),
-    Mishap(
+    warned("unmoved-joints", job={"shape": lambda q: q * [1, 1, 0]}),
+    warned("small-range", job={"shape": lambda q: q * [1, 1, 0.02]}),
+    warned("one-path", job={"shape": path}),
+    warned(
         "joints-move-together",
         job={"shape": lambda q: np.outer(q[:, 0], [1.0, -0.7, 0.5])},
-        severity="warning",
     ),
-    Mishap(
-        "large-correction",
-        job={"changes": {f"{J3}.placement.rx": 0.05}},
-        severity="warning",
-    ),
+    warned("large-correction", job={"changes": {f"{J3}.placement.rx": 0.05}}),
 ]
 
 
@@ -432,34 +406,27 @@ def cured(
     return calib_pin.calibrate(ARM, data, setup, validate=False)
 
 
-CLEAN: dict[str, tuple[Spoil, Setup, Mapping[str, Any]]] = {
-    "positions": (lambda rows: rows, Setup(), {}),
-    "poses": (lambda rows: rows, Setup(), {"model": "pose"}),
-    "in the order of a path": (
+CLEAN = [
+    Mishap("positions"),
+    Mishap("poses", job=POSES),
+    Mishap(
+        "in the order of a path",
         lambda rows: rows.rows(np.argsort(rows.q[:, 0])),
-        Setup(),
-        {"count": 60},
+        job={"count": 60},
     ),
-    "another axis up": (axes((1.0, 1.0, 1.0), (1, 2, 0)), Setup(), {}),
-    "a tenth of the noise in digits": (values(lambda v: np.round(v, 5)), Setup(), {}),
-    "sigma nearly right": (
-        lambda rows: replace(rows, sigma=np.full(rows.values.shape, 1.4 * NOISE)),
-        Setup(),
-        {},
-    ),
-    "repetitions": (
-        lambda rows: repeated(rows, np.append(np.arange(COUNT), np.arange(20))),
-        Setup(),
-        {},
-    ),
-    "a right distance": (lambda rows: rows, ruler(0.1), {"names": "ab"}),
-}
+    Mishap("another axis up", axes((1, 2, 0))),
+    Mishap("a tenth of the noise in digits", values(lambda v: np.round(v, 5))),
+    Mishap("sigma nearly right", stated(1.4)),
+    Mishap("repetitions", repeated(*range(20))),
+    Mishap("a right distance", setup=ruler(0.1), job={"names": "ab"}),
+]
+"""Of which nothing must be said."""
 
 
-@pytest.mark.parametrize("job", CLEAN)
-def test_a_clean_job_is_not_accused(job: str) -> None:
-    spoil, setup, how = CLEAN[job]
-    result = calib_pin.calibrate(ARM, spoil(measured(**how)), setup, validate=False)
+@pytest.mark.parametrize("clean", CLEAN, ids=lambda clean: clean.code)
+def test_a_clean_job_is_not_accused(clean: Mishap) -> None:
+    rows = clean.spoil(measured(**clean.job))
+    result = calib_pin.calibrate(ARM, rows, clean.setup, validate=False)
     assert (result.verdict, result.findings) == ("good", ())
 
 

@@ -29,6 +29,7 @@ def columns(header: str) -> tuple[headers.Foreign, ...]:
         ("tcp_x,tcp_y,tcp_z,laser_x[mm],laser_y[mm],laser_z[mm]", {"x": "laser_x"}),
         ("p_1,p_2,p_3", {"x": "p_1", "z": "p_3"}),
         ("tvec[0],tvec[1],tvec[2]", {"y": "tvec[1]"}),
+        ("rvec_x,rvec_y,rvec_z,tvec_x,tvec_y,tvec_z", {"x": "tvec_x", "rx": "rvec_x"}),
         ("q_RS_w,q_RS_x,q_RS_y,q_RS_z", {"qw": "q_RS_w"}),
         ("X1,X2,Y1,Y2,Z1,Z2", {"x": "X1", "y": "Y1", "z": "Z1"}),
         ("NomX,NomY,NomZ,ActX,ActY,ActZ", {"x": "ActX"}),

@@ -204,10 +204,11 @@ def test_chi_square(result, factor, where):
 
 
 def test_outliers_are_counted(result):
-    rows = tuple(Outlier(f"rows.csv:{k}", k, 1234.6 - k) for k in range(7))
+    which = (f"rows.csv:{k}" for k in range(7))
+    rows = tuple(Outlier(row, 1, 1234.6, 0.4321, "target ball") for row in which)
     text = full_report(changed(result, outliers=rows))
     lines = section(text, "Outliers (7 of 30)")
-    assert lines[2].split() == ["rows.csv:0", "1234.6", "1.0"]
+    assert lines[2].split() == ["rows.csv:0", "1234.6", "0.43", "target", "ball"]
     assert "2 more" in lines[-1]
     assert "Outliers" not in full_report(changed(result, outliers=()))
 

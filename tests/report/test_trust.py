@@ -12,7 +12,6 @@ from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
     Finding,
     Gain,
-    Outlier,
     VarianceComponent,
 )
 from calib_pin.report.blocks import Line
@@ -30,12 +29,6 @@ WORKSPACE = ExpectedAccuracy(
     share=0.93,
 )
 EVIDENCE: dict[str, Any] = {
-    "outliers": (
-        Outlier("rows.csv:12", 10, 180.2, 0.0, "target ball"),
-        Outlier("rows.csv:14", 12, 150.0, 0.0, "target ball"),
-        Outlier("rows.csv:20", 18, 5.21, 0.43),
-    ),
-    "displaced": 2.61e-3,
     "noise": (
         VarianceComponent(
             *("position", "m", 1e-4, False, 4.012, 4.012e-4, (3.71e-4, 4.33e-4)),
@@ -81,7 +74,7 @@ def test_the_verdict_comes_first_then_findings(result):
     noted = words(result, findings=(replace(found, severity="info"),))
     assert noted.startswith("GOOD: ") and f"Info: {found.message}" in noted
     # The reason says it once, and with what to do about it.
-    text = words(result, verdict="untrusted", reason=found.message, outliers=())
+    text = words(result, verdict="untrusted", reason=found.message)
     assert text.startswith(f"UNTRUSTED: {said[9:]}") and "Warning" not in text
     assert text.endswith(f"Next: {found.remedy}.")
 
@@ -157,11 +150,3 @@ def test_noise(result):
     stands = replace(result.statistics.noise[0], contradicted=False, unmodeled=0.0)
     stands = replace(stands, lack_of_fit=None)
     assert "position: " not in words(result, noise=(stands,))
-
-
-def test_outliers(result):
-    lines = full_report(result).splitlines()
-    start = lines.index(f"Outliers (3 of {len(result.fitted)})")
-    cells = [line.split() for line in lines[start + 1 : start + 5]]
-    assert cells[1] == ["rows.csv:12", "180.2", "0", "target", "ball"]
-    assert cells[3] == ["rows.csv:20", "5.2", "0.43"]

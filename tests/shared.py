@@ -350,7 +350,6 @@ def rows_of(model: str, values: Floats, *names: str) -> Measurements:
 
     They stand in m.csv, from line 2 on.
     """
-
     count = len(values)
     return Measurements(
         ("j",),

@@ -19,7 +19,7 @@ from calib_pin.estimation.fit import (
     time_course,
     with_time_course,
 )
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, as_weighted
 from calib_pin.estimation.problem import tool_points
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
@@ -249,14 +249,14 @@ def _result(
         covariance=NamedArray.of(fitted.covariance, names, names),
         fitted=_measurement_errors(
             fitted,
-            fitted.weighted(training),
+            as_weighted(fitted, training),
             errors,
             assessment.measurement_leverages(fitted),
         ),
         held_out=None
         if checked is None
         else _measurement_errors(fitted, held_out.measurements, checked),
-        rejected=fitted.rejected,
+        rejected=fitted.problem.setup.learned or "" if fitted.learned is None else "",
         distances=errors.distances + (checked.distances if checked else ()),
         findings=judgement.findings,
     )

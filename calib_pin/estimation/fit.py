@@ -132,8 +132,7 @@ def fit_model(
     # A generator of its own: what a search drew must not change what is learned.
     rng = np.random.default_rng(seed)
     learned = learned_correction(setup.learned, fitted, rng, progress)
-    rejected = setup.learned if learned is None else ""
-    return replace(fitted, learned=learned, rejected=rejected)
+    return replace(fitted, learned=learned)
 
 
 SHORTEST, LONGEST = 0.03, 2.0

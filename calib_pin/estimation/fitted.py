@@ -118,9 +118,13 @@ class Posterior:
     systematic: Systematic | None
     noise: Floats
 
-    @property
+    @cached_property
     def covariance(self) -> Floats:
-        """Covariance of the parameters, shape (P, P)."""
+        """Covariance of the parameters, shape (P, P).
+
+        With what the measurements leave open and the prior holds, and with what was
+        absorbed of effects that the model does not have; NaN without redundancy.
+        """
         half = np.column_stack([self.by_noise, self.by_effects])
         result = half @ half.T
         for station in self.stations:
@@ -243,8 +247,8 @@ class Fit:
         effects: Gears and compliance that the model does not have; None where nothing
             shows or nobody has looked, see `fit.with_effects`.
         robust: Measurements that were set aside.
-        learned: The correction that was learned of what the fit leaves; None for none.
-        rejected: Name of the residual model that found nothing to correct, if one did.
+        learned: The correction that was learned of what the fit leaves; None for none,
+            as where the residual model of the setup found nothing to correct.
     """
 
     problem: Problem
@@ -260,7 +264,6 @@ class Fit:
     effects: Systematic | None = None
     robust: RobustDecision = RobustDecision()
     learned: LearnedCorrection | None = None
-    rejected: str = ""
 
     @property
     def theta(self) -> Floats:
@@ -272,15 +275,9 @@ class Fit:
         """Its problem about the solution, with the learned correction."""
         problem, theta = self.problem.rebased(self.theta)
         if self.learned is not None:
-            problem = problem.learning(self.learned)
-        if self.rejected:
-            problem = replace(problem, setup=replace(problem.setup, learned=None))
-        return Solved(problem, theta)
-
-    def weighted(self, measurements: Observations) -> Observations:
-        """The fitted measurements, with no weight where it has set them aside."""
-        aside = self.problem.data.weight == 0.0
-        return measurements.weighted(np.where(aside, 0.0, measurements.weight))
+            return Solved(problem.learning(self.learned), theta)
+        plain = replace(problem, setup=replace(problem.setup, learned=None))
+        return Solved(plain, theta)
 
     @property
     def dof(self) -> int:
@@ -288,21 +285,8 @@ class Fit:
         return known_count(self.problem) - self.rank
 
     @property
-    def held(self) -> tuple[Problem, Solution, Floats]:
-        """With the prior as residual rows: problem, solution, moved basis (P, k)."""
-        if self.evidence is None or not self.evidence.matters:
-            return self.problem, self.result, self.directions.basis
-        problem = replace(self.problem, expected=self.evidence.expected)
-        result = _of_problem(self.result, self.problem, problem)
-        return problem, result, self.directions.full_basis
-
-    @cached_property
     def covariance(self) -> Floats:
-        """Of the parameters about the references of the problem, shape (P, P).
-
-        With what the measurements leave open and the prior holds, and with what was
-        absorbed of effects that the model does not have; NaN without redundancy.
-        """
+        """Of the parameters about the references of the problem, shape (P, P)."""
         return self.posterior.covariance
 
     @cached_property
@@ -335,6 +319,21 @@ class Fit:
             return self.result.jac, self.effect_rows
         few = replace(self, problem=replace(self.problem, data=sampled(self.problem)))
         return few.problem.linearize_rows(self.theta)[1], few.effect_rows
+
+
+def with_prior(fitted: Fit) -> tuple[Problem, Solution, Floats]:
+    """A fit with its prior as residual rows: problem, solution, moved basis (P, k)."""
+    if fitted.evidence is None or not fitted.evidence.matters:
+        return fitted.problem, fitted.result, fitted.directions.basis
+    problem = replace(fitted.problem, expected=fitted.evidence.expected)
+    result = _of_problem(fitted.result, fitted.problem, problem)
+    return problem, result, fitted.directions.full_basis
+
+
+def as_weighted(fitted: Fit, measurements: Observations) -> Observations:
+    """The measurements of a fit, with no weight where it has set them aside."""
+    aside = fitted.problem.data.weight == 0.0
+    return measurements.weighted(np.where(aside, 0.0, measurements.weight))
 
 
 def posterior_with(fitted: Fit, sizes: Floats | None) -> Posterior:
@@ -432,7 +431,7 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
         if not (fitted.dof > 0 and fitted.sigma0 > EXACT):
             break
         current = current_units(fitted.problem)
-        noise = variance_components(*fitted.held)
+        noise = variance_components(*with_prior(fitted))
         change = np.array([c.factor for c in noise]) / current
         alone = len(fitted.problem.further) == 0
         common = float(np.exp(np.mean(np.log(change)))) if alone else 1.0
@@ -446,7 +445,7 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
         else:
             fitted = bounded(replace(problem, units=current * change), solver)
     if fitted.dof > 0 and fitted.unit > EXACT:
-        fitted = replace(fitted, noise=variance_components(*fitted.held))
+        fitted = replace(fitted, noise=variance_components(*with_prior(fitted)))
     return fitted
 
 

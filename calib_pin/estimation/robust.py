@@ -51,7 +51,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import CalibPinError, require_known
 from calib_pin.estimation.evidence import Outlier
-from calib_pin.estimation.fitted import Fit, RobustDecision, balanced
+from calib_pin.estimation.fitted import Fit, RobustDecision, balanced, with_prior
 from calib_pin.estimation.identifiability import inverse_root
 from calib_pin.estimation.nominal import registered
 from calib_pin.estimation.problem import (
@@ -388,7 +388,7 @@ def _weighted(problem: Problem, accepted: Flags | None = None) -> Problem:
 
 def _studentized_about(fitted: Fit, accepted: Flags) -> Studentized:
     """All configurations about a fit of the accepted ones, shape (G,)."""
-    held, _, directions = fitted.held
+    held, _, directions = with_prior(fitted)
     basis = held.parameters.scales[:, None] * directions
     rows = accepted[failing(held)]
     return studentized(_weighted(held), fitted.theta, basis, rows)

@@ -25,8 +25,10 @@ from calib_pin.estimation.fit import (
 from calib_pin.estimation.fitted import (
     Fit,
     Posterior,
+    as_weighted,
     by_configuration,
     shared_variances,
+    with_prior,
 )
 from calib_pin.estimation.identifiability import half_covariance, visible_nuisances
 from calib_pin.estimation.nominal import extended
@@ -90,7 +92,7 @@ class Linear:
         F = half_covariance(J, visible_nuisances(J, parameters), parameters)
         unit = float(np.sqrt(fun @ fun / max(known_count(problem) - F.shape[1], 1)))
         nominal = cls(problem, fitted.before, fun, F, J @ F, unit)
-        problem, held, moved = fitted.held
+        problem, held, moved = with_prior(fitted)
         F = half_covariance(held.jac, moved, parameters)
         return nominal, cls(problem, held.x, held.fun, F, held.jac @ F, fitted.unit)
 
@@ -402,7 +404,7 @@ def check(
         progress: Told the stage and the fraction done.
         workers: Who fits the folds of a cross-validation.
     """
-    training = fitted.weighted(training)
+    training = as_weighted(fitted, training)
     grouping = Grouping.of(training, fitted.problem.setup)
     problem = replace(fitted.problem, data=training)
     pressed: tuple[Gain, ...] = ()

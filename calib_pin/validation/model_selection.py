@@ -24,7 +24,7 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest, require_known
 from calib_pin.estimation.fit import fit_model
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, as_weighted
 from calib_pin.estimation.formulation import parameter_names, with_parameters
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -331,7 +331,7 @@ class _Candidates:
         setup = replace(self.setup, learned=candidate.learned)
         setup = with_parameters(*inputs, setup, candidate.parameters)
         fitted = fit_model(*inputs, setup, self.seed, tell)
-        measurements = fitted.weighted(self.measurements)
+        measurements = as_weighted(fitted, self.measurements)
         grouping, given = Grouping.of(measurements, setup), (fitted, measurements)
         masks = folds(grouping, fitted, self.seed)
         if not masks:

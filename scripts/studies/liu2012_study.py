@@ -20,6 +20,7 @@ import numpy as np
 
 import calib_pin
 from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted import with_prior
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.solve import PopulationCost
@@ -276,7 +277,7 @@ def solve(
         setup = replace(problem.setup, solver=solver)
         fitted = fit(replace(problem, setup=setup), np.random.default_rng(seed))
         # At its minimum two solutions are told apart by what both minimize.
-        rows = fitted.held[1].fun
+        rows = with_prior(fitted)[1].fun
         fits[name] = 0.5 * float(rows @ rows)
     return Case(judge(nominal), judge(truth), outcomes, fits)
 

@@ -18,7 +18,7 @@ from calib_pin.estimation.fit import (
     with_time_course,
     with_warm_up,
 )
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, with_prior
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.row_blocks import expected_places
@@ -70,7 +70,7 @@ def test_bounds_hold_and_the_others_make_up_for_it() -> None:
     assert found.theta[k] == 0.002
     assert found.problem.held_at == {k: 0.002}
     # Optimal under the bound: the gradient of the posterior vanishes for all others.
-    _, held, _ = found.held
+    _, held, _ = with_prior(found)
     assert len(held.fun) == len(found.result.fun) + found.directions.robot.shape[1]
     gradient = held.jac.T @ held.fun
     by_rows = found.result.jac.T @ found.result.fun

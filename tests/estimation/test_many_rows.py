@@ -13,7 +13,7 @@ from benchmarks.exact import exact_problem
 from calib_pin.compiled.blocks import BLOCK
 from calib_pin.compiled.threads import Threads
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, with_prior
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.many_rows import ManyRows
 from calib_pin.estimation.problem import Problem
@@ -323,7 +323,7 @@ def test_a_fit_of_very_many_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> 
 
 def least(found: Fit) -> float:
     """The cost of a solution, the prior included."""
-    _, result, _ = found.held
+    _, result, _ = with_prior(found)
     return 0.5 * float(result.fun @ result.fun)
 
 

@@ -15,7 +15,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation import problem as problems
 from calib_pin.estimation.evidence import Gain
 from calib_pin.estimation.fit import fit, fit_model
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, with_prior
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import nuisance_basis
 from calib_pin.estimation.problem import Problem
@@ -66,7 +66,7 @@ def fit_of(
 
 def without(fitted: Fit, mask: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
     """Errors before and after, and their variances, by a fit in the same directions."""
-    held, _, moved = fitted.held
+    held, _, moved = with_prior(fitted)
     data, problem, scales = held.data, fitted.problem, held.parameters.scales
     rest = replace(held, data=data.rows(~mask))
     theta = least_squares(rest, fitted.theta, scales[:, None] * moved).x
@@ -101,7 +101,7 @@ def test_left_out_is_refitted(
 ) -> None:
     """Within a tenth of a deviation it must be; it is within a hundredth."""
     fitted = fit_of(model, count, repeats, kinds, prior)
-    assert not prior or fitted.held[0].expected is not None
+    assert not prior or with_prior(fitted)[0].expected is not None
     assert "transmission" not in kinds or fitted.effects is not None
     label = fitted.problem.data.groups()
     masks = [np.isin(label, (0, 1)), label % 3 == 2]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import enumerated
 from calib_pin.estimation.evidence import Finding, Outlier, Severity, VarianceComponent
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.fitted import Fit, robot_rows
+from calib_pin.estimation.fitted import Fit, robot_rows, with_prior
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import half_covariance, projected
 from calib_pin.estimation.nominal import growth
@@ -575,7 +575,7 @@ def contradicted_distance(
         return
     v, J = distances.residual(fitted.theta), distances.jacobian(fitted.theta)
     # By noise alone, or what a distance decides would be more than all.
-    _, result, moved = fitted.held
+    _, result, moved = with_prior(fitted)
     half = half_covariance(result.jac, moved, problem.parameters)
     redundancy = np.maximum(1.0 - np.sum((J @ half) ** 2, axis=1), ROUNDING)
     if fitted.robust.squared is not None and redundancy.min() <= ROUNDING:

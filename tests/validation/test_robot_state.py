@@ -13,7 +13,7 @@ from calib_pin.estimation.evidence import PoseErrors
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, ReportSetup, Setup
-from calib_pin.simulation import simulate
+from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.findings.calibrations import older_calibration
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.robot_state import changes, drifts, robot_evidence
@@ -308,6 +308,20 @@ def test_many_changes_are_another_robot(bench) -> None:
     found = codes(result)["old-calibration-no-longer-holds"]
     assert "another robot of its type" in found.message
     assert bench.error(result, changes) < 0.2 * bench.error(bench.first, changes)
+
+
+def test_gears_are_told_beside_an_older_calibration(bench) -> None:
+    """It knows nothing of parameters that it has not estimated."""
+    setup = Setup(parameters=("placement", "transmission"), tool_frame=TOOL)
+    problem = nominal_problem(bench.chain, "position", setup)
+    robot, rng = ~problem.parameters.nuisance, np.random.default_rng(7)
+    theta = np.where(robot, 0.2 * draw_errors(problem.parameters, rng), 0.0)
+    first, data = (
+        simulate(problem, theta, rng, count=count, noise=NOISE) for count in (60, 30)
+    )
+    start = calib_pin.calibrate(bench.chain, first, validate=False)
+    result = again(bench, data, start=start, validate=False)
+    assert "transmission" in codes(result)["model-lacks"].message
 
 
 def test_refusals(bench) -> None:

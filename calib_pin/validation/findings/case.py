@@ -700,7 +700,8 @@ class Case:
         if self.fitted is None or not (self.fitted.structure.scaled and new):
             return True
         parameters = tuple(dict.fromkeys((*self.setup.parameters, *new)))
-        setup = replace(self.fit.problem.setup, parameters=parameters)
+        # A joint prior has no errors of further families.
+        setup = replace(self.fit.problem.setup, parameters=parameters, prior={})
         wider = make_problem(self.chains, self.fit.problem.data, setup)
         problem, before = register(wider, np.zeros(len(wider.parameters)))
         return scale_known(problem, before.x)

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import TRUSTED, VarianceComponent, rms
-from calib_pin.estimation.fitted import robot_rows
+from calib_pin.estimation.fitted import VISIBLE, robot_rows
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.estimation.statistics.population_prior import (
     Cause,
     Explanation,
@@ -554,6 +555,7 @@ class Innovations:
         sudden: What may have changed at once, by name.
         drifting: How the parameters drift, shapes (P, k), by the names of drifts.
         causes: The sudden changes as causes of innovations, by the same names.
+        scatter: The largest noise that they show, in that of the older one.
         wrong: That single measurements are wrong.
         first: The innovations, with drift and noise as they are expected.
     """
@@ -581,6 +583,7 @@ class Innovations:
         below = np.diag(scales / KNOWN)[~self.parameters.free & known]
         rows = np.vstack([linear.rows @ identity[linear.robot], below])
         self.measured = M = np.eye(len(rows))[:, : len(linear.values)]
+        self.scatter = _scatter(problem, theta)
         self.sudden = changes(problem, robot)
         self.drifting = drifts(problem, robot, self.sudden.values())
         for (kind, name), index in frames.items():
@@ -627,7 +630,8 @@ class Innovations:
         """
         first, state = self.first, self.state
         simple = [c for n, c in self.causes.items() if self.sudden[n].kind in SIMPLE]
-        noisier = Cause("noisier", self.measured, sizes=SIZES["noise"])
+        sizes = SIZES["noise"][SIZES["noise"] <= max(self.scatter, 1.0)]
+        noisier = Cause("noisier", self.measured, sizes=sizes)
         families = simple, [*simple, noisier], [*self.causes.values(), noisier]
         trials = (
             explained(first, [*family, *self.wrong], SURE, JUMPS) for family in families
@@ -732,6 +736,21 @@ class Innovations:
             instead=tuple(self.sudden[name].label for name in instead),
             beside=tuple(self.sudden[name].label for name in beside),
         )
+
+
+def _scatter(problem: Problem, theta: Floats) -> float:
+    """The largest noise of measurements, whatever the robot may have become.
+
+    In the noise that the problem takes; infinite where any robot fits.
+    """
+    count, free = len(problem.layout.row), problem.parameters.free
+    fun, jac = problem.linearize_rows(theta)
+    U, s, _ = np.linalg.svd(jac[:count, free] * problem.parameters.scales[free], False)
+    U = U[:, s > VISIBLE * s.max(initial=0.0)]
+    rest, dof = fun[:count] - U @ (U.T @ fun[:count]), count - U.shape[1]
+    if dof < 1:
+        return np.inf
+    return float(np.sqrt(rest @ rest / chi_square_quantile(dof, 1.0 - 1.0 / SURE)))
 
 
 def _factors(problem: Problem, sigmas: Mapping[str, float]) -> Floats:

@@ -298,13 +298,20 @@ def test_two_changes_are_told_apart(bench) -> None:
     assert bench.error(result, JUMP) < 0.15 * bench.error(bench.first, JUMP)
 
 
-def test_many_changes_are_another_robot(bench) -> None:
+@pytest.mark.parametrize(
+    ("size", "count", "more"),
+    [(0.5, 60, {}), (0.3, 25, {"moved": (0.3, -0.2, 0.1), "tool": MOUNTED})],
+    ids=["on the bench", "set up anew"],
+)
+def test_many_changes_are_another_robot(bench, size, count, more) -> None:
+    """Not a noisier instrument, also where base and tool are others as well."""
     rng = np.random.default_rng(0)
     parameters = bench.problem.parameters
     changes = {
-        p.name: 0.5 * p.scale * rng.normal() for p in parameters if not p.nuisance
+        p.name: size * p.scale * rng.normal() for p in parameters if not p.nuisance
     }
-    result = again(bench, bench.measured(22, 60, changes), validate=False)
+    data = bench.measured(22, count, changes, **more)
+    result = again(bench, data, validate=False)
     found = codes(result)["old-calibration-no-longer-holds"]
     assert "another robot of its type" in found.message
     assert bench.error(result, changes) < 0.2 * bench.error(bench.first, changes)

@@ -17,14 +17,19 @@ from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel, varying
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.validation.result import REMEDY, CalibrationResult, frames_of
+from calib_pin.validation.result import (
+    REMEDY,
+    CalibrationResult,
+    ToolAccuracy,
+    frames_of,
+)
 from calib_pin.validation.tool_accuracy import SAMPLES
 
 NOTHING_LEFT = 1e-9
 """Standard deviation that is rounding [m]."""
 
 MUCH = 2.0
-"""Deviations of the measured point from which those of another are worth a word."""
+"""Usual deviations from which those of a point are worth a word."""
 
 Frame: TypeAlias = Literal["measuring", "base"]
 Point: TypeAlias = Literal["tool", "tip"]
@@ -181,12 +186,14 @@ def ends_known(
         if unknown:
             reason = f"{', '.join(unknown)} of {end.label} unknown; {REMEDY}"
             raise OptionError(reason, file=result.provenance.file or None)
-    if not (of_base or of_tip):
-        return ""
     free = term.error.parameters.free
     given = not ((of_base and free[:FRAME].any()) or (of_tip and free[-FRAME:].any()))
     position, orientation = _deviations(result, key, of_base, of_tip)
-    if given and position <= MUCH * _deviations(result, key, False, False)[0]:
+    usual, _ = _deviations(result, key, False, False)
+    if expected := result.accuracies.get(key.chain, ToolAccuracy()).workspace:
+        # Without what moves all points alike, as all references that are estimated do.
+        usual = min(usual, MUCH * expected.calibrated.position)
+    if given and position <= MUCH * usual:
         return ""
     size = "up to a fixed displacement"
     # Errors that the frames have absorbed count only where their size is known.

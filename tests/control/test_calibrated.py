@@ -14,7 +14,7 @@ from calib_pin.control.calibrated import block_of, ends_known, kinematics
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey
-from calib_pin.setup import FrameSetup, Setup
+from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from tests.shared import refused, simulated
 
@@ -116,3 +116,17 @@ def test_a_point_that_the_measurements_do_not_show(scara, calibrated_robot):
     said = ends_known(result, only(result), "base", "tip")
     assert "do not show" in said and " mm and " in said
     assert ends_known(result, only(result), "base", "tool") == ""
+
+
+def test_estimated_planes_leave_open_where_the_robot_stands(calibrated_robot):
+    """They move with the errors of the first joint, and targets with them."""
+    plane, known = PlaneSetup((0.0, 0.0, 1.0), 0.5), FrameSetup((0.0, 0.0, 0.1))
+    planes = {"floor": plane, "wall": PlaneSetup((-1.0, 0.1, 0.0), 1.6)}
+    planes["side"] = PlaneSetup((0.0, -1.0, 0.1), 1.5)
+    setup = Setup(planes=planes, tool_frame=known)
+    result = calibrated_robot("plane-distance", setup, 80, noise=3e-5)
+    assert result.verdict == "good"
+    said = ends_known(result, only(result))
+    (told,) = re.findall(r"\+- ([0-9.]+) mm", said)
+    assert "do not show" in said
+    assert float(told) > 5e3 * result.accuracy.workspace.calibrated.position

@@ -21,6 +21,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.observations import BlockKey, Indices
+from calib_pin.parameterizations import NOTHING
 from calib_pin.report import blocks, trust
 from calib_pin.report.blocks import Block
 from calib_pin.report.compensation_text import line_list
@@ -34,6 +35,9 @@ FAULTS = UNREACHED, HASTY, TORN = (
     "discontinuity in joint space",
 )
 """Faults of targets; a motion is whole, other targets of the first are left out."""
+
+ENDS = ("chain", "station", "tool")
+"""Columns of targets that options answer."""
 
 SPEED = 0.25
 """Part of the joint speeds at which programs move."""
@@ -85,6 +89,10 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     inputs = [*sources, file, asked.targets, asked.setup]
     files.check_outputs([output], inputs, asked.force)
     targets, timed = read(asked, model, setup)
+    carried = asked.payload or ("" if model.geometric else model.setup.heaviest)
+    _require_meant(targets, result, {**key._asdict(), "payload": carried})
+    if carried and asked.payload is None:
+        asked.tell(f"commands are for payload '{carried}'; --payload says another one")
     for remark in _remarks(asked, result, key, targets):
         asked.tell(remark)
     done = commanded(asked, model, targets, timed)
@@ -145,6 +153,32 @@ def _remarks(
         result, key, *(("base", "tip") if targets.T is None else ends)
     ):
         yield known
+
+
+def _require_meant(
+    targets: Targets, result: CalibrationResult, meant: Mapping[str, str]
+) -> None:
+    """Refuse targets that are of something else than commands are meant for.
+
+    Of a motion only the payload counts.
+
+    Raises:
+        InputError: If one names another chain, station, tool or payload that the
+            calibration knows, or a point of the tool.
+    """
+    model, table = result.model, targets.table
+    known = {"payload": [*model.setup.payloads, NOTHING] if meant["payload"] else []}
+    if targets.T is not None:
+        known |= {k: [getattr(key, k) for key in model.terms] for k in ENDS}
+        known["target"] = [reference.name for reference in model.references.values()]
+    for kind, names in known.items():
+        own, way = meant.get(kind, ""), f"--{kind}"
+        reason = f"commands are for {kind} '{own}'"
+        if kind == "target":
+            reason, way = "commands bring the tool there, not a point of it", "none"
+        for name in dict.fromkeys(names):
+            if name not in (own, ""):
+                table.refuse(table.labels(kind).where(name), reason, kind, way)
 
 
 def read(

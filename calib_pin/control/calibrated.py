@@ -143,16 +143,14 @@ def with_payload(
     Raises:
         OptionError: If there is no payload of that name, or it is missing.
     """
-    known = [*model.setup.payloads, NOTHING]
     if payload is not None:
-        require_known("payload", payload, known)
-        return replace(model, error=model.error.carrying(payload))
+        return model.carrying(payload)
     if not model.geometric and len(model.setup.payloads) > 1:
         raise OptionError(
             "the calibration knows several payloads; say with --payload which one is "
             "carried",
             file=file,
-            allowed=", ".join(known),
+            allowed=", ".join([*model.setup.payloads, NOTHING]),
         )
     return model
 

@@ -10,12 +10,14 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import require_known
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.terms import FRAME, Term, Terms
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey, Observations
+from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.base import frame_setup
 from calib_pin.parameterizations.error_model import ErrorModel, beyond_urdf
 from calib_pin.residual_models import LearnedCorrection
@@ -44,6 +46,15 @@ class CalibratedChain(Brief):
     def chain(self) -> Chain:
         """The nominal chain."""
         return self.error.chain
+
+    def carrying(self, payload: str) -> CalibratedChain:
+        """The same with a payload of the setup, by its name; `none` for nothing.
+
+        Raises:
+            OptionError: If there is no payload of that name.
+        """
+        require_known("payload", payload, [*self.setup.payloads, NOTHING])
+        return replace(self, error=self.error.carrying(payload))
 
     @serial_blas
     def poses(self, q: Floats) -> Floats:

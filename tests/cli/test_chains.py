@@ -74,7 +74,9 @@ def two_arms(arms: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 # --- stations and tools ------------------------------------------------------------
 
 
-def test_a_station_for_each_file(here: Path, run: Callable[..., Any]) -> None:
+def test_a_station_for_each_file(
+    here: Path, run: Callable[..., Any], refuses: Callable[..., None]
+) -> None:
     for k, place in enumerate(("[2, 0, 0]", "[0, 1, 1]")):
         setup = f"frames: {{base: {{xyz: {place}, rpy: [0, 0, {k}]}}}}\n"
         Path("place.yaml").write_text(f"tip: tool\n{setup}")
@@ -85,6 +87,11 @@ def test_a_station_for_each_file(here: Path, run: Callable[..., Any]) -> None:
     result = run(f"{calibrate} --station-per-file -o out")
     assert result.status == 0
     assert owners("out", "station") == ["day0", "day1"]
+    # Targets that say where they were seen are not taken for those of the first one.
+    write("targets.csv", "x,y,z,station", [[0.5, 0.4, 0.6, "day1"]])
+    words = "compensate out targets.csv -o commands.csv"
+    refuses(words, reason="'day0'", line=3, column="station", value="day1")
+    assert run(f"{words} --station day1").status in (0, 2)
     same = "identify arm.urdf day0.csv day1.csv --setup setup.yaml"
     assert run(f"{same} --station-per-file --json").status == 0
     new = "evaluate arm.urdf day0.csv day1.csv --tip tool"
@@ -129,6 +136,9 @@ def test_commands_of_one_chain(two_arms, run, refuses):
     write("targets.csv", "x,y,z", positions.tolist())
     compensate = "compensate both/calibration.json targets.csv -o commands.csv"
     refuses(compensate, allowed="left, right")
+    write("others.csv", "x,y,z,chain", [[*positions[0], "left"]])
+    others = compensate.replace("targets", "others")
+    refuses(f"{others} --chain right", line=3, column="chain", value="left")
     assert run(f"{compensate} --chain right --position").status == 0
     names = arm.chain.joints
     found = np.array([column("commands.csv", joint) for joint in names], float).T

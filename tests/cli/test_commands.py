@@ -342,6 +342,31 @@ def test_names_that_a_file_system_cannot_hold(here, run):
 
 # --- beyond geometry ---------------------------------------------------------------
 
+CORRECTED = """\
+model: position
+parameters: [placement, compliance]
+frames: {tool: {xyz: [0.05, 0.08, 0.1], estimate: true}}
+payloads: {gripper: {mass: 6, com: [0.02, 0, 0.1]}}
+noise: {position: 2.0e-5}
+"""
+
+
+def test_what_is_carried_is_said_and_not_what_a_target_says_otherwise(
+    alone, run, refuses
+):
+    Path("setup.yaml").write_text(CORRECTED)
+    words = "simulate pa10 --setup setup.yaml --count 60 --seed 3 -o rows.csv"
+    assert run(words).status == 0
+    assert run("calibrate pa10 rows.csv --setup setup.yaml -o out").status == 0
+    header, rows, _ = table("rows.csv")
+    write("targets.csv", ",".join(header), rows[:3])
+    words = "compensate out targets.csv -o commands.csv"
+    assert "commands are for payload 'gripper'" in run(words).err
+    rows[2][header.index("payload")] = "none"
+    write("targets.csv", ",".join(header), rows[2:3])
+    refuses(f"{words} --force", line=3, column="payload", value="none")
+    assert "gripper" not in run(f"{words} --payload none --force").err
+
 
 def test_a_model_ladder(here, run, monkeypatch):
     # Last first: what is put back then stands in its old order.

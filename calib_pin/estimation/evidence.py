@@ -82,7 +82,8 @@ class VarianceComponent:
         interval: Its 95 % confidence interval [unit].
         redundancy: Share of the measured values that is left over to estimate it.
         values: Number of measured values.
-        contradicted: Whether the test at 5 % rejects the given one.
+        contradicted: Whether the test at 5 % rejects the given one; of few values less
+            readily as too large.
         pure: Standard deviation among repetitions of a configuration [unit]; None
             where too few are repeated.
         unmodeled: Unmodeled error, standard deviation of a component [unit];

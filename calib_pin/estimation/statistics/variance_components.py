@@ -104,6 +104,10 @@ REJECTED = 0.05
 """Probability at which a stated standard deviation is rejected by mistake, of those of
 all stations any; part of the errors that are told apart which chance may have made."""
 
+SCARCE, TOO_LARGE = 10.0, 1e-3
+"""Redundancy below which one is rejected as too large with less probability: so few
+values scatter by a fifth of it by chance, and a calibration would promise as little."""
+
 FEW = 2.0
 """Redundancy below which a variance may be anything, and a quantity keeps its given
 ratio to the others."""
@@ -351,10 +355,11 @@ def _test_variances(problem: Problem, groups: Groups) -> tuple[Variances, Floats
     few = model.redundancies < FEW
     if few.all():
         return model, np.sqrt(groups.current)
-    tail = 0.5 * REJECTED / stations
     pairs = zip(model.values, model.dof, strict=True)
-    above = [chi_square_tail(v * f, f) if f >= FEW else 0.5 for v, f in pairs]
-    stands = np.abs(np.array(above) - 0.5) <= 0.5 - tail
+    above = np.array([chi_square_tail(v * f, f) if f >= FEW else 0.5 for v, f in pairs])
+    tail = 0.5 * REJECTED / stations
+    below = np.where(model.dof < SCARCE, TOO_LARGE / stations, tail)
+    stands = (above >= tail) & (above <= 1.0 - below)
     # Each is estimated beside what stands, or shares a variance with the largest.
     labels = np.arange(len(few))
     labels[stated & (few | stands)] = KNOWN

@@ -81,6 +81,13 @@ def test_what_is_stated_is_tested() -> None:
     assert [c.factor for c in both] == [1.0, 1.0]
 
 
+def test_few_values_that_happen_to_agree_are_no_smaller_noise() -> None:
+    """Three degrees of freedom scatter by a sixth of what is stated, and true."""
+    _, lucky = fitted(poses(54, (1e-4, 1e-4), sigma=1e-4, count=4)).noise
+    assert lucky.estimate < 0.2e-4
+    assert not lucky.contradicted and lucky.factor == 1.0
+
+
 def test_one_quantity_is_fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, _ = simulated("position", OFFSETS, 40, 1.0, noise=3e-4)
     rows = replace(problem.data.only, sigma=None)

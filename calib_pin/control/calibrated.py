@@ -217,7 +217,7 @@ def _deviations(
     """Standard deviations of the point in the frame, root mean square [m, rad]."""
     term = result.reference.terms[key]
     q = term.error.chain.random_configurations(SAMPLES, np.random.default_rng(0))
-    _, J, C = result.linearized(term, q)
+    _, J, C = result.linearized(term, q, result.model.setup.heaviest)
     if of_base:
         J[:, :, :FRAME] = 0.0
     if of_tip:

@@ -991,7 +991,9 @@ class Tables(Identification, Breakdown):
         ]
         return pandas.concat(frames, ignore_index=True)
 
-    def predict(self, q: Floats, chain: str | None = None) -> Prediction:
+    def predict(
+        self, q: Floats, chain: str | None = None, payload: str = ""
+    ) -> Prediction:
         """Tool poses of the calibrated robot, and how far the real one may be off.
 
         By the covariance of the parameters and the unmodeled error as it is expected
@@ -1000,13 +1002,16 @@ class Tables(Identification, Breakdown):
         Args:
             q: Joint positions, shape (N, n) [rad, m].
             chain: Name of the chain; default the first that moves.
+            payload: Name of what is carried, which several payloads need.
 
         Raises:
-            OptionError: If q has another shape.
+            InputError: If q has another shape, or nothing says what is carried.
         """
         calibrated, term = self.model.of(chain), self.reference.of_chain(chain)
+        if payload:
+            calibrated = calibrated.carrying(payload)
         q = as_array("q", q, "N", len(calibrated.chain.joints))
-        T, J, C = self.linearized(term, q)
+        T, J, C = self.linearized(term, q, payload)
         J = np.kron(np.eye(2), T[:, :3, :3]) @ J
         C = J @ C @ J.transpose(0, 2, 1)
         expected = self.accuracies[term.key.chain].workspace
@@ -1014,19 +1019,22 @@ class Tables(Identification, Breakdown):
             C += np.diag(np.repeat(np.square(expected.unmodeled) / 3.0, 3))
         return Prediction(calibrated.poses(q), C)
 
-    def linearized(self, term: Term, q: Floats) -> tuple[Floats, Floats, Floats]:
+    def linearized(
+        self, term: Term, q: Floats, payload: str = ""
+    ) -> tuple[Floats, Floats, Floats]:
         """Tool poses of a part, and the errors that they depend on.
 
         Args:
             term: A term of `reference`.
             q: Positions of its joints, shape (N, n) [rad, m].
+            payload: Name of what it carries, which several payloads need.
 
         Returns:
             Poses, shape (N, 4, 4), their body twists by the p parameters of its error
             model, (N, 6, p), and the covariance of these, (p, p).
         """
         index, values = term.of_error, np.array([p.value for p in self.parameters])
-        T, J = term.error.jacobian(q, values[index])
+        T, J = term.error.carrying(payload).jacobian(q, values[index])
         return T, J, np.asarray(self.covariance)[np.ix_(index, index)]
 
     def figures(self) -> dict[str, Any]:

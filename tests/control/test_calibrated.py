@@ -10,11 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calib_pin.calibration import calibrate
 from calib_pin.control.calibrated import block_of, ends_known, kinematics
-from calib_pin.errors import OptionError
+from calib_pin.control.compensation import compensate
+from calib_pin.errors import InputError, OptionError
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey
-from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.setup import FrameSetup, Payload, PlaneSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from tests.shared import refused, simulated
 
@@ -130,3 +132,26 @@ def test_estimated_planes_leave_open_where_the_robot_stands(calibrated_robot):
     (told,) = re.findall(r"\+- ([0-9.]+) mm", said)
     assert "do not show" in said
     assert float(told) > 5e3 * result.accuracy.workspace.calibrated.position
+
+
+def test_of_several_payloads_the_one_that_is_named_counts():
+    """Nothing is guessed, and what is named is asked for nowhere else."""
+    loads = {"light": Payload(1.0, (0, 0, 0.1)), "heavy": Payload(9.0, (0, 0, 0.1))}
+    setup = replace(FRAMES, parameters=("joint-offset", "compliance"), payloads=loads)
+    problem, theta = simulated("pose", setup, 40, 1.0, noise=3e-5)
+    chain, rows = problem.chains[""], problem.data
+    result = calibrate(chain, rows, problem.setup, validate=False)
+    true, model = CalibratedModel.create(problem, theta).of(), result.model.of()
+    q = chain.random_configurations(20, np.random.default_rng(1))
+    with refused(InputError, reason="several payloads"):
+        result.predict(q)
+    with refused(OptionError, reason="haevy", allowed="light, heavy, none"):
+        model.carrying("haevy")
+    assert "mm" in ends_known(result, only(result), "base", "tool")
+    for name in ("light", "heavy", "none"):
+        T = true.carrying(name).poses(q)
+        found = compensate(model.carrying(name), T, q).q
+        reached = true.carrying(name).poses(found)
+        predicted = result.predict(q, payload=name).poses
+        np.testing.assert_allclose(reached[:, :3, 3], T[:, :3, 3], atol=2e-4)
+        np.testing.assert_allclose(predicted[:, :3, 3], T[:, :3, 3], atol=2e-4)

@@ -27,6 +27,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey, Observations
+from calib_pin.parameterizations import required_keys
 from calib_pin.setup import WORLD, Setup
 
 if TYPE_CHECKING:
@@ -295,9 +296,19 @@ def open_measurements(
 def open_rows(
     asked: OfRobot, files: Sequence[Path], chains: Chains, setup: Setup, **more: Any
 ) -> tuple[Chains, Observations]:
-    """Measurements by the options of a command, see `open_measurements`."""
+    """Measurements by the options of a command, see `open_measurements`.
+
+    A remark tells which payload of a calibration those carry that name none.
+    """
     given = {**same(asked, open_measurements), "setup": setup, **more}
-    return open_measurements(files, chains, **given)
+    measured, rows = open_measurements(files, chains, **given)
+    calibrated = isinstance(asked, OfCalibration) and calibration_file(asked)
+    unnamed = any("" in block.payload.distinct for block in rows.blocks)
+    loaded = "payloads" in required_keys(setup.parameters) and len(setup.payloads) == 1
+    if calibrated and unnamed and loaded:
+        carried = f"'{setup.heaviest}'; a column 'payload' says another one, or 'none'"
+        notice(f"measurements without a payload carry {carried}")
+    return measured, rows
 
 
 def beside(file: Path, robot: str) -> str:

@@ -359,10 +359,14 @@ def test_what_is_carried_is_said_and_not_what_a_target_says_otherwise(
     assert run(words).status == 0
     assert run("calibrate pa10 rows.csv --setup setup.yaml -o out").status == 0
     header, rows, _ = table("rows.csv")
+    at = header.index("payload")
+    write("less.csv", ",".join(header[:at]), [row[:at] for row in rows])
+    assert "carry 'gripper'" in run("evaluate out less.csv").err
+    assert "carry" not in run("evaluate out rows.csv").err
     write("targets.csv", ",".join(header), rows[:3])
     words = "compensate out targets.csv -o commands.csv"
     assert "commands are for payload 'gripper'" in run(words).err
-    rows[2][header.index("payload")] = "none"
+    rows[2][at] = "none"
     write("targets.csv", ",".join(header), rows[2:3])
     refuses(f"{words} --force", line=3, column="payload", value="none")
     assert "gripper" not in run(f"{words} --payload none --force").err

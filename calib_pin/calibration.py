@@ -158,11 +158,11 @@ def calibrate(
             fitted = fit_model(chains, training, setup, seed, tell)
         errors = model_errors.fitted_errors(fitted, training)
         tell = named(progress, "joint readings")
-        known = examine(fitted, seed, tell, others)
+        accuracies, faults = examine(fitted, seed, tell, others)
         # Fits to parts of what no robot explains are slow, and say nothing.
         counted = errors.counted(fitted.problem.data.weight)
         sizes = model_errors.quantity_errors(fitted.problem.layout.quantities, counted)
-        hopeless = bool(known.findings.causes or unexplained(fitted, sizes))
+        hopeless = bool(faults.causes or unexplained(fitted, sizes))
         hopeless &= held is None and not ladder
         held_out = check(
             fitted,
@@ -175,7 +175,7 @@ def calibrate(
             progress=checking,
             workers=workers,
         )
-    judgement = judge(fitted, errors, held_out, known)
+    judgement = judge(fitted, errors, held_out, accuracies, faults)
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
     result = replace(
         _result(training, errors, held_out, judgement, seed),
@@ -319,7 +319,7 @@ def _urdf(
     )
     errors = model_errors.fitted_errors(geometry, training)
     known = examine(geometry, seed, seek=False)
-    geometric = judge(geometry, errors, held_out, known)
+    geometric = judge(geometry, errors, held_out, *known)
     return UrdfResult(
         geometric.errors,
         "" if geometric.verdict[0] == "good" else geometric.verdict[1],

@@ -188,7 +188,7 @@ class Fitted:
             errors = model_errors.fitted_errors(model, self.rows)
             held_out = check(model, self.rows, self.seed, validate=False)
             examined = examine(model, self.seed, seek=seek)
-            judgement = judge(model, errors, held_out, examined)
+            judgement = judge(model, errors, held_out, *examined)
         except CalibPinError as error:
             return replace(known, reason=str(error)), ()
         state, (_, accuracy) = dict[str, Any](), judgement.worst

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -184,25 +183,13 @@ class Judgement:
         return text, chains[name]
 
 
-class Examined(NamedTuple):
-    """A fit as it is known before its check.
-
-    Attributes:
-        accuracies: Errors of the tool to expect by chain.
-        findings: What is wrong with its measurements or with itself.
-    """
-
-    accuracies: Mapping[str, ToolAccuracy]
-    findings: Findings
-
-
 def examine(
     fitted: Fit,
     seed: int,
     progress: Progress | None = None,
     others: Others = tuple,
     seek: bool = True,
-) -> Examined:
+) -> tuple[Mapping[str, ToolAccuracy], Findings]:
     """Examine a fit.
 
     Args:
@@ -212,6 +199,10 @@ def examine(
         others: Other robots that may have been measured.
         seek: Whether to seek faults of the measurements that no robot explains; they
             have been sought with another model otherwise.
+
+    Returns:
+        Errors of the tool to expect by chain, and what is wrong with the measurements
+        or with the fit.
     """
     data = fitted.problem.data
     counting = data.rows(data.weight > 0.0)
@@ -225,11 +216,15 @@ def examine(
         for name, term in fitted.solved.problem.by_chain.items()
     }
     case = Case.of(fitted, progress, others, accuracies)
-    return Examined(accuracies, find(case, seek))
+    return accuracies, find(case, seek)
 
 
 def judge(
-    fitted: Fit, fitted_errors: ModelErrors, held_out: HeldOut, known: Examined
+    fitted: Fit,
+    fitted_errors: ModelErrors,
+    held_out: HeldOut,
+    accuracies: Mapping[str, ToolAccuracy],
+    findings: Findings,
 ) -> Judgement:
     """Judge a fit.
 
@@ -237,9 +232,9 @@ def judge(
         fitted: The fit.
         fitted_errors: Errors of the measurements that were fitted.
         held_out: Its check on held-out measurements.
-        known: What is known of it before that.
+        accuracies: Errors of the tool to expect by chain.
+        findings: What is wrong with the measurements or with the fit.
     """
-    accuracies, findings = known
     data, quantities = fitted.problem.data, fitted.problem.layout.quantities
     counting = data.rows(data.weight > 0.0)
     seen = counting.configurations / max(data.configurations, 1)

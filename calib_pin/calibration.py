@@ -256,7 +256,7 @@ def _result(
         held_out=None
         if checked is None
         else _measurement_errors(fitted, held_out.measurements, checked),
-        rejected=fitted.problem.setup.learned or "" if fitted.learned is None else "",
+        rejected="" if fitted.learned else fitted.problem.setup.learned or "",
         distances=errors.distances + (checked.distances if checked else ()),
         findings=judgement.findings,
     )
@@ -307,8 +307,7 @@ def _urdf(
     names = tuple(n for n in setup.parameters if n not in outside_urdf())
     if not names:
         return UrdfResult((), "nothing of this calibration has a place in a URDF")
-    problem = replace(fitted.problem, setup=setup)
-    geometry = replace(fitted, problem=problem, learned=None)
+    geometry = replace(fitted, learned=None)
     if names != setup.parameters:
         # A gear ratio and an offset may nearly cancel: alone it needs its own fit.
         chains = fitted.problem.chains

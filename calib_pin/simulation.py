@@ -187,19 +187,6 @@ def _block_masks(
     return masks
 
 
-def _exact(problem: Problem, theta: Floats, at: Measurements) -> Measurements:
-    """Noise-free measurements at configurations of a block."""
-    return Measurements(
-        joints=problem.chains.joints,
-        q=at.q,
-        values=problem.predict(theta, at),
-        target=at.target,
-        conditions=at.conditions,
-        start=at.start,
-        **at.key._asdict(),
-    )
-
-
 def _noisy_rows(
     problem: Problem,
     theta: Floats,
@@ -210,7 +197,7 @@ def _noisy_rows(
 ) -> Measurements:
     """Measurements at configurations of a block; the rest as for `simulate`."""
     term = problem.terms[at.key]
-    exact = _exact(problem, theta, at)
+    exact = replace(at, values=problem.predict(theta, at))
     if term.measurement.declaration.contact and problem.setup.gauge:
         gaps = rng.uniform(-1.0, 1.0, (len(exact), term.components))
         gaps *= problem.setup.gauge

@@ -95,6 +95,10 @@ MOST = 3
 
 DEGREE = np.pi / 180.0
 
+UNITS = {"rad": ("deg", DEGREE, 2.0 * np.pi), "m": ("mm", 1e-3, 10.0)}
+"""Units in which joints may be written as well, by the one of the positions, their
+size, and the largest position that joints have."""
+
 FEWEST, TARGETS, GROUPS = 3, 20, 5
 """Fewest measurements of a target that contradict together, or points of a board, and
 most targets and groups of them that are tried; each has a frame of its own to fit."""
@@ -170,20 +174,35 @@ def joint_columns(case: Case) -> Iterator[Alternative]:
         read = JointReading(np.eye(count)[list(order)], np.zeros(count))
         subject = "order of the joint columns"
         yield Alternative("joints-exchanged", f"{words}exchanged", subject, joints=read)
-    # Smaller angles would be next to none in degrees, and any wrong joint looks better
-    # where it stands still.
-    large = [j for j in turning if np.abs(case.data.q[:, j]).max() > 2.0 * np.pi]
-    for group in dict.fromkeys([*((j,) for j in large), tuple(large)] if large else ()):
-        names = tuple(joints[j] for j in group)
-        words = f"joints '{names[0]}' to '{names[-1]}' are in degrees"
-        words = words if len(names) > 1 else f"joint '{names[0]}' is in degrees"
-        reading = ReadingSetup(converted=(ConvertedSetup(DEGREE, joints=names),))
-        yield Alternative("joint-degrees", words, "unit of the joints", reading)
+    yield from _units_of_joints(case)
     for j, factor in product(range(count), GEARS):
         yield geared(joints, j, factor)
     # Robots couple a joint to those before it.
     for (other, j), factor in product(combinations(turning, 2), (1.0, -1.0)):
         yield coupled(joints, j, other, factor)
+
+
+def _units_of_joints(case: Case) -> Iterator[Alternative]:
+    """Joints in deg or mm that were read as rad or m, or the other way round.
+
+    Each alone, or all at once that can be: smaller angles would be next to none in
+    degrees, where any wrong joint looks better, and larger ones turns in radians.
+    """
+    largest = np.abs(case.data.q).max(axis=0)
+    for si, (unit, size, reach) in UNITS.items():
+        members = np.array([case.unit(joint) == si for joint in case.data.joints])
+        small = (largest > 0.0) & (largest < size * reach)
+        for factor, possible, words in (
+            (size, largest > reach, f"are in {unit}"),
+            (1.0 / size, small, f"are in {si}, and were read as {unit}"),
+        ):
+            columns = np.flatnonzero(members & possible).tolist()
+            names = tuple(case.data.joints[j] for j in columns)
+            for group in dict.fromkeys([*((name,) for name in names), names]):
+                read = ReadingSetup(converted=(ConvertedSetup(factor, joints=group),))
+                text = f"the positions of {enumerated(group)} {words}"
+                if group:
+                    yield Alternative("joint-degrees", text, f"unit in {si}", read)
 
 
 def offset_by(

@@ -86,8 +86,11 @@ def couple_reverse_and_offset(q: Floats) -> None:
     q[:, 2] = -q[:, 2] + q[:, 1] + np.pi / 2.0
 
 
-def degrees(q: Floats) -> None:
-    q[:, 1] = np.degrees(q[:, 1])
+def scale(factor: float, *columns: int) -> Callable[[Floats], None]:
+    def change(q: Floats) -> None:
+        q[:, columns] *= factor
+
+    return change
 
 
 @pytest.mark.parametrize(
@@ -97,7 +100,10 @@ def degrees(q: Floats) -> None:
             couple_reverse_and_offset,
             {"joint-coupled", "joint-offset", "joint-reversed"},
         ),
-        (degrees, {"joint-degrees"}),
+        # Degrees and millimeters that were read as radians and meters, and back.
+        *((scale(180.0 / np.pi, *j), {"joint-degrees"}) for j in [(1,), (0, 1, 2)]),
+        *((scale(np.pi / 180.0, *j), {"joint-degrees"}) for j in [(1,), (0, 1, 2)]),
+        *((scale(factor, 3), {"joint-degrees"}) for factor in (1e3, 1e-3)),
     ],
 )
 def test_what_is_wrong_is_found(
@@ -107,7 +113,7 @@ def test_what_is_wrong_is_found(
     found = explained(case_of(arm, wrong, SETUP))
     assert found is not None and {fault.code for fault in found.faults} == codes
     assert found.after < 0.05 * found.before
-    # Products with pi and its inverse, and sums, of positions up to 100.
+    # Products with pi and its inverse, and sums, of positions up to 300.
     np.testing.assert_allclose(read_with(wrong, found.faults).q, rows.q, atol=1e-12)
 
 

@@ -29,10 +29,8 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import ChainSetup, Setup
 
-ARGUMENT = re.compile(r"([^\W\d]\w*):=(.*)", re.DOTALL)
-"""A word that is an argument of a xacro file, as ROS writes them."""
-
 _GAP = re.compile(r"\s+(?=[^\W\d]\w*:=)")
+"""What is before an argument of a xacro file, as ROS writes them."""
 _EXAMPLE = "example:"
 _DESCRIPTION = "robot_description"
 """Stands for the file of a robot that is given as text, as ROS calls it."""
@@ -221,8 +219,8 @@ def split_arguments(robot: str) -> tuple[str, dict[str, str]]:
         ('my arm.urdf.xacro', {'size': '10', 'name': 'my arm'})
     """
     file, *words = _GAP.split(robot)
-    pairs = (ARGUMENT.fullmatch(word) for word in words)
-    return file, {pair[1]: pair[2] for pair in pairs if pair}
+    parts = (word.partition(":=") for word in words)
+    return file, {name: value for name, _, value in parts}
 
 
 def is_xacro(path: Path) -> bool:

@@ -29,8 +29,8 @@ from calib_pin.units import as_number
 
 # Some generators put a blank line or a comment before the declaration.
 _DECLARATION = re.compile(rb"(?>\s++|<!--.*?-->)*+(<\?xml\s.*?\?>)", re.DOTALL)
-_ATTRIBUTE = re.compile(rb"""(\s+([^\s=]+)\s*=\s*)("[^"]*"|'[^']*')""")
-_START = re.compile(rb"<[^\s/>]+(?:%s)*" % _ATTRIBUTE.pattern)
+_ATTRIBUTE = re.compile(rb"""(\s+([^\s=]+)\s*=\s*(["']))(.*?)(\3)""", re.DOTALL)
+_START = re.compile(rb"<[^\s/>]+(?:%s)*" % _ATTRIBUTE.pattern, re.DOTALL)
 _INDENT = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
 
 ORIGIN = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -84,10 +84,10 @@ class Document:
 
     Attributes:
         file: Name of the source, for messages.
-        data: The document in UTF-8, without the mark.
-        plain: The same with blanks in place of the XML declaration, which speaks of
-            the encoding of the file and may be where XML does not allow it.
-        mark: Byte order mark of UTF-8 at the start of the file, often empty.
+        data: The document in UTF-8.
+        plain: The same with blanks in place of the mark at its start and of the XML
+            declaration, which speaks of the encoding of the file and may be where XML
+            does not allow it.
         root: The outermost element; tags have the namespace prefix as written.
         places: Of each element the line of its start tag, counted from 1, its offset
             in the data, and the element below the root in which it is, as messages
@@ -97,7 +97,6 @@ class Document:
     file: str | None
     data: bytes
     plain: bytes
-    mark: bytes
     root: Element
     places: Mapping[Element, tuple[int, int, str]]
 
@@ -182,24 +181,24 @@ def parse_document(
         RobotError: If the bytes are not well-formed XML in UTF-8, declare a DOCTYPE or
             entities, or are an unexpanded xacro file.
     """
-    mark = codecs.BOM_UTF8 if source.startswith(codecs.BOM_UTF8) else b""
-    data = plain = source.removeprefix(mark)
-    if not re.match(rb"\s*<", data):
-        start = data[:16] if data.strip(b"\0 \t\r\n") else None
+    mark = codecs.BOM_UTF8
+    plain = re.sub(b"^" + mark, b" " * len(mark), source)
+    if not re.match(rb"\s*<", plain):
+        start = source[:16] if plain.strip(b"\0 \t\r\n") else None
         reason = "the file is empty" if start is None else "is not XML"
         allowed = f"{kind}, as text in UTF-8"
         raise RobotError(reason, file=file, value=start, allowed=allowed)
     try:
-        data.decode()
+        source.decode()
     except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        reason = f"the byte 0x{data[error.start]:02x} is not UTF-8"
+        line = source.count(b"\n", 0, error.start) + 1
+        reason = f"the byte 0x{source[error.start]:02x} is not UTF-8"
         allowed = "text in UTF-8"
         raise RobotError(reason, file=file, line=line, allowed=allowed) from None
-    if match := _DECLARATION.match(data):
+    if match := _DECLARATION.match(plain):
         blank = re.sub(rb"[^\r\n]", b" ", match[1])
-        plain = data[: match.start(1)] + blank + data[match.end() :]
-    return Document(file, data, plain, mark, *_scan(plain, file, comments))
+        plain = plain[: match.start(1)] + blank + plain[match.end() :]
+    return Document(file, source, plain, *_scan(plain, file, comments))
 
 
 def _scan(
@@ -288,7 +287,7 @@ def move_origins(document: Document, moves: Iterable[tuple[Element, pin.SE3]]) -
     edits, data = (_edited(document, *moved) for moved in moves), document.data
     for start, end, text in sorted(edits, reverse=True):
         data = data[:start] + text + data[end:]
-    return document.mark + data
+    return data
 
 
 def _edited(
@@ -296,15 +295,16 @@ def _edited(
 ) -> tuple[int, int, bytes]:
     """From where to where the start tag of an origin is, and the moved one."""
     origin, old = element.find("origin"), document.origin(element)
-    new, changed = old * move, dict[str, Floats]()
+    new, data, texts = old * move, document.data, dict[bytes, bytes]()
     if not np.isfinite(new.homogeneous).all():
         reason = f"the correction of {document.owner(element)} is not finite"
         raise OutputError(reason)
+    written = {} if origin is None else origin.attrib
     if not np.array_equal(new.translation, old.translation):
-        changed["xyz"] = new.translation
+        texts[b"xyz"] = _text(new.translation, written.get("xyz", ""))
     if not np.array_equal(new.rotation, old.rotation):
-        changed["rpy"] = np.array(origin_of(new)[3:])
-    data, tag, behind = document.data, b"<origin", b""
+        texts[b"rpy"] = _text(np.array(origin_of(new)[3:]), written.get("rpy", ""))
+    tag, behind = b"<origin", b""
     if origin is not None:
         start = document.places[origin][1]
         tag = _START.match(data, start)[0]  # type: ignore[index]
@@ -313,25 +313,18 @@ def _edited(
         start = end = document.places[element[0]][1]
         indent = _INDENT.search(data, document.places[element][1], end)
         behind = b"/>" + (indent[0] if indent else b"")
-    written = {} if origin is None else origin.attrib
-    texts = {k: _text(v, written.get(k, "")).encode() for k, v in changed.items()}
-
-    def value(match: re.Match[bytes]) -> bytes:
-        text, quote = texts.pop(match[2].decode(), None), match[3][:1]
-        return match[0] if text is None else match[1] + quote + text + quote
-
-    tag = _ATTRIBUTE.sub(value, tag)
-    tag += b"".join(b' %s="%s"' % (k.encode(), text) for k, text in texts.items())
+    changed = bool(texts)
+    tag = _ATTRIBUTE.sub(lambda m: m[1] + texts.pop(m[2], m[4]) + m[5], tag)
+    tag += b"".join(b' %s="%s"' % added for added in texts.items())
     return start, end, tag + behind if changed else data[start:end]
 
 
-def _text(values: Floats, old: str) -> str:
+def _text(values: Floats, old: str) -> bytes:
     """Numbers with all their digits, in their old words where they are the same."""
     written = old.split() or ["nan"] * len(values)
-    return " ".join(
-        word if float(word) == value else words([value + 0.0])  # Not -0.0.
-        for word, value in zip(written, values, strict=True)
-    )
+    pairs = zip(written, values, strict=True)
+    # Not -0.0.
+    return " ".join(w if float(w) == v else words([v + 0.0]) for w, v in pairs).encode()
 
 
 _SINGLE = ("revolute", "continuous", "prismatic")

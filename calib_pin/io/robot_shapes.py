@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -20,7 +21,6 @@ from calib_pin.io.urdf_tree import FARTHEST, NUMBERS, Document, parse_document
 from calib_pin.kinematics import shapes
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Color, Shape, Shapes, Surface
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.stand_ins import stand_ins
 
 LARGEST = 1 << 27
@@ -123,30 +123,24 @@ def _of_collada(data: bytes) -> Surface:
     document = Collada(BytesIO(data), ignore=[DaeError])
     points, triangles = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
     vertices = count = 0
-    for part in (p for node in document.scene.nodes for p in _meshes(node, np.eye(4))):
-        points.append(part.vertices)
-        triangles.append(part.triangles + vertices)
-        vertices += len(part.vertices)
-        count += max(len(part.triangles), len(part.vertices) // 3)
+    nodes = (node.objects("geometry", np.eye(4)) for node in document.scene.nodes)
+    for geometry in chain.from_iterable(nodes):
+        R, t = geometry.matrix[:3, :3], geometry.matrix[:3, 3]
+        # The outside of what is mirrored stays outside.
+        turn = -1 if np.linalg.det(R) < 0.0 else 1
+        for part in geometry.original.primitives:
+            part = part.triangleset() if hasattr(part, "triangleset") else part
+            # Others are lines.
+            if part.vertex is not None and part.vertex_index.shape[1:] == (3,):
+                points.append(part.vertex @ R.T + t)
+                triangles.append(part.vertex_index[:, ::turn] + vertices)
+                vertices += len(part.vertex)
+                count += max(len(part.vertex_index), len(part.vertex) // 3)
         if count > TRIANGLES:  # Instances of instances can be any number.
             raise ValueError(f"it is larger than {TRIANGLES} triangles")
     if not count and document.errors:
         raise document.errors[0]
     return Surface(np.concatenate(points), np.concatenate(triangles))
-
-
-def _meshes(node: Any, T: Floats) -> Iterator[Surface]:
-    """Meshes below a node of a scene, whose parent has the pose T."""
-    for child in getattr(node, "children", ()):
-        yield from _meshes(child, T @ node.matrix)
-    for part in node.geometry.primitives if hasattr(node, "geometry") else ():
-        part = part.triangleset() if hasattr(part, "triangleset") else part
-        # Others are lines.
-        if part.vertex is not None and part.vertex_index.shape[1:] == (3,):
-            # The outside of what is mirrored stays outside.
-            turn = -1 if np.linalg.det(T[:3, :3]) < 0.0 else 1
-            points = part.vertex @ T[:3, :3].T + T[:3, 3]
-            yield Surface(points, part.vertex_index[:, ::turn])
 
 
 def _by_trimesh(data: bytes, kind: str, path: Path) -> Surface:

@@ -239,17 +239,12 @@ class Detector:
         self.board, self._cv2 = board, vision()
         self.points = {n: p.xyz or (0.0, 0.0, 0.0) for n, p in board.points.items()}
         self._free = 0.4 * board.square
-        if board.type not in GRIDS:
-            self._search = self._tags_search()
-        elif board.type == "chessboard" and min(board.columns, board.rows) < 4:
-            size = f"{board.columns}x{board.rows}"
-            allowed = "4x4 squares or more"
-            raise OptionError("a chessboard is too small", value=size, allowed=allowed)
-
-    def _tags_search(self) -> Any:
-        """The search for tags by OpenCV's own board."""
-        board, aruco, last = self.board, self._cv2.aruco, tags_of(self.board)[-1]
-        known, settings = dictionary_of(board), aruco.DetectorParameters()
+        if board.type == "chessboard" and min(board.columns, board.rows) < 4:
+            value, allowed = f"{board.columns}x{board.rows}", "4x4 squares or more"
+            raise OptionError("a chessboard is too small", value=value, allowed=allowed)
+        if board.type in GRIDS:
+            return
+        known, last, aruco = dictionary_of(board), tags_of(board)[-1], self._cv2.aruco
         if last >= (count := len(known.bytesList)):
             reason, allowed = f"the board has tags up to {last}", f"more than {count}"
             raise OptionError(reason, allowed=f"a dictionary of {allowed}")
@@ -257,11 +252,12 @@ class Detector:
         if board.type == "charuco":
             # To the corner of the marker in the square, along each axis.
             self._free = 0.9 * 0.5 * (board.square - (board.marker or 0.0))
-            search = aruco.CharucoDetector(self._drawn, detectorParams=settings)
-            return search.detectBoard
-        self._free = 0.9 * board.square / self._cells
-        settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-        return aruco.ArucoDetector(known, settings).detectMarkers
+            self._search = aruco.CharucoDetector(self._drawn).detectBoard
+        else:
+            settings = aruco.DetectorParameters()
+            settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
+            self._free = 0.9 * board.square / self._cells
+            self._search = aruco.ArucoDetector(known, settings).detectMarkers
 
     def find(self, image: Gray) -> View:
         """The board in an image; without names where it is not there."""
@@ -448,32 +444,27 @@ def require_stated(
         InputError: If they show another, or none.
     """
     agreement = agrees(board, images)
-    if agreement is not False and any(one.names for one in images):
-        return agreement is True
+    if agreement is not False:
+        return bool(agreement)
     sample = [read_image(path) for path in paths[:: len(paths) // SAMPLE + 1]]
     grid = board.type in GRIDS
     others = _near_sizes(board, sample) if grid else [fit_board(board, images)]
     for other in filter(None, others):
         with suppress(OptionError):  # The dictionary may have fewer tags.
-            detections = [Detector(other).find(image) for image in sample]
-            if agrees(other, detections) and any(one.names for one in detections):
+            if agrees(other, [*map(Detector(other).find, sample)]):
                 reason = f"the images do not show {word_of(board)}"
                 raise InputError(f"{reason}; this fits: --board {word_of(other)}")
-    mirrored = np.ascontiguousarray(sample[0][:, ::-1])
-    if not grid and len(Detector(board).find(mirrored).names) >= CORNERS:
-        reason = (
-            "the images are mirrored, as of a selfie: switch that off in the camera"
-        )
-        raise InputError(reason, file=paths[0])
     raise InputError(
         f"no image shows the board as stated ({board.type}, {board.columns} x "
-        f"{board.rows}); are its type, numbers and dictionary right?"
-        f"{_markers(board, sample[:MARKED])}"
+        f"{board.rows}); are its type, numbers and dictionary right, and the images "
+        f"not mirrored?{_markers(board, sample[:MARKED])}"
     )
 
 
 def agrees(board: BoardSetup, images: Sequence[View]) -> bool | None:
-    """Whether images show a board as it is stated; None where they do not tell."""
+    """Whether images show a board as it is stated; None where they do not tell how."""
+    if not any(one.names for one in images):
+        return False
     if board.type in GRIDS:
         whole = [bool(one.names) for one in images if one.sure]
         return 2 * sum(whole) >= len(whole) if whole else None
@@ -483,12 +474,10 @@ def agrees(board: BoardSetup, images: Sequence[View]) -> bool | None:
 
 def _near_sizes(board: BoardSetup, images: Sequence[Gray]) -> list[BoardSetup]:
     """Boards of squares or circles with a few more or fewer, where a part is seen."""
-    cv2 = vision()
-    flags, search = cv2.CALIB_CB_LARGER, cv2.findChessboardCornersSB
+    flags, search = vision().CALIB_CB_LARGER, vision().findChessboardCornersSB
+    parts = (search(image, (3, 3), flags=flags)[0] for image in images)
     # Images without a part of one are slow to search.
-    if board.type == "chessboard" and not any(
-        search(image, (3, 3), flags=flags)[0] for image in images
-    ):
+    if board.type == "chessboard" and not any(parts):
         return []
     sizes = [(board.columns + i, board.rows + j) for i in NEAR for j in NEAR][1:]
     sizes.append((board.rows, board.columns))
@@ -497,16 +486,16 @@ def _near_sizes(board: BoardSetup, images: Sequence[Gray]) -> list[BoardSetup]:
 
 def _markers(board: BoardSetup, images: Sequence[Gray]) -> str:
     """The markers of one dictionary, that with most of them, in images."""
-    most, text = 0, ""
+    seen = dict[str, set[int]]()
     for name in DICTIONARIES:
         known = dictionary_of(replace(board, dictionary=name))
         search = vision().aruco.ArucoDetector(known).detectMarkers
-        met = [numbers for image in images if (numbers := search(image)[1]) is not None]
-        ids = {int(k) for numbers in met for k in numbers.ravel()}
-        if len(ids) > most:
-            most = len(ids)
-            text = f"; seen: {most} markers of {name}, {min(ids)} to {max(ids)}"
-    return text
+        met = [ids for image in images if (ids := search(image)[1]) is not None]
+        seen[name] = {int(k) for ids in met for k in ids.ravel()}
+    name, ids = max(seen.items(), key=lambda of: len(of[1]))
+    if not ids:
+        return ""
+    return f"; seen: {len(ids)} markers of {name}, {min(ids)} to {max(ids)}"
 
 
 def tags_of(board: BoardSetup) -> range:
@@ -558,19 +547,18 @@ def fit_board(board: BoardSetup, detections: Sequence[View]) -> BoardSetup | Non
     """
     tags = ({k: four for k, (four, _) in one.tags.items()} for one in detections)
     images = sorted(tags, key=len)[-SAMPLE:]
-    seen = sorted(set().union(*images))
-    if len(numbers := tags_of(board)) == 1:
+    seen, numbers = sorted(set().union(*images)), tags_of(board)
+    if len(numbers) == 1:
         if numbers[0] in seen or len(seen) != 1:
             return board if numbers[0] in seen else None
         return replace(board, first=seen[0])
     (right, of_board), most = _hits(board, images), RIGHT * sum(map(len, images))
     if len(seen) > 1 and right < most:
-        rivals = {other: _hits(other, images)[0] for other in _candidates(board, seen)}
-        best = max(rivals, key=lambda r: (rivals[r], -r.columns * r.rows))
+        rivals = {other: _hits(other, images) for other in _candidates(board, seen)}
+        best = max(rivals, key=lambda r: (rivals[r][0], -r.columns * r.rows))
         # Where its own lie right, other tags are of another board or of a larger one.
-        least = max(right, most if right >= RIGHT * of_board else 0.0)
-        board = best if rivals[best] > least else board
-    right, of_board = _hits(board, images)
+        if rivals[best][0] > max(right, most if right >= RIGHT * of_board else 0.0):
+            board, (right, of_board) = best, rivals[best]
     return _with_edge(board, images) if right >= RIGHT * of_board else None
 
 
@@ -675,8 +663,7 @@ def start_camera(
         InputError: If they are not those of one flat board before a camera.
     """
     cv2, largest = vision(), max(size)
-    center = ((size[0] - 1) / 2.0, (size[1] - 1) / 2.0)
-    focal = (ASSUMED * largest, ASSUMED * largest)
+    focal, center = (ASSUMED * largest,) * 2, ((size[0] - 1) / 2.0, (size[1] - 1) / 2.0)
     assumed = CameraSetup(mount, focal, center, size=size, estimate=True)
     usable = {n: image for n, image in images.items() if len(image.names) >= CORNERS}
     lists = [image.names for image in usable.values()]
@@ -685,7 +672,7 @@ def start_camera(
     # The sixth power of the radius is left to the calibration.
     K, flags = np.diag([*focal, 1.0]), cv2.CALIB_FIX_K3
     K[:2, 2] = center
-    if len(usable) < VIEWS:
+    if few := len(usable) < VIEWS:
         flags += cv2.CALIB_USE_INTRINSIC_GUESS + cv2.CALIB_FIX_ASPECT_RATIO
         flags += cv2.CALIB_FIX_PRINCIPAL_POINT + cv2.CALIB_ZERO_TANGENT_DIST
         flags += cv2.CALIB_FIX_K2
@@ -695,34 +682,20 @@ def start_camera(
         )
     except cv2.error:  # None is usable, or corners are on a line.
         return Start(assumed, True, None)
-    _require_flat(usable, rms, np.ravel(each))
-    numbers = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.ravel(lens)[:5]])
-    sane = (0.1 * largest < numbers[:2]) & (numbers[:2] < 100.0 * largest)
-    sane &= np.ravel(spread)[:2] < UNKNOWN * numbers[:2]
-    if len(usable) < VIEWS or not (np.isfinite(numbers).all() and sane.all()):
-        return Start(assumed, True, rms)
-    # A start needs no more digits.
-    fx, fy, cx, cy = numbers[:4].round(3).tolist()
-    intrinsics = (fx, fy), (cx, cy), tuple(numbers[4:].round(6).tolist()), size
-    return Start(CameraSetup(mount, *intrinsics, estimate=True), False, rms)
-
-
-def _require_flat(images: Mapping[str, View], rms: float, each: Floats) -> None:
-    """Refuse corners that are not those of one flat board before a camera.
-
-    Args:
-        images: The corners in each image, by its name.
-        rms: Rms of all about the camera that fits them [px].
-        each: The same of each image.
-
-    Raises:
-        InputError: If they are not.
-    """
-    sigma = float(np.median(np.concatenate([f.sigma for f in images.values()])))
-    worst, name = max(zip(each.tolist(), images, strict=True))
+    sigma = float(np.median(np.concatenate([one.sigma for one in usable.values()])))
+    worst, name = max(zip(np.ravel(each).tolist(), usable, strict=True))
     if rms > np.clip(NOISE * sigma, *MOST) or worst > MOST[1]:
         raise InputError(
             f"corners do not fit the board: rms {rms:.3g} px with a noise of "
             f"{sigma:.2g} px, {worst:.3g} px in {name}; is the board flat, and as "
             "stated?"
         )
+    numbers = np.array([*K[[0, 1], [0, 1]], *K[:2, 2], *np.ravel(lens)[:5]])
+    sane = (0.1 * largest < numbers[:2]) & (numbers[:2] < 100.0 * largest)
+    sane &= np.ravel(spread)[:2] < UNKNOWN * numbers[:2]
+    if few or not (np.isfinite(numbers).all() and sane.all()):
+        return Start(assumed, True, rms)
+    # A start needs no more digits.
+    fx, fy, cx, cy = numbers[:4].round(3).tolist()
+    intrinsics = (fx, fy), (cx, cy), tuple(numbers[4:].round(6).tolist()), size
+    return Start(CameraSetup(mount, *intrinsics, estimate=True), False, rms)

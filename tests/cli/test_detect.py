@@ -188,7 +188,7 @@ def test_mirrored_images_and_millimeters_are_said(fails):
     words = "detect 0.png -o m.csv --board charuco:7x5:"
     fails(f"{words}30:22", "at most 2")
     cv2.imwrite("0.png", cv2.imread("0.png", cv2.IMREAD_GRAYSCALE)[:, ::-1])
-    fails(f"{words}0.03:0.022", "0.png", "mirrored")
+    fails(f"{words}0.03:0.022", "not mirrored")
 
 
 @pytest.mark.parametrize(

@@ -176,27 +176,28 @@ def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
     Raises:
         InputError: If there are neither, or joints have a name twice.
     """
+    both = ours, theirs
+    times, ends = [*map(_time_column, both)], [*map(_name_columns, both)]
+    named = [two for two in product(*ends) if set.intersection(*map(_names, both, two))]
     if POSE in ours and POSE in theirs:
-        return _named_once(ours), theirs
-    times = [_time_column(table) for table in (ours, theirs)]
-    if all(times):
+        named = [(POSE, POSE)]
+    elif all(times):
         spare = f"{POSE} (of the file)"  # One of them alone has names.
-        ours = ours.renamed({"time": times[0], spare: POSE})
-        return ours, theirs.renamed({"time": times[1], spare: POSE})
-    ends = _name_columns(ours), _name_columns(theirs)
-    for name, other in product(*ends):
-        if _names(ours, name) & _names(theirs, other):
-            ours, theirs = ours.renamed({POSE: name}), theirs.renamed({POSE: other})
-            return _named_once(ours), theirs
-    reason = "there is no column 'time', and none of names, 'pose', in both logs"
-    allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
-    if all(ends) and not any(times):
-        pairs = zip((ours, theirs), ends, strict=True)
-        likely = [max(of, key=lambda n: len(_names(one, n))) for one, of in pairs]
-        first = ours.labels(likely[0])[0], theirs.labels(likely[1])[0]
-        reason = "the names of both logs have none in common: '{}' and '{}', say"
-        raise theirs.error(reason.format(*first), likely[1])
-    raise (theirs if times[0] else ours).error(reason, allowed=allowed)
+        pairs = zip(both, times, strict=True)
+        ours, theirs = (of.renamed({"time": time, spare: POSE}) for of, time in pairs)
+        return ours, theirs
+    if not named:
+        reason = "there is no column 'time', and none of names, 'pose', that both have"
+        allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}'"
+        raise (theirs if times[0] else ours).error(reason, allowed=allowed)
+    (one, other), *_ = named
+    ours, theirs = ours.renamed({POSE: one}), theirs.renamed({POSE: other})
+    labels = ours.labels(POSE).map(str.lower)
+    again = ~labels.where("")
+    again[np.unique(labels.codes, return_index=True)[1]] = False
+    # Nothing says whose a reading is.
+    ours.refuse(again, "another row of the joints has this name", POSE)
+    return ours, theirs
 
 
 def _time_column(table: Table) -> str:
@@ -217,19 +218,6 @@ def _name_columns(table: Table) -> list[str]:
 def _names(table: Table, column: str) -> set[str]:
     """The names in a column, in lower case."""
     return {name.lower() for name in table.labels(column).distinct if name}
-
-
-def _named_once(table: Table) -> Table:
-    """Joints, each of which has a name of its own, if it has one.
-
-    Raises:
-        InputError: If two have one name: nothing says whose a reading is.
-    """
-    first = dict[str, int]()
-    for row, name in enumerate(map(str.lower, table.labels(POSE))):
-        if name and first.setdefault(name, row) != row:
-            raise table.error(f"the joints have the name '{name}' twice", POSE, row=row)
-    return table
 
 
 def _require_points(

@@ -225,17 +225,14 @@ class _Motion:
         before = time[np.maximum(far - 1, 0)]
         quiet &= time[np.minimum(far, len(time) - 1)] - before <= gap
         # A window that is quiet is so from its first to its last sample.
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet, [0]])))
+        first, behind = _runs(quiet).T
         half = 0.5 * width * self.step
-        edge = max(EDGE, 3.0 * self.step)
-        ends = (
-            (grid[a] + half, min(grid[b - 1] + half, grid[-1]) - edge)
-            for a, b in edges.reshape(-1, 2)
-        )
-        self.standstills = [(float(a), float(b)) for a, b in ends if b > a]
-        standing = np.zeros(len(grid), bool)
-        for a, b in edges.reshape(-1, 2):
-            standing[max(a - width // 2, 0) : b + width // 2] = True
+        starts = grid[first] + half
+        ends = np.minimum(grid[behind - 1] + half, grid[-1])
+        ends -= max(EDGE, 3.0 * self.step)
+        pairs = zip(starts.tolist(), ends.tolist(), strict=True)
+        self.standstills = [(start, end) for start, end in pairs if end > start]
+        standing = maximum_filter1d(quiet, 2 * (width // 2) + 1, mode="constant")
         self.grid, self.moving = grid, ~standing
         gone = np.sqrt(np.sum(changes**2, axis=1)) * self.moving[1:]
         self.way: Floats = np.concatenate([[0.0], np.cumsum(gone)])
@@ -288,13 +285,13 @@ class _Motion:
             ]
             if not parts:
                 return None
-            slopes, weights, squares, dof = np.array(parts).T
+            slopes, weights, values, dof = np.array(parts).T
             moved = float(slopes.sum() / weights.sum())
             ahead += np.clip(moved, -0.2, 0.2)
             if abs(moved) < 1e-6:
                 break
         each = slopes / weights
-        sigma = np.sqrt(squares.sum() / max(dof.sum(), 1.0) / weights.sum())
+        sigma = np.sqrt(values.sum() / max(dof.sum(), 1.0) / weights.sum())
         spread = np.sqrt(np.sum(weights**2 * (each - moved) ** 2)) / weights.sum()
         least = LEAST * self.step
         return Clock(float(ahead), float(max(sigma, spread, least)), len(parts))
@@ -302,7 +299,7 @@ class _Motion:
     def _motion_part(
         self, readings: Log, ahead: float, start: float, end: float
     ) -> tuple[float, float, float, float] | None:
-        """A motion's part: slope, weight, square sum and degrees of freedom."""
+        """A motion's part: slope, weight, number of values and of those to spare."""
         time = readings.time - ahead
         rows = slice(*np.searchsorted(time, [start - MARGIN, end + MARGIN]))
         t, y = time[rows], readings.values[rows]
@@ -327,9 +324,8 @@ class _Motion:
         weight = float(np.sum(d**2 / noise))
         if not weight > 0.0:
             return None
-        square = float(np.sum(rest**2 / noise))
-        free = float(y.size - V.shape[1] * y.shape[1] - 1)
-        return float(np.sum(d * rest / noise)), weight, square, free
+        spare = y.size - V.shape[1] * y.shape[1] - 1
+        return float(np.sum(d * rest / noise)), weight, y.size, spare
 
     def _by_standstills(self, readings: Log) -> Clock:
         """The offset nearest zero with which most readings are in standstills.
@@ -364,12 +360,16 @@ class _Motion:
             text = "joints are of {}, readings of {}".format(*spans)
             raise InputError(f"the logs have no common time: {text}")
         # Runs of offsets that are as good, of which the one nearest to zero counts.
-        good = np.concatenate([[False], counts == counts.max(), [False]])
-        runs = near[np.flatnonzero(np.diff(good)).reshape(-1, 2) - [0, 1]].tolist()
+        runs = near[_runs(counts == counts.max()) - [0, 1]].tolist()
         low, high = min(runs, key=lambda run: max(run[0], -run[1]))
         # Nothing moves it from zero needlessly.
         ahead = 0.0 if low <= 0.0 <= high else 0.5 * (low + high)
         return Clock(zone + ahead, (high - low + COARSE) / np.sqrt(12.0), 0)
+
+
+def _runs(true: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Where each run of true values begins, and ends before, shape (R, 2)."""
+    return np.flatnonzero(np.diff(np.pad(true, 1))).reshape(-1, 2)
 
 
 def _correlated(b: Floats, a: Floats) -> Floats:

@@ -212,7 +212,7 @@ def test_points_with_names_need_no_time(run):
     Path("points.txt").write_text(text.replace("pose", "Lage").replace("\np", "\nr"))
     wrong = run("join joints.csv points.txt -o o.csv")
     assert wrong.status == 1
-    assert "none in common: 'P0' and 'r" in wrong.err and "'Lage'" in wrong.err
+    assert "none of names, 'pose', that both have" in wrong.err
     assert not Path("o.csv").exists()
 
 
@@ -237,7 +237,7 @@ def test_joints_of_one_name_leave_open_whose_a_reading_is(run):
     lines("points.csv", "pose,x,y,z", [["P1", 1, 2, 3], ["P2", 2, 3, 4]])
     wrong = run("join joints.csv points.csv -o m.csv")
     assert wrong.status == 1 and "joints.csv:4" in wrong.err
-    assert "have the name 'p1' twice" in wrong.err
+    assert "has this name" in wrong.err and "'p1'" in wrong.err
 
 
 def test_a_log_of_the_robot_as_it_is(logs, run):

@@ -189,12 +189,12 @@ def _add_rows(controls: Controls, stage: Stage, rows: Rows, joints: Joints) -> N
 def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
     """One slider for error vectors and the geometry, if there are any of these."""
     positions = {} if scene.rows is None else scene.rows.positions
-    moving = len(scene.bodies) > 1
-    if not (positions or moving):
+    if not positions and len(scene.bodies) == 1:
         return
-    # How far corrections move the origin of any link.
-    first, last = (scene.bodies[k].placements(scene.start) for k in (0, -1))
-    largest = float(np.linalg.norm((last - first)[:, :3, 3], axis=1).max())
+    # How far corrections move the origins of links, and the errors of the rows.
+    first, last = (scene.bodies[k].placements(scene.start)[:, :3, 3] for k in (0, -1))
+    moves = last - first, *(errors.vectors for errors in positions.values())
+    largest = max(float(np.nanmax(np.linalg.norm(move, axis=1))) for move in moves)
     # Lines have no shades: they keep the colors of the legend.
     vectors = {
         name: stage.api.add_line_segments(
@@ -205,30 +205,22 @@ def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
         )
         for name, errors in positions.items()
     }
-    for errors in positions.values():
-        lengths = np.linalg.norm(errors.vectors, axis=1)
-        largest = max(largest, float(np.nanmax(lengths)))
     # The one that makes the largest vector just not too long.
-    fitting = [m * largest <= VISIBLE * stage.size for m in MAGNIFICATIONS]
-    chosen = str(MAGNIFICATIONS[max(sum(fitting) - 1, 0)])
-    factors = tuple(map(str, MAGNIFICATIONS))
-    with controls.gui.add_folder(
-        "Errors, predicted minus measured" if vectors else "Corrections"
-    ):
+    fitting = (m for m in MAGNIFICATIONS if m * largest <= VISIBLE * stage.size)
+    chosen, factors = str(max(fitting, default=1)), tuple(map(str, MAGNIFICATIONS))
+    with controls.gui.add_folder("Errors and corrections"):
         for name, handle in vectors.items():
             controls.switch(name, handle)
         choice = controls.gui.add_dropdown("magnified", factors, initial_value=chosen)
         legend = controls.gui.add_html("")
-    shown = ["errors, from the measured point"] * bool(vectors)
-    shown += ["corrections of the robot"] * moving
+    swatches = "".join(swatch(STAGES[name], name) for name in vectors)
 
     def magnify(factor: str) -> None:
         stage.magnify(float(factor))
         for name, handle in vectors.items():
             handle.points = lines(positions[name], float(factor))
-        swatches = "".join(swatch(STAGES[name], name) for name in vectors)
-        caption = f"magnified {factor} times: {'; '.join(shown)}"
-        legend.content = text(f"{swatches}<br>{caption}" if swatches else caption)
+        caption = "errors (predicted minus measured) and corrections of the robot"
+        legend.content = text(f"{swatches}<br>{caption}, magnified {factor} times")
 
     controls.on(choice, magnify)
     magnify(chosen)

@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.errors import enumerated
 from calib_pin.estimation.problem import error_table, tool_points
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.robot_shapes import robot_shapes
@@ -96,19 +97,14 @@ class Body:
             payload: Name of what the robot carries; nothing, or the only payload
                 there is, where it is empty.
         """
-        moved = q.copy()
+        moved, model = q.copy(), self.model
         index = {joint: k for k, joint in enumerate(self.skeleton.joints)}
-        model = self.model
-        chains = [] if model is None else [model.of(k) for k in model.measured_chains]
-        for chain in chains:
-            if chain.error.geometric:
-                continue
+        for chain in [] if model is None else map(model.of, model.measured_chains):
             joints = chain.chain.joints
-            commanded = self.skeleton.positions(joints, q)[None]
-            (turned,) = _carrying(chain, payload).joint_positions(
-                commanded, chain.theta
-            )
-            turned = commanded[0] + self.factor * (turned - commanded[0])
+            commanded = self.skeleton.positions(joints, q)
+            error = _carrying(chain, payload)
+            (turned,) = error.joint_positions(commanded[None], chain.theta)
+            turned = commanded + self.factor * (turned - commanded)
             for joint, position in zip(joints, turned, strict=True):
                 if joint in index:  # One that follows another follows it as it is.
                     moved[index[joint]] = position
@@ -265,12 +261,8 @@ def make_scene(
     stage("shapes")
     shapes = robot_shapes(chains.robot, package_dirs)
     if shapes.missing:
-        first, *others = shapes.missing
-        count = f"{1 + len(others)} meshes are" if others else "1 mesh is"
-        tell(
-            f"{count} missing or unreadable and replaced by simple shapes: {first}"
-            f"{', ...' if others else ''}; name the folder of its package with "
-            "--package-dir"
-        )
+        hint = "name the folder of their package with --package-dir"
+        missing = f"replaced by simple shapes: {enumerated(shapes.missing)}; {hint}"
+        tell(f"meshes missing or unreadable and {missing}")
     bodies = tuple(bodies_of(chains.robot, link, model))
     return Scene(chains.robot.name, shapes.parts, bodies, chains, rows, planned)

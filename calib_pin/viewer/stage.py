@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,33 +40,38 @@ ASPECT = 0.95
 
 
 class Group:
-    """Shapes that hang on links of a robot, and move with them.
+    """The shapes of a robot, which hang on its links and move with them.
 
     Attributes:
         root: Carries all of them.
         frames: The frame of each link that carries something, by its number.
     """
 
-    def __init__(self, api: viser.SceneApi, name: str, links: Iterable[int]) -> None:
-        """Nothing hangs on the links yet, and they are not in place."""
-        self._api, self.root = api, api.add_frame(name, show_axes=False)
-        # Names of links may hold slashes, which mean something here.
-        self.frames = {
-            k: api.add_frame(f"{name}/{k}", show_axes=False) for k in {*links}
-        }
-
-    def add(self, name: str, link: int, shape: Shape, color: RGB, **more: Any) -> None:
-        """Hang a shape on a link."""
-        self._api.add_mesh_simple(
-            f"{self.root.name}/{link}/{name}",
-            shape.surface.vertices.astype(np.float32),
-            shape.surface.triangles.astype(np.uint32),
-            color=color,
-            flat_shading=True,
-            position=shape.placement[:3, 3],
-            wxyz=_wxyz(shape.placement),
-            **more,
-        )
+    def __init__(
+        self, api: viser.SceneApi, body: Body, shapes: Sequence[Shape]
+    ) -> None:
+        """Draw them; beside the corrected robot the nominal one is a ghost."""
+        links, ghost = body.skeleton.links, body.name == "nominal"
+        self.root = api.add_frame(f"/{body.name}", show_axes=False)
+        self.frames = dict[int, Any]()
+        for k, shape in enumerate(shapes):
+            link = links.index(shape.link)
+            # Names of links may hold slashes, which mean something here.
+            name = f"/{body.name}/{link}"
+            if link not in self.frames:
+                self.frames[link] = api.add_frame(name, show_axes=False)
+            api.add_mesh_simple(
+                f"{name}/{k}",
+                shape.surface.vertices.astype(np.float32),
+                shape.surface.triangles.astype(np.uint32),
+                color=BODIES.get(body.name, _color(shape)),
+                opacity=OPACITY if ghost else None,
+                flat_shading=True,
+                cast_shadow=not ghost,
+                receive_shadow=not ghost,
+                position=shape.placement[:3, 3],
+                wxyz=_wxyz(shape.placement),
+            )
 
     def put(self, placements: Floats) -> None:
         """Put the links in place, which have the poses (L, 4, 4)."""
@@ -97,7 +102,7 @@ class Stage:
         if scene.rows is not None:
             seen += [errors.points for errors in scene.rows.stages.values()]
         self._seen = np.concatenate(seen)
-        self.robots = {b.name: _draw_robot(self.api, b, scene) for b in self._bodies}
+        self.robots = {b.name: Group(self.api, b, scene.shapes) for b in self._bodies}
 
     def see(self, camera: viser.InitialCameraConfig | viser.CameraHandle) -> None:
         """Have a camera see everything, but what is far away."""
@@ -143,23 +148,6 @@ def sight(points: Floats) -> tuple[Floats, Floats]:
     slope = np.tan(0.5 * ANGLE)
     distance = np.max(z + np.maximum(np.abs(x) / ASPECT, np.abs(y)) / slope)
     return center + 1.05 * distance * ahead, center
-
-
-def _draw_robot(api: viser.SceneApi, body: Body, scene: Scene) -> Group:
-    """The links of a robot; beside the corrected one the nominal one is a ghost."""
-    links, ghost = body.skeleton.links, body.name == "nominal"
-    group = Group(api, f"/{body.name}", (links.index(s.link) for s in scene.shapes))
-    for k, shape in enumerate(scene.shapes):
-        group.add(
-            str(k),
-            links.index(shape.link),
-            shape,
-            BODIES.get(body.name, _color(shape)),
-            opacity=OPACITY if ghost else None,
-            cast_shadow=not ghost,
-            receive_shadow=not ghost,
-        )
-    return group
 
 
 def _color(shape: Shape) -> RGB:

@@ -258,10 +258,6 @@ class Format:
         if others:
             text = f"'{single.name}', not {enumerated(others)} (--chain)"
             remarks.append(f"{self.name} holds one chain: {text}")
-        unasked = {*exported.result.model.measured_chains} - {*exported.names}
-        if unasked and {GEOMETRY, SEVERAL} <= {*self.holds}:
-            text = f"with {enumerated(sorted(unasked))}, whatever --chain names"
-            remarks.append(f"{self.name} holds the whole robot, {text}")
         return replace(encoded, remarks=tuple(remarks))
 
     def _lacking(self, exported: Exported, read: Read | None) -> Iterator[str]:
@@ -271,23 +267,19 @@ class Format:
             exported: The calibration.
             read: The robot as the file has it; None for the corrected one.
         """
-        (unit, factor), distance = DISPLAY["m"], exported.distance(read)
-        lacking = [p for p in exported.parts if p not in self.holds]
-        sentence = "it depends on what measurements state"
-        if distance < ENOUGH:
-            lacking = [p for p in lacking if p not in (GEOMETRY, OFFSETS, GAINS)]
-        else:
-            whole = exported.distance(Chain.poses)
-            sentence = (
-                f"{factor * distance:.3g} of {factor * whole:.3g} {unit} of what was "
-                "found are missing (tool point, rms over the workspace)"
-            )
-            if distance > USELESS * whole:
+        lacking = [part for part in exported.parts if part not in self.holds]
+        if (far := exported.distance(read)) >= ENOUGH:
+            (unit, factor), whole = DISPLAY["m"], exported.distance(Chain.poses)
+            sentence = f"{factor * far:.3g} of {factor * whole:.3g} {unit} of what was "
+            sentence += "found are missing (tool point, rms over the workspace)"
+            if far > USELESS * whole:
                 sentence += ": a robot that has this alone is hardly more accurate"
-        if lacking:
-            sentence = f"{self.name} holds no {', '.join(lacking)}: {sentence}"
-        if lacking or distance >= ENOUGH:
-            yield sentence
+        else:
+            lacking = [p for p in lacking if p not in (GEOMETRY, OFFSETS, GAINS)]
+            sentence = "it depends on what measurements state" if lacking else ""
+        holds = f"{self.name} holds no {', '.join(lacking)}: " if lacking else ""
+        if sentence:
+            yield holds + sentence
         fitted = exported.fitted
         placed = [s.parameter for chain in fitted for s in chain.error.screws]
         carries = any(chain.tool_carries_tip for chain in fitted)

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
@@ -27,11 +27,7 @@ from calib_pin.io.measurements import encode_table
 from calib_pin.io.urdf_tree import Document, parse_document
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.units import DISPLAY, as_number
-from calib_pin.validation.joint_errors import (
-    OffsetEstimate,
-    encoder_steps,
-    joint_offsets,
-)
+from calib_pin.validation.joint_errors import encoder_steps, joint_offsets
 
 OFFSET = "joint offset"
 """Kind of an error of the robot that is the offset of a joint."""
@@ -51,43 +47,31 @@ CLOSEST = "offsets make up for what else was found, and are not those of the rep
 """The meaning of offsets where a table of them does not hold all."""
 
 
-class Estimates(NamedTuple):
-    """Offsets of columns, as far as they are known.
+def unknown_offsets(exported: Exported) -> dict[str, str]:
+    """Why offsets are not known by themselves, by column.
 
-    Attributes:
-        known: Those that are parameters.
-        unknown: Why others are not known by themselves, by column.
+    Be they parameters of the calibration or parts of a geometry.
     """
+    result = exported.result
+    offsets = {of.column: of for of in joint_offsets(result)}
+    unknown = {name: of.status for name, of in offsets.items() if of.sigma is None}
+    columns = JointColumns.of(result.model.chains, result.model.setup.joints)
+    drives = dict(zip(columns.joints, columns.names, strict=True))
+    for error in (e for e in result.robot_errors if e.kind == OFFSET):
+        several = len(error.of) > 1
+        for joint in error.of if several or error.sigma is None else ():
+            # A minus is that of a difference, if it is not that of a name.
+            column = drives.get(joint) or drives.get(joint.removeprefix("-"))
+            if column and column not in offsets:
+                unknown[column] = "coupled" if several else error.status
+    return unknown
 
-    known: Mapping[str, OffsetEstimate]
-    unknown: Mapping[str, str]
 
-    @staticmethod
-    def of(exported: Exported) -> Estimates:
-        """Those of a calibration, be the offsets parameters or parts of a geometry."""
-        result = exported.result
-        offsets = {of.column: of for of in joint_offsets(result)}
-        unknown = {name: of.status for name, of in offsets.items() if of.sigma is None}
-        columns = JointColumns.of(result.model.chains, result.model.setup.joints)
-        drives = dict(zip(columns.joints, columns.names, strict=True))
-        errors = [e for e in result.robot_errors if e.kind == OFFSET]
-        for error in errors:
-            several = len(error.of) > 1
-            if not several and error.sigma is not None:
-                continue
-            for joint in error.of:
-                # A minus is that of a difference, if it is not that of a name.
-                column = drives.get(joint) or drives.get(joint.removeprefix("-"))
-                if column and column not in offsets:
-                    unknown[column] = "coupled" if several else error.status
-        return Estimates(offsets, unknown)
-
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """A sentence about the unknown ones, if there are any."""
-        about = "not known by themselves, only with the other values of the calibration"
-        names = [f"{name} ({status})" for name, status in self.unknown.items()]
-        return (f"{about}: {enumerated(names)}",) if names else ()
+def doubts(exported: Exported) -> tuple[str, ...]:
+    """A sentence about offsets that are not known, if there are any."""
+    about = "not known by themselves, only with the other values of the calibration"
+    names = [f"{name} ({why})" for name, why in unknown_offsets(exported).items()]
+    return (f"{about}: {enumerated(names)}",) if names else ()
 
 
 @partial(Format, "joint-offsets", (base.OFFSETS, base.SIGNS, *base.ROBOTS), "")
@@ -96,15 +80,16 @@ def offsets_table(exported: Exported, _: Path | None) -> Encoded:
     model = exported.result.model
     errors = exported.joint_errors(model.setup.joints)
     stepped = encoder_steps(model.setup, model.chains.joints)
-    estimates, rows, offsets = Estimates.of(exported), [], errors.offsets.copy()
+    known = {of.column: of for of in joint_offsets(exported.result)}
+    unknown, rows, offsets = unknown_offsets(exported), [], errors.offsets.copy()
     for k, column, joint in errors.drives:
-        turns, estimate = errors.columns.revolute[k], estimates.known.get(column)
+        turns, estimate = errors.columns.revolute[k], known.get(column)
         si = "rad" if turns else "m"
         (unit, factor), offset = DISPLAY[si], float(offsets[k])
         shown, steps, sigma, exact = f"{factor * offset:+z.6f}", "", "", repr(offset)
         if turns and joint in stepped:
             steps = f"{offset * stepped[joint] / (2.0 * np.pi):+z.1f}"
-        status = estimates.unknown.get(column, "")
+        status = unknown.get(column, "")
         if status:  # A zero would pass for a result.
             shown, steps, exact, offsets[k] = "", "", "", 0.0
         elif estimate is not None and estimate.sigma is not None:
@@ -115,13 +100,12 @@ def offsets_table(exported: Exported, _: Path | None) -> Encoded:
         sign = "-1" if joint in exported.reverses else "+1"
         rows.append((joint, column, shown, sigma, unit, steps, status, exact, si, sign))
     table = dict(zip(HEADERS.split(), zip(*rows, strict=True), strict=True))
-    beside = [part for part in exported.parts if part != base.OFFSETS]
-    remarks = [*estimates.doubts]
-    if beside:
-        remarks.append(f"{CLOSEST}: {enumerated(beside)}")
+    remarks = doubts(exported)
+    if beside := [part for part in exported.parts if part != base.OFFSETS]:
+        remarks += (f"{CLOSEST}: {enumerated(beside)}",)
     comments = [*USE, *exported.reverses.values(), *remarks]
     read = replace(errors, offsets=offsets).poses
-    return Encoded(encode_table(table, comments), (*remarks,), read)
+    return Encoded(encode_table(table, comments), remarks, read)
 
 
 FARTHEST = 2047
@@ -154,9 +138,9 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
             offset.
     """
     assert template is not None
-    motors, steps = read_motors(template), dict[str, int]()
+    motors, steps, seams = read_motors(template), dict[str, int](), list[str]()
     errors = exported.joint_errors(exported.result.model.setup.joints)
-    offsets, seams = errors.offsets.copy(), list[str]()
+    offsets = errors.offsets.copy()
     for k, column, joint in errors.drives:
         names = (joint, column, joint.removesuffix("_joint"))
         name = next((name for name in names if name in motors), "")
@@ -184,7 +168,7 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
         PARTS_OF_RANGE,
         f"whole steps leave up to {rounded:.3f} deg of a joint",
         *seams,
-        *Estimates.of(exported).doubts,
+        *doubts(exported),
     )
     data = json.dumps(motors, indent=4).encode() + b"\n"
     return Encoded(data, remarks, replace(errors, offsets=offsets).poses)
@@ -269,10 +253,10 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
         _correct(document, added, errors)
     indent(root)
     head = document.data[: document.places[root][1]]
-    remarks = [*Estimates.of(exported).doubts]
+    remarks = doubts(exported)
     if outside:
-        remarks.append(f"{OUTSIDE} {enumerated(outside)}")
-    return Encoded(head + tostring(root, "utf-8") + b"\n", (*remarks,), fit.poses)
+        remarks += (f"{OUTSIDE} {enumerated(outside)}",)
+    return Encoded(head + tostring(root, "utf-8") + b"\n", remarks, fit.poses)
 
 
 def _correct(

@@ -6,17 +6,16 @@ their limits and reference positions, and inertias are those of the compiled mod
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import RobotError, words_of
-from calib_pin.io.urdf_tree import branch, origin_of, words
+from calib_pin.io.urdf_tree import origin_of, words
 from calib_pin.kinematics.spatial import Floats
 
 REMARK = "read from MJCF: bodies and sites are links, shapes are not taken over"
@@ -40,7 +39,9 @@ class Writer:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         """Give names to what has none; nothing is written yet."""
-        self.model, self.free, self.lines = model, list[str](), list[str]()
+        name = model.names.partition(b"\0")[0].decode()  # The first is the model's.
+        self.root = Element("robot", name=name or "robot")
+        self.model, self.free = model, list[str]()
         self.bodies = [model.body(b).name or f"body{b}" for b in range(model.nbody)]
         names = [model.joint(j).name for j in range(model.njnt)]
         self.used = {*self.bodies, *names}
@@ -52,6 +53,7 @@ class Writer:
     def write(self) -> str:
         """The text of the URDF."""
         model, mimics = self.model, self._mimics()
+        SubElement(self.root, "link", name=self.bodies[0])
         for b, name in enumerate(self.bodies[1:], start=1):
             parent, shift = self.bodies[model.body_parentid[b]], np.zeros(3)
             place = _placement(model.body_pos[b], model.body_quat[b])
@@ -62,9 +64,9 @@ class Writer:
                 shift = model.jnt_pos[j]
                 last = j == end - 1 and not shift.any()
                 child = name if last else self._unused(f"{self.joints[j]}_link")
-                place, kind, more = self._moving(j, place)
-                more += mimics.get(j, "")
-                self._joint((self.joints[j], kind, parent, child), place, more)
+                joint = self._moving(j, parent, child, place)
+                if j in mimics:
+                    _add(joint, "mimic", **mimics[j])
                 parent, place = child, pin.SE3.Identity()
             if parent != name:
                 place = place * pin.SE3(np.eye(3), -shift)
@@ -74,10 +76,8 @@ class Writer:
                 site = name if name not in self.bodies else self._unused(name)
                 place = _placement(model.site_pos[k], model.site_quat[k])
                 self._fixed(self.bodies[model.site_bodyid[k]], site, place)
-        name = model.names.partition(b"\0")[0].decode()  # The first is the model's.
-        world = f"  <link name={quoteattr(self.bodies[0])}/>\n"
-        start = f"<robot name={quoteattr(name or 'robot')}>\n"
-        return "".join([start, world, *self.lines, "</robot>\n"])
+        indent(self.root)
+        return tostring(self.root, "unicode")
 
     def _unused(self, name: str) -> str:
         """A name that nothing else has."""
@@ -87,43 +87,47 @@ class Writer:
         return name
 
     def _fixed(self, parent: str, child: str, place: pin.SE3) -> None:
-        joint = self._unused(f"{child}_fixed"), "fixed", parent, child
-        self._joint(joint, place)
+        self._joint(self._unused(f"{child}_fixed"), "fixed", parent, child, place)
 
-    def _joint(self, joint: Sequence[str], place: pin.SE3, more: str = "") -> None:
-        """Write a joint and its link, with the inertia of a body, see `branch`."""
-        model, child, inside = self.model, joint[-1], ""
+    def _joint(
+        self, name: str, kind: str, parent: str, child: str, place: pin.SE3
+    ) -> Element:
+        """Write a link, with the inertia of a body, and the joint that carries it."""
+        model, link = self.model, SubElement(self.root, "link", name=child)
         body = self.bodies.index(child) if child in self.bodies else 0
         if model.body_mass[body] > LIGHTEST:
-            six = origin_of(_placement(model.body_ipos[body], model.body_iquat[body]))
-            (x, y, z), mass = model.body_inertia[body], model.body_mass[body]
-            inside = _tag("mass", value=mass) + _tag("origin", xyz=six[:3], rpy=six[3:])
-            inside += _tag("inertia", ixx=x, iyy=y, izz=z, ixy=0.0, ixz=0.0, iyz=0.0)
-            inside = f"<inertial>\n{inside}  </inertial>"
-        origin = np.add(origin_of(place), 0.0).tolist()
-        self.lines.append(branch(joint, origin, more, inside))
+            inertial, (x, y, z) = SubElement(link, "inertial"), model.body_inertia[body]
+            _add(inertial, "mass", value=model.body_mass[body])
+            _place(inertial, _placement(model.body_ipos[body], model.body_iquat[body]))
+            _add(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy=0.0, ixz=0.0, iyz=0.0)
+        joint = SubElement(self.root, "joint", name=name, type=kind)
+        _add(joint, "parent", link=parent)
+        _add(joint, "child", link=child)
+        _place(joint, place)
+        return joint
 
-    def _moving(self, j: int, place: pin.SE3) -> tuple[pin.SE3, str, str]:
-        """Placement, kind, axis and limits of one of MuJoCo's joints."""
-        model, kind = self.model, self.model.jnt_type[j]
+    def _moving(self, j: int, parent: str, child: str, place: pin.SE3) -> Element:
+        """Write one of MuJoCo's joints."""
+        model, name, kind = self.model, self.joints[j], self.model.jnt_type[j]
         if kind == BALL:
-            name = self.joints[j]
             raise RobotError(f"joint '{name}' is a ball joint, which no URDF can hold")
         if kind == FREE:
-            return place, "floating", ""
+            return self._joint(name, "floating", parent, child, place)
         # At its reference position the body is where it is drawn.
         axis, back = model.jnt_axis[j], np.zeros((2, 3))
         back[int(kind == HINGE)] = -model.qpos0[model.jnt_qposadr[j]] * axis
-        limited = bool(model.jnt_limited[j])
-        ends = zip(("lower", "upper"), model.jnt_range[j], strict=True)
-        limit = _tag("limit", **dict(ends if limited else ()), effort=0.0, velocity=0.0)
+        place, limited = place * pin.exp6(pin.Motion(*back)), bool(model.jnt_limited[j])
         turning = "revolute" if limited else "continuous"
         word = turning if kind == HINGE else "prismatic"
-        return place * pin.exp6(pin.Motion(*back)), word, _tag("axis", xyz=axis) + limit
+        joint = self._joint(name, word, parent, child, place)
+        _add(joint, "axis", xyz=axis)
+        ends = zip(("lower", "upper"), model.jnt_range[j], strict=True)
+        _add(joint, "limit", **dict(ends if limited else ()), effort=0.0, velocity=0.0)
+        return joint
 
-    def _mimics(self) -> dict[int, str]:
-        """Elements of joints that follow others, as far as a URDF can hold them."""
-        model, elements = self.model, dict[int, str]()
+    def _mimics(self) -> dict[int, dict[str, Any]]:
+        """How joints follow others, as far as a URDF can hold it, by their number."""
+        model, mimics = self.model, dict[int, dict[str, Any]]()
         couplings = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 == 1)
         for k in np.flatnonzero(couplings):
             one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
@@ -134,17 +138,21 @@ class Writer:
             # Coupled are the distances from the reference positions.
             zero, leader = (model.qpos0[model.jnt_qposadr[j]] for j in (one, other))
             numbers = {"multiplier": factor, "offset": zero + offset - factor * leader}
-            elements[one] = _tag("mimic", joint=self.joints[other], **numbers)
-        return elements
+            mimics[one] = {"joint": self.joints[other], **numbers}
+        return mimics
 
 
-def _tag(tag: str, **about: Any) -> str:
-    """An element with attributes, of numbers with all their digits, in a line."""
+def _add(parent: Element, tag: str, **about: Any) -> None:
+    """Add an element with attributes, of numbers with all their digits."""
+    element = SubElement(parent, tag)
     for key, value in about.items():
-        if not isinstance(value, str):  # Adding zero turns -0.0 into 0.0.
-            value = words(np.atleast_1d(value) + 0.0)
-        tag += f" {key}={quoteattr(value)}"
-    return f"    <{tag}/>\n"
+        text = isinstance(value, str)  # Adding zero turns -0.0 into 0.0.
+        element.set(key, value if text else words(np.atleast_1d(value) + 0.0))
+
+
+def _place(parent: Element, place: pin.SE3) -> None:
+    six = origin_of(place)
+    _add(parent, "origin", xyz=six[:3], rpy=six[3:])
 
 
 def _placement(position: Floats, quaternion: Floats) -> pin.SE3:

@@ -54,30 +54,6 @@ def words(numbers: Iterable[float]) -> str:
     return " ".join(repr(float(number)) for number in numbers)
 
 
-def branch(
-    joint: Sequence[str], origin: Sequence[float], more: str = "", inside: str = ""
-) -> str:
-    """A link of a URDF and the joint that carries it, in lines.
-
-    Args:
-        joint: Name and type of the joint, the link on which it is, and its own.
-        origin: Its numbers, see `ORIGIN`.
-        more: Other elements of the joint, in lines.
-        inside: Elements of the link.
-    """
-    from xml.sax.saxutils import quoteattr  # Loads what reads from the network.
-
-    name, kind, parent, child = map(quoteattr, joint)
-    link = f"link name={child}"
-    return f"""  <{link}{f">{inside}</link" if inside else "/"}>
-  <joint name={name} type={kind}>
-    <parent link={parent}/>
-    <child link={child}/>
-    <origin xyz="{words(origin[:3])}" rpy="{words(origin[3:])}"/>
-{more}  </joint>
-"""
-
-
 @dataclass(frozen=True)
 class Document:
     """A well-formed XML document.

@@ -181,14 +181,7 @@ def read(
         failure: Any = error
     while isinstance(getattr(failure, "exc", None), BaseException):
         failure = failure.exc  # Without what xacro adds to it.
-    reason = words_of(failure)
-    if isinstance(failure, RecursionError):
-        reason = "a macro or an expression calls itself without end"
-    elif isinstance(failure, MemoryError):
-        reason = "it needs too much memory"
-    elif isinstance(failure, OSError):
-        reason = f"cannot read {failure.filename}: {failure.strerror}"
-    reason = f"xacro cannot expand it: {reason}"
+    reason = f"xacro cannot expand it: {words_of(failure)}"
     if xacro.macrostack:  # It, or the call of it, is wrong.
         macro = xacro.macrostack[-1]
         place = Path(str(macro.history[-1][-1])).name

@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from calib_pin.viewer.panel import Controls, add_panel, text
+from calib_pin.viewer.panel import draw_scene, text
 from calib_pin.viewer.scene import Scene
-from calib_pin.viewer.stage import Stage
 
 if TYPE_CHECKING:
     import viser
@@ -135,8 +134,7 @@ class Page:
     def _view(self, scene: Scene) -> None:
         """Draw another scene, with its controls."""
         self._viewer.scene.reset()
-        stage = Stage(self._viewer, scene)
-        add_panel(Controls(self._viewer.gui), scene, stage)
+        stage = draw_scene(self._viewer, scene)
         # While rows come in, and after the calibration, nobody's view is moved.
         kind = scene.title, scene.rows is None
         if kind != self._seen:
@@ -162,18 +160,15 @@ def draw(gui: viser.GuiApi, widget: Widget) -> None:
             )
             gui.add_html(text("".join(links)))
         case "progress":
-            part = 100.0 * (value or 0.0)
             gui.add_html(text(html.escape(label)))
-            gui.add_progress_bar(100.0 if value is None else part, animated=True)
+            part = 100.0 if value is None else 100.0 * value
+            gui.add_progress_bar(part, animated=True)
         case "choice":
             choice = gui.add_dropdown(label, widget.choices, initial_value=value)
             choice.on_update(lambda _: do(choice.value))
         case "entry" | "lines":
-            entry = gui.add_text(
-                "" if widget.kind == "lines" else widget.choices[0],
-                value,
-                multiline=widget.kind == "lines",
-            )
+            (name,) = widget.choices or ("",)
+            entry = gui.add_text(name, value, multiline=widget.kind == "lines")
             gui.add_button(label, color="gray").on_click(lambda _: do(entry.value))
         case "button":
             color = "green" if widget.tone == "good" else "gray"

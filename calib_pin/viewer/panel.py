@@ -103,21 +103,14 @@ class Joints:
         lower, upper = (self._factors * end for end in _range(scene))
         units = ["" if turns else " [mm]" for turns in skeleton.revolute]
         alone = scene.rows is None and scene.plan is None
-        with controls.gui.add_folder(
-            "Joints [deg]", order=LAST, expand_by_default=alone
-        ):
-            self._sliders: list[Any] = [
-                controls.gui.add_slider(
-                    name + units[k],
-                    math.floor(lower[k]),
-                    math.ceil(upper[k]),
-                    0.1,
-                    self._displayed(k),
-                )
-                for k, name in enumerate(skeleton.joints)
-            ]
-        for slider in self._sliders:
-            controls.on(slider, lambda _: self._read_value())
+        folder = {"order": LAST, "expand_by_default": alone}
+        self._sliders = list[Any]()
+        with controls.gui.add_folder("Joints [deg]", **folder):
+            for k, name in enumerate(skeleton.joints):
+                ends = math.floor(lower[k]), math.ceil(upper[k])
+                about = name + units[k], *ends, 0.1, self._displayed(k)
+                self._sliders.append(controls.gui.add_slider(*about))
+                controls.on(self._sliders[k], lambda _: self._read_value())
         stage.pose(self._q, self._payload)
 
     def move(self, q: Floats, payload: str) -> None:
@@ -148,6 +141,13 @@ def _range(scene: Scene) -> tuple[Floats, Floats]:
     return ends[0], ends[1]
 
 
+def draw_scene(viewer: viser.ViserServer | viser.ClientHandle, scene: Scene) -> Stage:
+    """Draw a scene for all tabs or for one, and add all controls."""
+    stage = Stage(viewer, scene)
+    add_panel(Controls(viewer.gui), scene, stage)
+    return stage
+
+
 def add_panel(controls: Controls, scene: Scene, stage: Stage) -> None:
     """Draw errors, and add all controls."""
     with controls.gui.add_folder("Robot"):
@@ -159,9 +159,8 @@ def add_panel(controls: Controls, scene: Scene, stage: Stage) -> None:
     joints, rows = Joints(controls, scene, stage), scene.rows
     if rows is not None:
         _add_rows(controls, stage, rows, joints)
-    _add_magnifier(controls, scene, stage)
-    if rows is not None:
         _add_map(controls, stage, rows)
+    _add_magnifier(controls, scene, stage)
     if scene.plan is not None:
         _add_plan(controls, scene.plan, joints)
 

@@ -24,9 +24,8 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from calib_pin.viewer.panel import Controls, add_panel
+from calib_pin.viewer.panel import draw_scene
 from calib_pin.viewer.scene import Scene
-from calib_pin.viewer.stage import Stage
 
 HOST = "127.0.0.1"
 
@@ -85,9 +84,7 @@ class Window:
 
     def show(self, scene: Scene) -> None:
         """Show one scene in all tabs."""
-        stage = Stage(self._server, scene)
-        stage.see(self._server.initial_camera)
-        add_panel(Controls(self._server.gui), scene, stage)
+        draw_scene(self._server, scene).see(self._server.initial_camera)
 
     def welcome(self, page: Callable[[viser.ClientHandle, str], Tick]) -> None:
         """Give every tab, which has a name, a page of its own."""

@@ -65,16 +65,15 @@ class Document:
             declaration, which speaks of the encoding of the file and may be where XML
             does not allow it.
         root: The outermost element; tags have the namespace prefix as written.
-        places: Of each element the line of its start tag, counted from 1, its offset
-            in the data, and the element below the root in which it is, as messages
-            name it.
+        places: Of each element the line of its start tag, counted from 1, and its
+            offset in the data.
     """
 
     file: str | None
     data: bytes
     plain: bytes
     root: Element
-    places: Mapping[Element, tuple[int, int, str]]
+    places: Mapping[Element, tuple[int, int]]
 
     def named(self, tag: str) -> dict[str, Element]:
         """The links or joints of the robot by name, in the order of the file."""
@@ -82,7 +81,8 @@ class Document:
 
     def owner(self, element: Element) -> str:
         """The link or joint in which an element is, as messages name it."""
-        return self.places[element][2]
+        top = next(e for e in self.root if element in e.iter())
+        return f"{top.tag} '{top.get('name', '')}'"
 
     def error(self, element: Element, reason: str, **about: Any) -> RobotError:
         """An error that points at an element, and is about a `value` in it."""
@@ -113,8 +113,8 @@ class Document:
         element = joint.find("axis")
         if element is None:
             return np.array([1.0, 0.0, 0.0])
-        axis = self.numbers(element, "xyz", 3)
-        self.require(axis.any(), element, f"the axis of {self.owner(joint)} is zero")
+        if not (axis := self.numbers(element, "xyz", 3)).any():
+            raise self.error(element, f"the axis of {self.owner(joint)} is zero")
         return axis
 
     def origin(self, element: Element) -> pin.SE3:
@@ -125,9 +125,9 @@ class Document:
             return placement
         if "xyz" in origin.attrib:
             placement.translation = self.numbers(origin, "xyz", 3)
-        reason = f"the origin of {self.owner(element)} has a quaternion"
-        plain = "quat_xyzw" not in origin.attrib
-        self.require(plain, origin, reason, allowed="rpy, the angles of URDF 1.0")
+        if "quat_xyzw" in origin.attrib:
+            reason = f"the origin of {self.owner(element)} has a quaternion"
+            raise self.error(origin, reason, allowed="rpy, the angles of URDF 1.0")
         if "rpy" in origin.attrib:
             placement.rotation = pin.rpy.rpyToMatrix(self.numbers(origin, "rpy", 3))
         return placement
@@ -179,11 +179,11 @@ def parse_document(
 
 def _scan(
     data: bytes, file: str | None, comments: bool
-) -> tuple[Element, dict[Element, tuple[int, int, str]]]:
+) -> tuple[Element, dict[Element, tuple[int, int]]]:
     """Root and places of a document in UTF-8, as expat finds them."""
     parser = expat.ParserCreate("utf-8")
     builder = TreeBuilder(insert_comments=comments)
-    places, owners = dict[Element, tuple[int, int, str]](), list[str]()
+    places = dict[Element, tuple[int, int]]()
 
     def doctype(*_: object) -> None:
         # Entities can fetch files and swell to gigabytes; no URDF needs them.
@@ -195,16 +195,10 @@ def _scan(
         if tag.startswith("xacro:"):
             reason = "is a xacro file; let its name end in .xacro, or expand it first"
             raise RobotError(reason, file=file, line=line, value=f"<{tag}>")
-        named = f"{tag} '{attributes.get('name', '')}'" if owners else ""
-        owners.append(named if len(owners) < 2 else owners[-1])
-        places[builder.start(tag, attributes)] = line, offset, owners[-1]
-
-    def end(tag: str) -> None:
-        builder.end(tag)
-        owners.pop()
+        places[builder.start(tag, attributes)] = line, offset
 
     parser.buffer_text, parser.StartDoctypeDeclHandler = True, doctype
-    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartElementHandler, parser.EndElementHandler = start, builder.end
     parser.CharacterDataHandler, parser.CommentHandler = builder.data, builder.comment
     try:
         parser.Parse(data, True)
@@ -391,8 +385,8 @@ def parse_robot(source: bytes, file: str) -> Robot:
 
 def _check(document: Document, element: Element) -> None:
     """Refuse a link or joint with numbers that are none, or which no robot has."""
-    kind, owner = element.get("type", ""), document.owner(element)
-    name = element.get("name", "")
+    kind, name = element.get("type", ""), element.get("name", "")
+    owner = f"{element.tag} '{name}'"
     document.require(name, element, f"a {element.tag} has no name")
     for part in element.iter():
         for key, count in NUMBERS.get(part.tag, {}).items():

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import InputError, counted
+from calib_pin.errors import InputError, enumerated
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.robot_shapes import read_mesh, shape_of
 from calib_pin.io.urdf_tree import Document, link_of, parse_document, placed
@@ -136,9 +136,8 @@ def _as_built(
     clearances[[k for pair in near for k in places[pair]]] = 0.0
     for pairs, words in ((left_out, TOUCH), (near, NEAR)):
         if pairs:
-            named = "; ".join(f"{first} and {second}" for first, second in pairs[:3])
-            count = counted(len(pairs), "pair")
-            tell(f"links that {words}: {count} ({named}{'; ...' * (len(pairs) > 3)})")
+            named = (" and ".join(pair) for pair in pairs)
+            tell(f"links that {words}: {enumerated(named)}")
     order = np.argsort(-contacts.mean(axis=0), kind="stable")
     indices = (k for k in order if collisions.pairs[k] not in left_out)
     return collisions.only(indices, clearances)

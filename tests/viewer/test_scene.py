@@ -24,8 +24,8 @@ from calib_pin.observations import BlockKey, Conditions
 from calib_pin.setup import ChainSetup, Payload
 from calib_pin.validation.evaluation import registered_robot
 from calib_pin.validation.model_errors import Registered
+from calib_pin.viewer.panel import sight
 from calib_pin.viewer.scene import bodies_of, stage_errors
-from calib_pin.viewer.stage import sight
 from tests.shared import joint, simulated, urdf_of
 
 MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}

@@ -21,9 +21,8 @@ from calib_pin.cli import main
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chains import Chains
-from calib_pin.viewer.panel import MAGNIFICATIONS, Controls, add_panel, lines
+from calib_pin.viewer.panel import MAGNIFICATIONS, Controls, Stage, add_panel, lines
 from calib_pin.viewer.scene import Scene, bodies_of
-from calib_pin.viewer.stage import Stage
 
 pytestmark = pytest.mark.needs("view")
 

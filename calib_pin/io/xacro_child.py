@@ -181,7 +181,9 @@ def read(
         failure: Any = error
     while isinstance(getattr(failure, "exc", None), BaseException):
         failure = failure.exc  # Without what xacro adds to it.
-    reason = f"xacro cannot expand it: {words_of(failure)}"
+    memory = isinstance(failure, MemoryError)
+    reason = "it needs too much memory" if memory else words_of(failure)
+    reason = f"xacro cannot expand it: {reason}"
     if xacro.macrostack:  # It, or the call of it, is wrong.
         macro = xacro.macrostack[-1]
         place = Path(str(macro.history[-1][-1])).name

@@ -261,8 +261,6 @@ class _Motion:
         middle = 0.5 * (time[1:] + time[:-1])
         by_readings = np.interp(second, middle, np.sqrt(rates))
         a, b = by_joints - by_joints.mean(), by_readings - by_readings.mean()
-        if not (a.any() and b.any()):
-            return None
         one_a, one_b = np.ones(len(a)), np.ones(len(b))
         products, shared = _correlated(b, a), _correlated(one_b, one_a)
         ones = _correlated(b**2, one_a), _correlated(one_b, a**2)
@@ -411,8 +409,7 @@ def in_one_unit(joints: Log, readings: Log) -> tuple[Log, Log, int]:
     spans = [float(np.ptp(log.time)) for log in (joints, readings)]
     far = np.log10(spans[0] / spans[1]) / 3.0 if min(spans) > 0.0 else 0.0
     steps = round(far)
-    if abs(far - steps) >= LIKE or abs(steps) > 3:
-        return joints, readings, 0
+    steps = steps if abs(far - steps) < LIKE and abs(steps) <= 3 else 0
     joints = replace(joints, time=joints.time * 1e-3 ** max(steps, 0))
     readings = replace(readings, time=readings.time * 1e-3 ** max(-steps, 0))
     return joints, readings, steps

@@ -20,6 +20,7 @@ All numbers are in SI units. What they mean stands at `setup.population`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -27,10 +28,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from calib_pin.errors import OptionError, nearest
-from calib_pin.io.cameras import camera_of
+from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.io.files import read_bytes
 from calib_pin.io.json_text import decoded, format_keys, plain, reading, typed
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import AT
 from calib_pin.parameterizations import NOTHING, PARAMETERIZATIONS, required_keys
@@ -48,6 +49,15 @@ WIDTH = 60
 
 LARGEST = 1e5
 """Largest value of a parameter, whatever its unit: that of a camera's focal length."""
+
+CAMERA_BYTES = 1 << 20
+"""Most bytes of a file of a camera."""
+
+CAMERA = ("camera_matrix", "distortion_coefficients", "image_width", "image_height")
+"""Its keys."""
+
+BROWN, COEFFICIENTS = ("", "plumb_bob"), 5
+"""Models of a lens that are that of Brown and Conrady, and its coefficients."""
 
 TrueErrors = Mapping[str, Annotated[float, Value("m, rad", -LARGEST, LARGEST)]]
 """Values of parameters by name."""
@@ -147,6 +157,57 @@ def read_setup(path: str | Path | Mapping[str, object]) -> Setup:
         for obstacle in setup.obstacles
     )
     return replace(setup, obstacles=obstacles, file=tree.file)
+
+
+def camera_of(path: Path, estimate: bool) -> dict[str, Any]:
+    """The keys of `camera` in a setup file, from a file of other software.
+
+    `camera_info` of ROS, and `FileStorage` of OpenCV as YAML, have the matrix and the
+    distortion under the same names.
+
+    Args:
+        path: The file.
+        estimate: Whether the intrinsics are estimated: then a lens of another model
+            than that of Brown and Conrady starts without a distortion.
+
+    Raises:
+        InputError: If the file holds no such camera, or another lens.
+    """
+    from calib_pin.io.yaml_tree import parse_tree
+
+    # OpenCV writes a directive that is not YAML, and tags.
+    data = read_bytes(path, CAMERA_BYTES)
+    plain = re.sub(rb"^%YAML.*|^---.*|^\.\.\..*", b"", data, flags=re.MULTILINE)
+    document = parse_tree(re.sub(rb"!![\w-]+", b"", plain), str(path)).data
+    document = document if isinstance(document, Mapping) else {}
+    K, lens, *size = (_numbers(document.get(key)) for key in CAMERA)
+    if len(K) != 9 or "distortion_coefficients" not in document:
+        reason = "is no camera_info of ROS, and no FileStorage of OpenCV as YAML"
+        raise InputError(reason, file=path, allowed=", ".join(CAMERA[:2]))
+    model, lens = str(document.get("distortion_model", "")), np.trim_zeros(lens, "b")
+    if len(lens) and (len(lens) > COEFFICIENTS or model not in BROWN):
+        if not estimate:
+            reason = f"the lens '{model or len(lens)}' is none of Brown and Conrady"
+            allowed = "such a one to start from, with 'estimate: true' beside 'file'"
+            raise InputError(reason, file=path, allowed=allowed)
+        lens = np.zeros(0)
+    camera = {
+        "focal": K[[0, 4]].tolist(),
+        "center": K[[2, 5]].tolist(),
+        "distortion": np.pad(lens, (0, COEFFICIENTS - len(lens))).tolist(),
+    }
+    numbers = np.concatenate(size).tolist()
+    return {**camera, "size": numbers} if len(numbers) == 2 else camera
+
+
+def _numbers(value: Any) -> Floats:
+    """The numbers of a number, a list, or a mapping with `data`; empty for others."""
+    if isinstance(value, Mapping):
+        value = value.get("data")
+    try:
+        return np.array([] if value is None else value, float).ravel()
+    except (TypeError, ValueError):
+        return np.zeros(0)
 
 
 def setup_document(setup: Setup) -> dict[str, Any]:

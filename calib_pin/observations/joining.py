@@ -342,17 +342,16 @@ class _Motion:
             return int(np.count_nonzero((k >= 0) & (t <= ends[np.maximum(k, 0)])))
 
         def counted(zone: float) -> NDArray[np.int64]:
-            time = readings.time - zone
-            common = np.mean((time > starts[0] - longest) & (time < ends[-1] + longest))
-            offsets = near if common >= MOSTLY or not zone else near[:0]
-            return np.array([inside(zone + ahead) for ahead in offsets], np.int64)
+            return np.array([inside(zone + ahead) for ahead in near], np.int64)
 
         zone, counts, count = 0.0, counted(0.0), len(readings.time)
-        if counts.max() < HARDLY * count:
-            by_zone = {zone: counted(zone) for zone in ZONES}
-            best = max(by_zone, key=lambda zone: by_zone[zone].max(initial=0))
-            if by_zone[best].max(initial=0) >= MOSTLY * count:
-                zone, counts = best, by_zone[best]
+        for other in ZONES if counts.max() < HARDLY * count else ():
+            time = readings.time - other
+            common = (time > starts[0] - longest) & (time < ends[-1] + longest)
+            if common.mean() >= MOSTLY:
+                found = counted(other)
+                if found.max() >= max(MOSTLY * count, counts.max() + 1):
+                    zone, counts = other, found
         if not counts.max():
             spans = [f"{t[0]:.1f} to {t[-1]:.1f} s" for t in (self.grid, readings.time)]
             text = "joints are of {}, readings of {}".format(*spans)

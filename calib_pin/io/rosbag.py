@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from calib_pin.errors import InputError, enumerated, require_package
+from calib_pin.errors import InputError, enumerated, require_package, words_of
 from calib_pin.io.columns import Column
 from calib_pin.io.logs import POSE
 from calib_pin.io.measured_columns import POSITION
@@ -147,8 +147,8 @@ def _messages(
                     # Where it does not say when it was made, when it was recorded.
                     topics[name].append((made or 1e-9 * recorded, item))
     except Exception as error:  # Of the library, sqlite, lz4, struct, and what not.
-        line = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"cannot be read as a bag: {line}", file=path) from error
+        reason = f"cannot be read as a bag: {words_of(error)}"
+        raise InputError(reason, file=path) from error
     if topic in topics or (topic is None and len(topics) == 1):
         return topics[topic or next(iter(topics))]
     if not topics and kinds == [DATA]:

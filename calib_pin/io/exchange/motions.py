@@ -101,11 +101,8 @@ def urscript(
         OptionError: If the robot is not one of six revolute joints, or its URDF states
             no speeds.
     """
-    sliding = [
-        n for n, turns in zip(columns.names, columns.revolute, strict=True) if not turns
-    ]
-    if sliding or len(columns.names) != 6:
-        value = f"'{sliding[0]}' slides" if sliding else f"{len(columns.names)} joints"
+    if len(columns.names) != 6 or not columns.revolute.all():
+        value = f"{len(columns.names)} joints, {columns.revolute.sum()} revolute"
         raise OptionError("URScript is for six revolute joints", value=value)
     v = float(speed_limits(chain, part).min())
     lines = [f"# {line}" for line in comments] + ["def commands():"]

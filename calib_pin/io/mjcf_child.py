@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import RobotError, words_of
-from calib_pin.io.urdf_tree import origin_of, words
+from calib_pin.io.urdf_tree import origin_of, unused, words
 from calib_pin.kinematics.spatial import Floats
 
 REMARK = "read from MJCF: bodies and sites are links, shapes are not taken over"
@@ -48,7 +48,7 @@ class Writer:
         owners = [self.bodies[b] for b in model.jnt_bodyid]
         usual = [f"{owner}_joint{j}" for j, owner in enumerate(owners)]
         pairs = zip(names, usual, strict=True)
-        self.joints = [name or self._unused(other) for name, other in pairs]
+        self.joints = [name or unused(other, self.used) for name, other in pairs]
 
     def write(self) -> str:
         """The text of the URDF."""
@@ -63,7 +63,7 @@ class Writer:
                 place = place * pin.SE3(np.eye(3), model.jnt_pos[j] - shift)
                 shift = model.jnt_pos[j]
                 last = j == end - 1 and not shift.any()
-                child = name if last else self._unused(f"{self.joints[j]}_link")
+                child = name if last else unused(f"{self.joints[j]}_link", self.used)
                 joint = self._moving(j, parent, child, place)
                 if j in mimics:
                     _add(joint, "mimic", **mimics[j])
@@ -73,21 +73,15 @@ class Writer:
                 self._fixed(parent, name, place)
         for k in range(model.nsite):
             if name := model.site(k).name:
-                site = name if name not in self.bodies else self._unused(name)
+                site = name if name not in self.bodies else unused(name, self.used)
                 place = _placement(model.site_pos[k], model.site_quat[k])
                 self._fixed(self.bodies[model.site_bodyid[k]], site, place)
         indent(self.root)
         return tostring(self.root, "unicode")
 
-    def _unused(self, name: str) -> str:
-        """A name that nothing else has."""
-        while name in self.used:
-            name += "_"
-        self.used.add(name)
-        return name
-
     def _fixed(self, parent: str, child: str, place: pin.SE3) -> None:
-        self._joint(self._unused(f"{child}_fixed"), "fixed", parent, child, place)
+        name = unused(f"{child}_fixed", self.used)
+        self._joint(name, "fixed", parent, child, place)
 
     def _joint(
         self, name: str, kind: str, parent: str, child: str, place: pin.SE3

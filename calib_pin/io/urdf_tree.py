@@ -54,6 +54,14 @@ def words(numbers: Iterable[float]) -> str:
     return " ".join(repr(float(number)) for number in numbers)
 
 
+def unused(name: str, used: set[str]) -> str:
+    """A name that nothing else has, longer if need be; taken from now."""
+    while name in used:
+        name += "_"
+    used.add(name)
+    return name
+
+
 @dataclass(frozen=True)
 class Document:
     """A well-formed XML document.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -22,7 +21,7 @@ import calib_pin.io.exchange.base as base
 import calib_pin.io.urdf_tree as urdf_tree
 from calib_pin.errors import enumerated
 from calib_pin.io.exchange.base import Encoded, Exported, Format
-from calib_pin.io.urdf_tree import Document, origin_of, words
+from calib_pin.io.urdf_tree import Document, origin_of, unused, words
 from calib_pin.measurement_models.declaration import QUATERNION
 from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.validation.result import REMEDY, frames_of
@@ -102,7 +101,9 @@ def places(
             if camera is not None:
                 name = term.frames.reference(camera)
                 names = (name, f"{name}_optical_frame")
-            child, unknown = _free_name(names, used), result.unknown_of(*frame)
+            *plain, last = (re.sub(r"[./]", "_", name) for name in names)
+            free = next((name for name in plain if name not in used), last)
+            child, unknown = unused(free, used), result.unknown_of(*frame)
             where = f"of {link} -> {child}"
             if frame is tool and camera is None and unknown == TURNS:
                 reason = "was not measured, only its position"
@@ -115,15 +116,6 @@ def places(
     if not known:
         remarks.append(REMEDY)
     return frames, tuple(remarks)
-
-
-def _free_name(names: Sequence[str], used: set[str]) -> str:
-    """The first name that no frame has, or the last with a number; taken from now."""
-    plain = [re.sub(r"[./]", "_", name) for name in names]
-    plain += [f"{plain[-1]}_{k}" for k in range(2, len(used) + 3)]
-    name = next(name for name in plain if name not in used)
-    used.add(name)
-    return name
 
 
 def _corrected(exported: Exported) -> Document:
@@ -228,10 +220,7 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     ]
     for name, joint in document.named("joint").items():
         if name in {*exported.chains.joints, *changed}:
-            stem = re.sub(r"\W|^(?=\d)", "_", name)
-            while stem in used:
-                stem += "_"
-            used.add(stem)
+            stem = unused(re.sub(r"\W|^(?=\d)", "_", name), used)
             if stem != name:
                 renamed.append(f"{stem}_xyz, {stem}_rpy are those of '{name}'")
             numbers = origin_of(document.origin(joint))

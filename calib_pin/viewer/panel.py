@@ -358,7 +358,9 @@ def _add_rows(controls: Controls, stage: Stage, rows: Rows, joints: Joints) -> N
 
 def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
     """One slider for error vectors and the geometry, if there are any of these."""
-    positions = {} if scene.rows is None else scene.rows.positions
+    stages = {} if scene.rows is None else scene.rows.stages
+    # Of the stages at which something is measured as a position.
+    positions = {n: e for n, e in stages.items() if np.isfinite(e.vectors).any()}
     if not positions and len(scene.bodies) == 1:
         return
     # How far corrections move the origins of links, and the errors of the rows.

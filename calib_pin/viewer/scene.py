@@ -123,12 +123,6 @@ class Rows:
     data: Observations
     stages: dict[str, StageErrors]
 
-    @property
-    def positions(self) -> dict[str, StageErrors]:
-        """Errors of the stages at which something is measured as a position."""
-        every = self.stages.items()
-        return {name: e for name, e in every if np.isfinite(e.vectors).any()}
-
 
 @dataclass(frozen=True, eq=False)
 class Scene:

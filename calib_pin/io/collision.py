@@ -198,7 +198,7 @@ def _adjacent(document: Document) -> set[frozenset[str]]:
 
 def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
     """Links that an SRDF allows to touch."""
-    root = parse_document(read_bytes(srdf, TEXT), str(srdf), "an SRDF").root
+    root = parse_document(read_bytes(srdf, TEXT), str(srdf)).root
     if root.tag != "robot" or root.findall("link"):
         raise InputError("is no SRDF", file=srdf, allowed="a <robot> without links")
     if (name := root.get("name", "")) != robot.name:

@@ -148,47 +148,29 @@ def link_of(joint: Element, role: str) -> str:
 
 
 def parse_document(
-    source: bytes,
-    file: str | None = None,
-    kind: str = "a URDF",
-    comments: bool = False,
+    source: bytes, file: str | None = None, comments: bool = False
 ) -> Document:
-    """Parse XML as far as a URDF, or what else is named, needs it.
+    """Parse XML as far as a URDF, or an SRDF, needs it.
 
     Args:
         source: The bytes.
         file: Name of the source, for messages.
-        kind: What it should be, for messages.
         comments: Whether the tree has comments, for who writes it.
 
     Raises:
         RobotError: If the bytes are not well-formed XML in UTF-8, declare a DOCTYPE or
             entities, or are an unexpanded xacro file.
     """
-    mark = codecs.BOM_UTF8
-    plain = re.sub(b"^" + mark, b" " * len(mark), source)
-    if not re.match(rb"\s*<", plain):
-        start = source[:16] if plain.strip(b"\0 \t\r\n") else None
-        reason = "the file is empty" if start is None else "is not XML"
-        allowed = f"{kind}, as text in UTF-8"
-        raise RobotError(reason, file=file, value=start, allowed=allowed)
     try:
         source.decode()
     except UnicodeDecodeError as error:
         line = source.count(b"\n", 0, error.start) + 1
-        reason = f"the byte 0x{source[error.start]:02x} is not UTF-8"
-        allowed = "text in UTF-8"
-        raise RobotError(reason, file=file, line=line, allowed=allowed) from None
+        raise RobotError("is not text in UTF-8", file=file, line=line) from None
+    mark = codecs.BOM_UTF8
+    plain = re.sub(b"^" + mark, b" " * len(mark), source)
     if match := _DECLARATION.match(plain):
         blank = re.sub(rb"[^\r\n]", b" ", match[1])
         plain = plain[: match.start(1)] + blank + plain[match.end() :]
-    return Document(file, source, plain, *_scan(plain, file, comments))
-
-
-def _scan(
-    data: bytes, file: str | None, comments: bool
-) -> tuple[Element, dict[Element, tuple[int, int]]]:
-    """Root and places of a document in UTF-8, as expat finds them."""
     parser = expat.ParserCreate("utf-8")
     builder = TreeBuilder(insert_comments=comments)
     places = dict[Element, tuple[int, int]]()
@@ -209,11 +191,11 @@ def _scan(
     parser.StartElementHandler, parser.EndElementHandler = start, builder.end
     parser.CharacterDataHandler, parser.CommentHandler = builder.data, builder.comment
     try:
-        parser.Parse(data, True)
+        parser.Parse(plain, True)
     except expat.ExpatError as error:
         reason = f"is not well-formed XML: {expat.ErrorString(error.code)}"
         raise RobotError(reason, file=file, line=error.lineno) from error
-    return builder.close(), places
+    return Document(file, source, plain, builder.close(), places)
 
 
 def edit_origins(
@@ -355,8 +337,6 @@ def parse_robot(source: bytes, file: str) -> Robot:
     """
     document = parse_document(source, file)
     root, links, joints = document.root, document.named("link"), document.named("joint")
-    reason = f"the outermost element is <{root.tag}>"
-    document.require(root.tag == "robot", root, reason, allowed="<robot>")
     few, reason = len(links) <= LINKS, f"the robot has {len(links)} links"
     document.require(few, root, reason, allowed=f"at most {LINKS}")
     for element in (*links.values(), *joints.values()):

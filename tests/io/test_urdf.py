@@ -379,8 +379,8 @@ def test_robots_that_are_not_there(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("source", "line"),
     [
-        (b"", None),
-        (b"\x89PNG\r\n\x1a\n\0\0", None),
+        (b"", 1),
+        (b"\x89PNG\r\n\x1a\n\0\0", 1),
         (b"<robot>\n<link>\n</robot>", 3),
         (b"<robot\n", 1),
         (b"<robot>\n<!-- \xe9 --></robot>", 2),

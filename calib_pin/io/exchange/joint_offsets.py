@@ -230,7 +230,7 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
     source, file = tostring(Element("robot", name=exported.nominal.robot.name)), None
     if template is not None:
         source, file = read_bytes(template, TEXT), str(template)
-    document = parse_document(source, file, "a robot with transmissions", True)
+    document = parse_document(source, file, comments=True)
     root, joints = document.root, {*errors}
     theirs = {joint.get("name", "") for joint in root.findall("joint")}
     reason, allowed = "is of another robot", f"one with the joints {enumerated(errors)}"

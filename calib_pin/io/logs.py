@@ -343,19 +343,14 @@ def _times(table: Table, name: str) -> Floats:
     if len(table.lines) < 3:
         raise InputError("is too short to be joined by time", file=table.file)
     if not np.isfinite(column.numbers).any():
-        return _dates(table, name)
+        time = np.full(len(table.lines), np.nan)
+        for row, text in enumerate(table.labels(name)):
+            with suppress(ValueError):
+                time[row] = datetime.fromisoformat(text).timestamp()
+        allowed = "seconds, or a date such as 2026-01-31T12:00:00.5"
+        table.refuse(np.isnan(time), "not a time", name, allowed)
+        return time
     time = table.numbers(name, measured_columns.TIME)
     # Seconds since 1970 have ten digits, others are of smaller units.
     steps = int(np.log10(max(time[0], 1.0))) // 3 - 3 if column.unit is None else 0
     return time * 1e-3 ** max(steps, 0)
-
-
-def _dates(table: Table, name: str) -> Floats:
-    """Times of dates as ISO 8601 writes them, shape (N,) [s]."""
-    time = np.full(len(table.lines), np.nan)
-    for row, text in enumerate(table.labels(name)):
-        with suppress(ValueError):
-            time[row] = datetime.fromisoformat(text).timestamp()
-    allowed = "seconds, or a date such as 2026-01-31T12:00:00.5"
-    table.refuse(np.isnan(time), "not a time", name, allowed)
-    return time

@@ -144,23 +144,6 @@ def _install(folders: list[Path]) -> None:
         setattr(module, name, replacement)
 
 
-def _expanded(file: str, given: Mapping[str, str]) -> str:
-    """The URDF, or an exception of any kind."""
-    beside, arguments = Path(file).parent, Arguments(given)
-    for name, word in given.items():
-        # A file that the user names is in the working folder.
-        if Path(word).suffix and Path(word).is_file() and not (beside / word).exists():
-            arguments[name] = str(Path(word).absolute())
-    xacro.init_stacks(file)
-    document = xacro.parse(None, file)
-    xacro.process_doc(document, mappings=arguments, verbosity=0)
-    known = arguments.asked
-    for name in (name for name in given if name not in known):
-        has = f"; it has {enumerated(sorted(known))}" if known else ""
-        raise Refused(f"has no argument '{name}'{nearest(name, known)}{has}")
-    return str(document.toprettyxml(indent="  "))
-
-
 def read(
     file: str, arguments: Mapping[str, str], folders: list[str]
 ) -> tuple[str, str]:
@@ -176,7 +159,20 @@ def read(
     """
     try:
         _install([*map(Path, folders)])
-        return _expanded(file, arguments), ""
+        beside, known = Path(file).parent, Arguments(arguments)
+        for name, word in arguments.items():
+            # A file that the user names is in the working folder.
+            path = Path(word)
+            if path.suffix and path.is_file() and not (beside / word).exists():
+                known[name] = str(path.absolute())
+        xacro.init_stacks(file)
+        document = xacro.parse(None, file)
+        xacro.process_doc(document, mappings=known, verbosity=0)
+        for name in (name for name in arguments if name not in known.asked):
+            has = f"; it has {enumerated(sorted(known.asked))}" if known.asked else ""
+            hint = nearest(name, known.asked)
+            raise Refused(f"has no argument '{name}'{hint}{has}")
+        return str(document.toprettyxml(indent="  ")), ""
     except Exception as error:
         failure: Any = error
     while isinstance(getattr(failure, "exc", None), BaseException):

@@ -110,26 +110,24 @@ class Page:
         """Draw what has changed."""
         with self._viewer.atomic():
             for order, section in enumerate(self._sections()):
-                self._show(section, order)
+                before, folder = self._drawn.get(section.title, (None, None))
+                if section != before:
+                    if folder is not None:
+                        folder.remove()
+                    self._drawn[section.title] = section, self._show(section, order)
 
-    def _show(self, section: Section, order: int) -> None:
-        before, folder = self._drawn.get(section.title, (None, None))
-        if section == before:
-            return
-        if folder is not None:
-            folder.remove()
-        folder = None
-        if section.widgets:
-            folder = self._viewer.gui.add_folder(
-                section.title, order=order, expand_by_default=section.expanded
-            )
-            with folder:
-                for widget in section.widgets:
-                    if widget.kind == "scene":
-                        self._view(widget.value)
-                    else:
-                        draw(self._viewer.gui, widget)
-        self._drawn[section.title] = section, folder
+    def _show(self, section: Section, order: int) -> Any:
+        """The folder of a section, with its widgets; None without any."""
+        if not section.widgets:
+            return None
+        about = {"order": order, "expand_by_default": section.expanded}
+        with (folder := self._viewer.gui.add_folder(section.title, **about)):
+            for widget in section.widgets:
+                if widget.kind == "scene":
+                    self._view(widget.value)
+                else:
+                    draw(self._viewer.gui, widget)
+        return folder
 
     def _view(self, scene: Scene) -> None:
         """Draw another scene, with its controls."""

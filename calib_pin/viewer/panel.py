@@ -314,26 +314,23 @@ def _range(scene: Scene) -> tuple[Floats, Floats]:
 
 def draw_scene(viewer: viser.ViserServer | viser.ClientHandle, scene: Scene) -> Stage:
     """Draw a scene for all tabs or for one, and add all controls."""
-    stage = Stage(viewer, scene)
-    add_panel(Controls(viewer.gui), scene, stage)
-    return stage
-
-
-def add_panel(controls: Controls, scene: Scene, stage: Stage) -> None:
-    """Draw errors, and add all controls."""
+    stage, controls = Stage(viewer, scene), Controls(viewer.gui)
     with controls.gui.add_folder("Robot"):
         for name, robot in stage.robots.items():
             controls.switch(name, robot.root)
         if len(stage.robots) > 1:
             swatches = (swatch(BODIES[name], name) for name in stage.robots)
             controls.gui.add_html(text("".join(swatches)))
-    joints, rows = Joints(controls, scene, stage), scene.rows
-    if rows is not None:
-        _add_rows(controls, stage, rows, joints)
-        _add_map(controls, stage, rows)
+    joints, q = Joints(controls, scene, stage), scene.plan
+    if scene.rows is not None:
+        _add_rows(controls, stage, scene.rows, joints)
+        _add_map(controls, stage, scene.rows)
     _add_magnifier(controls, scene, stage)
-    if scene.plan is not None:
-        _add_plan(controls, scene.plan, joints)
+    if q is not None:
+        with controls.gui.add_folder("Plan"):
+            slider = controls.gui.add_slider("configuration", 1, max(len(q), 2), 1, 1)
+        controls.on(slider, lambda value: joints.move(q[min(value, len(q)) - 1], ""))
+    return stage
 
 
 def _add_rows(controls: Controls, stage: Stage, rows: Rows, joints: Joints) -> None:
@@ -406,13 +403,6 @@ def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
     measured = errors.measured
     ends = np.stack([measured, measured + factor * errors.vectors], axis=1)
     return ends[np.isfinite(ends).all(axis=(1, 2))].astype(np.float32)
-
-
-def _add_plan(controls: Controls, q: Floats, joints: Joints) -> None:
-    """A slider that goes to each of the planned configurations q (M, n)."""
-    with controls.gui.add_folder("Plan"):
-        slider = controls.gui.add_slider("configuration", 1, max(len(q), 2), 1, 1)
-    controls.on(slider, lambda value: joints.move(q[min(value, len(q)) - 1], ""))
 
 
 def _add_map(controls: Controls, stage: Stage, rows: Rows) -> None:

@@ -31,9 +31,8 @@ from calib_pin.kinematics.skeleton import Skeleton, base_poses, drawn_link
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import NOTHING
-from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
-from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.evaluation import registered_robot
 from calib_pin.validation.model_errors import Registered
 
@@ -98,11 +97,13 @@ class Body:
                 there is, where it is empty.
         """
         moved, model = q.copy(), self.model
+        if model is not None and len(model.setup.payloads) > 1:
+            payload = payload or NOTHING
         index = {joint: k for k, joint in enumerate(self.skeleton.joints)}
         for chain in [] if model is None else map(model.of, model.measured_chains):
             joints = chain.chain.joints
             commanded = self.skeleton.positions(joints, q)
-            error = _carrying(chain, payload)
+            error = chain.error.carrying(payload)
             (turned,) = error.joint_positions(commanded[None], chain.theta)
             turned = commanded + self.factor * (turned - commanded)
             for joint, position in zip(joints, turned, strict=True):
@@ -185,12 +186,6 @@ def corrected(model: CalibratedModel, base: str, factor: float = 1.0) -> Body:
     written = edit_origins(robot.source, origins, robot.file)
     skeleton = Skeleton(parse_robot(written, robot.file), base)
     return Body("corrected", skeleton, model, factor)
-
-
-def _carrying(model: CalibratedChain, payload: str) -> ErrorModel:
-    """The error model with a payload; of several, no name means no payload."""
-    several = len(model.setup.payloads) > 1
-    return model.error.carrying(payload or (NOTHING if several else ""))
 
 
 def stage_errors(robot: Registered, link: str) -> StageErrors:

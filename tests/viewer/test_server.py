@@ -21,7 +21,7 @@ from calib_pin.cli import main
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chains import Chains
-from calib_pin.viewer.panel import MAGNIFICATIONS, Controls, Stage, add_panel, lines
+from calib_pin.viewer.panel import MAGNIFICATIONS, Controls, Stage, draw_scene, lines
 from calib_pin.viewer.scene import Scene, bodies_of
 
 pytestmark = pytest.mark.needs("view")
@@ -311,8 +311,7 @@ def test_controls_do_what_they_say(scene, viser_server, monkeypatch):
         "add_line_segments",
         lambda name, *of, **more: drawn.setdefault(name, draw(name, *of, **more)),
     )
-    stage = Stage(viser_server, scene)
-    add_panel(Controls(viser_server.gui), scene, stage)
+    stage = draw_scene(viser_server, scene)
     assert {"measurement", "magnified", "nominal", "after"} <= known.keys()
     assert scene.rows is not None and scene.plan is not None
     known["measurement"][1](4)

@@ -143,13 +143,10 @@ def _vendor(exported: Exported, template: Path | None, names: Sequence[str]) -> 
         numbers = zip(ORIGIN, origin_of(before.actInv(frame)), strict=True)
         tree.data[ROOT][name] = dict(numbers)
     flange, remarks = frames[-1].actInv(tip), list[str]()
-    moved, turned = np.linalg.norm(np.split(pin.log6(flange).vector, 2), axis=1)
-    if max(moved, turned) >= EXACT:
-        unit, factor = DISPLAY["m"]
+    if np.abs(pin.log6(flange).vector).max() >= EXACT:
         six = zip(ORIGIN, origin_of(flange), strict=True)
-        far = f"{factor * moved:.3g} {unit} and {1e3 * turned:.3g} mrad from its place"
         tool = ", ".join(f"{name} {value:.9g}" for name, value in six)
-        remarks.append(f"the flange is {far}; into the tool of the controller: {tool}")
+        remarks.append(f"the flange is elsewhere; into the tool of the controller: {tool}")
     if (kept := tree.data[ROOT].get("hash")) is not None:
         remarks.append(f"the hash of {template} is kept: {kept}")
     text = yaml.safe_dump(tree.data, sort_keys=False)

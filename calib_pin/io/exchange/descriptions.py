@@ -78,9 +78,8 @@ def places(
         The frames of which all is known, or of a point its position, and sentences
         about what is not known of them and of others.
     """
-    result, met = exported.result, set[tuple[str, ...]]()
-    frames, remarks, known = list[Place](), list[str](), True
-    model = result.described
+    frames, remarks = dict[tuple[str, ...], Place | None](), list[str]()
+    result, model = exported.result, exported.result.described
     used = set(model.chains.robot.links)
     for term in model.terms.values():
         if exported.name not in (None, term.key.chain):
@@ -94,9 +93,8 @@ def places(
         }
         for frame, link, pose in ((station, chain.base, start), (tool, chain.tip, tip)):
             key, camera = (*frame, link), seen.get(frame.kind)
-            if key in met or (cameras and camera is None):
+            if key in frames or (cameras and camera is None):
                 continue
-            met.add(key)
             names = NAMES.get(frame.name, (f"{frame.name}_{frame.kind}",))
             if camera is not None:
                 name = term.frames.reference(camera)
@@ -104,18 +102,17 @@ def places(
             *plain, last = (re.sub(r"[./]", "_", name) for name in names)
             free = next((name for name in plain if name not in used), last)
             child, unknown = unused(free, used), result.unknown_of(*frame)
-            where = f"of {link} -> {child}"
+            where, frames[key] = f"of {link} -> {child}", Place(link, child, pose)
             if frame is tool and camera is None and unknown == TURNS:
                 reason = "was not measured, only its position"
                 remarks.append(f"the orientation {where} {reason}")
             elif unknown:
                 remarks.append(f"{', '.join(unknown)} {where} unknown")
-                known = False
-                continue
-            frames.append(Place(link, child, pose))
-    if not known:
+                frames[key] = None
+    known = [place for place in frames.values() if place is not None]
+    if len(known) < len(frames):
         remarks.append(REMEDY)
-    return frames, tuple(remarks)
+    return known, tuple(remarks)
 
 
 def _corrected(exported: Exported) -> Document:

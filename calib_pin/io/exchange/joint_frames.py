@@ -146,7 +146,8 @@ def _vendor(exported: Exported, template: Path | None, names: Sequence[str]) -> 
     if np.abs(pin.log6(flange).vector).max() >= EXACT:
         six = zip(ORIGIN, origin_of(flange), strict=True)
         tool = ", ".join(f"{name} {value:.9g}" for name, value in six)
-        remarks.append(f"the flange is elsewhere; into the tool of the controller: {tool}")
+        reason = "the flange is elsewhere; into the tool of the controller"
+        remarks.append(f"{reason}: {tool}")
     if (kept := tree.data[ROOT].get("hash")) is not None:
         remarks.append(f"the hash of {template} is kept: {kept}")
     text = yaml.safe_dump(tree.data, sort_keys=False)

@@ -400,7 +400,7 @@ def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
 
     Where no position is measured, there is none.
     """
-    measured = errors.measured
+    measured = errors.points - errors.vectors
     ends = np.stack([measured, measured + factor * errors.vectors], axis=1)
     return ends[np.isfinite(ends).all(axis=(1, 2))].astype(np.float32)
 

@@ -55,11 +55,6 @@ class StageErrors:
     sizes: Mapping[str, Floats]
     units: Mapping[str, str]
 
-    @property
-    def measured(self) -> Floats:
-        """Measured positions, shape (N, 3) [m]; NaN where none is measured."""
-        return self.points - self.vectors
-
 
 @dataclass(frozen=True)
 class Body:

@@ -158,7 +158,8 @@ def test_vectors_end_where_the_robot_has_its_point(panda, calibrated, measured_r
         to_base = arm.error.base.inverse()
         measured = rows.only.values[:, :3] @ to_base.rotation.T + to_base.translation
         predicted = (to_base.homogeneous @ arm.poses(rows.q))[:, :3, 3]
-        np.testing.assert_allclose(errors.measured, measured, atol=1e-12)
+        found = errors.points - errors.vectors
+        np.testing.assert_allclose(found, measured, atol=1e-12)
         np.testing.assert_allclose(errors.points, predicted, atol=1e-12)
         lengths = np.linalg.norm(predicted - measured, axis=1)
         np.testing.assert_allclose(errors.sizes["position"], lengths, atol=1e-12)
@@ -175,7 +176,8 @@ def test_the_nominal_robot_is_registered(panda, calibrated, measured_rows):
     sizes = [e.sizes["position"].mean() for e in (before, after)]
     assert sizes[0] > 1.3 * sizes[1]
     # The tracker stands where the nominal robot puts it, within its own errors.
-    assert np.abs(before.measured - after.measured).max() < 0.02
+    found = (before.points - before.vectors) - (after.points - after.vectors)
+    assert np.abs(found).max() < 0.02
     assert registered_robot(panda, rows.rows(np.arange(2)), model.setup).reason
 
 

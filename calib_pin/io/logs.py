@@ -177,21 +177,19 @@ def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
         InputError: If there are neither, or joints have a name twice.
     """
     both = ours, theirs
-    times, ends = [*map(_time_column, both)], [*map(_name_columns, both)]
-    named = [two for two in product(*ends) if set.intersection(*map(_names, both, two))]
-    if POSE in ours and POSE in theirs:
-        named = [(POSE, POSE)]
-    elif all(times):
+    times = [*map(_time_column, both)]
+    pairs = product(_name_columns(ours), _name_columns(theirs))
+    common = (pair for pair in pairs if set.intersection(*map(_names, both, pair)))
+    named = (POSE, POSE) if POSE in ours and POSE in theirs else None
+    if all(times) and named is None:
         spare = f"{POSE} (of the file)"  # One of them alone has names.
-        pairs = zip(both, times, strict=True)
-        ours, theirs = (of.renamed({"time": time, spare: POSE}) for of, time in pairs)
-        return ours, theirs
-    if not named:
+        ours = ours.renamed({"time": times[0], spare: POSE})
+        return ours, theirs.renamed({"time": times[1], spare: POSE})
+    if (named := named or next(common, None)) is None:
         reason = "there is no column 'time', and none of names, 'pose', that both have"
         allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}'"
         raise (theirs if times[0] else ours).error(reason, allowed=allowed)
-    (one, other), *_ = named
-    ours, theirs = ours.renamed({POSE: one}), theirs.renamed({POSE: other})
+    ours, theirs = ours.renamed({POSE: named[0]}), theirs.renamed({POSE: named[1]})
     labels = ours.labels(POSE).map(str.lower)
     again = ~labels.where("")
     again[np.unique(labels.codes, return_index=True)[1]] = False

@@ -248,8 +248,7 @@ class _Motion:
         """The offset with which both move at the same times; None if neither tells."""
         time, values = readings.time, readings.values
         gaps = np.diff(time)
-        dense = gaps < 1.0
-        if dense.mean() < 0.5 or not self.moving.any():
+        if np.mean(gaps < 1.0) < 0.5 or not self.moving.any():
             return None
         size = values.std(axis=0)
         scaled = values / np.where(size > 0.0, size, 1.0)
@@ -270,17 +269,14 @@ class _Motion:
         best = int(np.argmax(likeness))
         if likeness[best] < ALIKE:
             return None
-        lag = best - (len(a) - 1)
-        return float(second[0] - first[0] + lag * step)
+        return float(second[0] - first[0] + (best - (len(a) - 1)) * step)
 
     def _fine(self, readings: Log, ahead: float) -> Clock | None:
         """The offset with which readings are smooth functions of the way."""
+        ends = [(start, end) for (_, start), (end, _) in pairwise(self.standstills)]
         for _ in range(30):
-            parts = [
-                part
-                for (_, start), (end, _) in pairwise(self.standstills)
-                if (part := self._motion_part(readings, ahead, start, end)) is not None
-            ]
+            found = (self._motion_part(readings, ahead, *motion) for motion in ends)
+            parts = [part for part in found if part is not None]
             if not parts:
                 return None
             slopes, weights, values, dof = np.array(parts).T

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from math import ceil
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -24,9 +26,7 @@ from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import Finding, Severity
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.identifiability import column_space
-from calib_pin.estimation.problem import EXACT, Problem, current_units
-from calib_pin.estimation.statistics.distributions import chi_square_tail
-from calib_pin.estimation.statistics.variance_components import REJECTED
+from calib_pin.estimation.problem import EXACT, Problem
 from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
@@ -58,7 +58,12 @@ from calib_pin.validation.findings.case import (
     surpasses,
     unlikely,
 )
-from calib_pin.validation.findings.sentences import finding, shown, written
+from calib_pin.validation.findings.sentences import (
+    finding,
+    named,
+    shown,
+    with_sigma,
+)
 
 Kind = Literal["station", "tool", "joint"]
 
@@ -92,6 +97,9 @@ CONFIGURATIONS, VALUES, ROBOT = 3, 3, 6
 unknowns: it can follow one outlier of four positions, but not one of three poses. And
 configurations on each side of a change of the robot or of one of its joints."""
 
+NOWHERE = np.zeros(0, np.int64)
+"""No place in the files."""
+
 SEEN = 1e-4
 """Part of what a change does that the fit cannot do, below which it is none."""
 
@@ -104,8 +112,9 @@ FEW = 1.0 / 3.0
 UNKNOWNS = 500
 """Most parameters of a job that is looked at."""
 
-LASTING, LARGE = 0.85, 0.3
-"""Part of the errors that a drift leaves at most if more than stated noise is left:
+LASTING, NEAR, LARGE = 0.85, 1.1, 0.3
+"""Part of the errors that a drift leaves at most if more than so many times the stated
+noise is left:
 what bends in real robots leaves 0.88 and more, drifts that cost twice the noise less
 than 0.8. And errors that it causes, in expected sizes, from which it takes the trust,
 if it leaves half of them at most; from as many a change does, whatever it leaves."""
@@ -149,11 +158,9 @@ def subjects(problem: Problem) -> Iterator[Change]:
     """The frames and joint zeros that may change in a problem."""
     data = problem.data
     for kind in FRAMES:
-        frames: dict[str, list[BlockKey]] = {}
-        for key, term in problem.terms.items():
-            frames.setdefault(getattr(term.frames, kind), []).append(key)
-        for keys in frames.values():
-            yield Change(kind, frozenset(keys))
+        names = {k: getattr(term.frames, kind) for k, term in problem.terms.items()}
+        for name in dict.fromkeys(names.values()):
+            yield Change(kind, frozenset(k for k in names if names[k] == name))
     if not any(block.start.size for block in data.blocks):
         for joint in range(len(data.joints)):
             yield Change("joint", frozenset(data.keys), joint)
@@ -179,17 +186,17 @@ def with_changes(
         The measurements in their new blocks, and the position of each of these among
         what they were.
     """
-    q, behind = data.q.copy(), np.zeros((len(FRAMES), len(rank)), int)
+    q, count = data.q.copy(), {kind: np.zeros(len(rank), int) for kind in FRAMES}
     for change in changes:
-        affected = concerned(data, change) & (rank >= change.rank)
+        behind = concerned(data, change) & (rank >= change.rank)
         if change.kind == "joint":
-            q[affected, change.joint] += change.size
+            q[behind, change.joint] += change.size
         else:
-            behind[FRAMES.index(change.kind)] += affected
+            count[change.kind] += behind
     data, index = with_positions(data, q), np.arange(len(q))
     names = ("", *(f"~{k + 1}" for k in range(len(changes))))
-    for kind, count in zip(FRAMES, behind, strict=True):
-        data, rows = apart(data, kind, Labels(names, count[index]))
+    for kind in FRAMES:
+        data, rows = apart(data, kind, Labels(names, count[kind][index]))
         index = index[rows]
     return data, index
 
@@ -210,33 +217,6 @@ class Trial(QuickFit):
     changes: tuple[Change, ...]
     index: Indices
 
-    @staticmethod
-    def at(plain: Problem, rank: Indices, changes: tuple[Change, ...]) -> Trial:
-        """A fit with changes at these rows.
-
-        Raises:
-            CalibPinError: If a part of the measurements cannot be registered.
-            LinAlgError: If their errors have no derivative where the robot is.
-        """
-        data, index = with_changes(plain.data, rank, changes)
-        problem = make_problem(plain.chains, data, plain.setup)
-        trial = Trial.of(problem, plain=plain, rank=rank, changes=changes, index=index)
-        zeros = [k for k, change in enumerate(changes) if change.kind == "joint"]
-
-        def resized(sizes: Floats) -> tuple[Change, ...]:
-            result = [*changes]
-            for k, size in zip(zeros, sizes.tolist(), strict=True):
-                result[k] = result[k]._replace(size=size)
-            return tuple(result)
-
-        trial, sizes = fit_factors(
-            trial,
-            np.array([changes[k].size for k in zeros]),
-            lambda fit: np.hstack([fit.step(changes[k]) for k in zeros]),
-            lambda sizes: with_changes(plain.data, rank, resized(sizes))[0],
-        )
-        return replace(trial, changes=resized(sizes)) if zeros else trial
-
     def settled(self, changes: tuple[Change, ...]) -> Trial | None:
         """The trial of changes at the rows where both sides of each fit best.
 
@@ -244,7 +224,7 @@ class Trial(QuickFit):
         """
         try:
             for _ in range(STEPS):
-                trial = Trial.at(self.plain, self.rank, changes)
+                trial = self._at(changes)
                 changes = tuple(
                     change._replace(rank=trial.place(k, self.plain.data, self.rank))
                     for k, change in enumerate(trial.changes)
@@ -255,18 +235,44 @@ class Trial(QuickFit):
         except (CalibPinError, np.linalg.LinAlgError):
             return None
 
+    def _at(self, changes: tuple[Change, ...]) -> Trial:
+        """A fit with changes at these rows."""
+        plain, rank = self.plain, self.rank
+        data, index = with_changes(plain.data, rank, changes)
+        problem = make_problem(plain.chains, data, plain.setup)
+        trial = Trial.of(problem, plain=plain, rank=rank, changes=changes, index=index)
+        zeros = [change for change in changes if change.kind == "joint"]
+
+        def sized(sizes: Floats) -> tuple[Change, ...]:
+            of = dict(zip(zeros, sizes.tolist(), strict=True))
+            return tuple(c._replace(size=of.get(c, 0.0)) for c in changes)
+
+        trial, sizes = fit_factors(
+            trial,
+            np.array([change.size for change in zeros]),
+            lambda fit: np.hstack([fit.step(change) for change in zeros]),
+            lambda sizes: with_changes(plain.data, rank, sized(sizes))[0],
+        )
+        return replace(trial, changes=sized(sizes))
+
+    def rows(self, change: Change) -> Indices:
+        """The measurements that have what changes, in the order of the files."""
+        rows = np.flatnonzero(concerned(self.plain.data, change)[self.index])
+        return rows[np.argsort(self.rank[self.index[rows]])]
+
     def columns(self, change: Change) -> Floats:
         """Whitened residual by what changes, if it does so everywhere, shape (M, k)."""
         if change.kind == "joint":
             return self.by_joints[:, [change.joint]]
-        data, row, ends = self.problem.data, self.problem.layout.row, []
-        for term in map(self.problem.terms.__getitem__, data.keys):
+        data, ends = self.problem.data, set[tuple[int, ...]]()
+        for block in np.unique(data.block_of[self.rows(change)]):
+            term = self.problem.terms[data.keys[block]]
             screws = term.index[: len(term.error.screws)]
-            ends.append(screws[:FRAME] if change.kind == "station" else screws[-FRAME:])
-        columns = np.array(ends)[data.block_of[row]]
-        mask = self.problem.parameters.free[columns]
-        mask &= concerned(self.plain.data, change)[self.index][row, None]
-        X = np.take_along_axis(self.linear[1], columns, axis=1) * mask
+            end = screws[:FRAME] if change.kind == "station" else screws[-FRAME:]
+            ends.add(tuple(end.tolist()))
+        J = self.linear[1] * self.problem.parameters.free
+        # Each measurement has one of these frames alone.
+        X = sum((J[:, end] for end in ends), np.zeros((len(J), FRAME)))
         return X[:, X.any(axis=0)]
 
     def step(self, change: Change) -> Floats:
@@ -276,11 +282,11 @@ class Trial(QuickFit):
 
     def _least(self, change: Change, unknowns: int) -> int:
         """Least configurations on each side of a change with so many unknowns."""
-        affected = concerned(self.plain.data, change)[self.index]
-        values = int(affected[self.problem.layout.row].sum())
-        configurations = len(np.unique(self.problem.data.groups()[affected]))
+        rows = self.rows(change)
+        values = int(np.isin(self.problem.layout.row, rows).sum())
+        configurations = len(np.unique(self.problem.data.groups()[rows]))
         few = ROBOT if change.kind == "joint" else CONFIGURATIONS
-        return max(few, -(-VALUES * unknowns * configurations // max(values, 1)))
+        return max(few, ceil(VALUES * unknowns * configurations / max(values, 1)))
 
     @property
     def candidates(self) -> list[tuple[float, float, Change]]:
@@ -290,31 +296,30 @@ class Trial(QuickFit):
         parameters are worth (BIC), and the part of the squares that it leaves, both to
         first order.
         """
-        result, rank, groups = [], self.rank[self.index], self.problem.data.groups()
+        result = []
         for change in subjects(self.plain):
-            columns = self.columns(change)
-            rows = np.flatnonzero(concerned(self.plain.data, change)[self.index])
-            rows = rows[np.argsort(rank[rows])]
+            columns, rows = self.columns(change), self.rows(change)
+            if not columns.size:
+                continue
+            rank, (count, unknowns) = self.rank[self.index[rows]], columns.shape
             # What comes and goes within a few measurements is an outlier.
             cuts = sorted(c.rank for c in self.changes if c.subject == change.subject)
-            parts = np.split(groups[rows], np.searchsorted(rank[rows], cuts))
-            least = self._least(change, columns.shape[1])
-            allowed = np.concatenate([divisible(labels, least) for labels in parts])
-            if not columns.size or not allowed.any():
-                continue
-            gain = np.where(allowed, self.gains(columns, rows), 0.0)
-            best, count = int(np.argmax(gain)), len(columns)
-            part = max(1.0 - gain[best], 1e-12)
-            cost = count * np.log(part) + columns.shape[1] * np.log(count)
-            result.append((cost, part, change._replace(rank=int(rank[rows[best]]))))
+            places, least = np.searchsorted(rank, cuts), self._least(change, unknowns)
+            best, part = self.best(columns, rows, least, places)
+            cost = count * np.log(part) + unknowns * np.log(count)
+            result.append((cost, part, change._replace(rank=int(rank[best]))))
         return sorted(result, key=lambda candidate: candidate[0])
 
-    def gains(self, columns: Floats, rows: Indices) -> Floats:
-        """Part of the squares that a change at each of some measurements explains.
+    def best(
+        self, columns: Floats, rows: Indices, least: int, cuts: Indices = NOWHERE
+    ) -> tuple[int, float]:
+        """Where a change explains most, and the part of the squares that it leaves.
 
         Args:
             columns: See `columns`.
             rows: The n measurements that it concerns, in the order of the files.
+            least: Least configurations on each side of it.
+            cuts: Places among these where it has other sides already.
         """
         (Q, r), row = self.unexplained, self.problem.layout.row
         place = np.full(len(self.problem.data), -1)
@@ -324,17 +329,20 @@ class Trial(QuickFit):
         B, first = columns[order], np.flatnonzero(np.diff(row[order], prepend=-1))
         B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
 
-        def after(values: Floats) -> Floats:
+        def behind(values: Floats) -> Floats:
             return sums_behind(np.add.reduceat(values, first))
 
-        g = after(B * r[order, None])
-        C = after(Q[order][:, :, None] * B[:, None, :])
-        G = after(B[:, :, None] * B[:, None, :]) - np.swapaxes(C, 1, 2) @ C
+        g = behind(B * r[order, None])
+        C = behind(Q[order][:, :, None] * B[:, None, :])
+        G = behind(B[:, :, None] * B[:, None, :]) - np.swapaxes(C, 1, 2) @ C
         sizes, V = np.linalg.eigh(G)
         # What the fit can do already leaves rounding.
         along = np.einsum("ni,nij->nj", g, V) ** 2
-        gains = np.where(sizes > SEEN, along / np.maximum(sizes, SEEN), 0.0)
-        return np.asarray(gains.sum(axis=1) / max(float(r @ r), 1e-300))
+        gains = np.where(sizes > SEEN, along / np.maximum(sizes, SEEN), 0.0).sum(axis=1)
+        parts = np.split(self.problem.data.groups()[rows], cuts)
+        allowed = np.concatenate([divisible(labels, least) for labels in parts])
+        gains = np.where(allowed, gains, 0.0) / max(float(r @ r), 1e-300)
+        return int(np.argmax(gains)), max(1.0 - float(gains.max()), 1e-12)
 
     def stands_out(self, before: Trial) -> bool:
         """Whether the last changes are more than all else that errors do in time.
@@ -368,10 +376,9 @@ class Trial(QuickFit):
             rank: Place of each in the order of the files, shape (N,).
         """
         change, others = self.changes[k], [*self.changes[:k], *self.changes[k + 1 :]]
-        ranks = [c.rank for c in others if c.subject == change.subject]
-        first = max((at for at in ranks if at <= change.rank), default=0)
-        end = int(rank.max()) + 1
-        last = min((at for at in ranks if at > change.rank), default=end)
+        ranks = [c.rank for c in self.changes if c.subject == change.subject]
+        ends = sorted([0, *ranks, int(rank.max()) + 1])
+        first, last = (ends[ends.index(change.rank) + side] for side in (-1, 1))
         squares = np.zeros((2, len(rank)))
         for side, at in enumerate((last, first)):
             moved, index = with_changes(data, rank, [*others, change._replace(rank=at)])
@@ -394,16 +401,16 @@ class Trial(QuickFit):
 
 
 @serial_blas
-def changes_of(case: Case, unchanged: Trial | None) -> tuple[Trial, Trial] | None:
+def changes_of(case: Case, unchanged: Trial) -> tuple[Trial, Trial] | None:
     """The measurements of a fit without changes, and with all that are found.
 
     None where nothing has changed.
 
     Args:
         case: The case.
-        unchanged: Its fit without changes, see `_unchanged`.
+        unchanged: Its fit without changes, see `unchanged_fit`.
     """
-    if not unchanged or all(part > LOOKED_AT for _, part, _ in unchanged.candidates):
+    if all(part > LOOKED_AT for _, part, _ in unchanged.candidates):
         return None
     trials, trial = list[Trial](), unchanged.settled(())
     while trial is not None and (not trials or trial.rms < trials[-1].rms):
@@ -425,14 +432,12 @@ def changes_of(case: Case, unchanged: Trial | None) -> tuple[Trial, Trial] | Non
     return (first, last) if last.rms <= limit and last.stands_out(first) else None
 
 
-def _unchanged(case: Case) -> Trial | None:
+def unchanged_fit(case: Case) -> Trial:
     """The fit of a case without changes, with what it has set aside."""
-    fit, problem, rank = case.fit, case.fit.problem, case.rank
-    if problem.parameters.free.sum() > UNKNOWNS or fit.rms < EXACT:
-        return None
-    data = problem.data.weighted(np.ones(len(rank)))
+    problem, count = case.fit.problem, len(case.rank)
+    data = problem.data.weighted(np.ones(count))
     plain = replace(problem, data=data, units=np.zeros(0))
-    return Trial(plain, fit.theta, plain, rank, (), np.arange(len(rank)))
+    return Trial(plain, case.fit.theta, plain, case.rank, (), np.arange(count))
 
 
 def sums_behind(values: Floats) -> Floats:
@@ -447,46 +452,46 @@ def divisible(labels: Indices, least: int) -> Booleans:
         labels: Label of the configuration of each, in their order, shape (n,).
         least: Number of those that are enough.
     """
-
-    def different(order: Indices) -> Indices:
-        new = np.zeros(len(order), np.int64)
-        new[np.unique(order, return_index=True)[1]] = 1
-        return np.cumsum(new)
-
-    before = np.append(0, different(labels)[:-1])
-    behind = different(labels[::-1])[::-1]
+    place, count = np.arange(len(labels)), len(labels)
+    first = np.unique(labels, return_index=True)[1]
+    last = count - 1 - np.unique(labels[::-1], return_index=True)[1]
+    before = np.searchsorted(np.sort(first), place)
+    behind = len(last) - np.searchsorted(np.sort(last), place)
     return np.asarray(np.minimum(before, behind) >= least)
 
 
 def changes(case: Case) -> Explanation | None:
     """Frames and joint zeros that changed at a row, in their order, or all at once."""
-    unchanged = _unchanged(case)
+    if case.fit.problem.parameters.free.sum() > UNKNOWNS or case.fit.rms < EXACT:
+        return None
+    unchanged = unchanged_fit(case)
     trials = changes_of(case, unchanged)
-    steps = trials[1].changes if trials else ()
+    if trials is None:
+        return _another_robot(case, unchanged, LEFT) if case.doubtful else None
+    (first, last), steps = trials, trials[1].changes
+    part = last.rms / first.rms
+    another = _another_robot(case, unchanged, max(LEFT, part))
     # Who moves an instrument homes no joint, and mounts no tool.
     places = np.searchsorted(np.sort(case.rank), [c.rank for c in steps])
     at_once = len({c.kind for c in steps}) > 1 and np.ptp(places) < CONFIGURATIONS
-    part = trials[1].rms / trials[0].rms if trials else 0.0
-    another = _another_robot(case, unchanged, part) if trials or case.doubtful else None
-    if another and (not trials or at_once or another.part < FITTED * part):
+    if another and (at_once or another.part < FITTED * part):
         return another
     # Two or three things change on a bad day; more are what steps make of a drift.
-    if trials is None or len({c.subject for c in steps}) > 3:
+    # Where what no robot has is left, there is another fault as well.
+    foreign = last.errors > FOREIGN * expected_size(case.fit.quantity.unit)
+    if foreign or len({c.subject for c in steps}) > 3:
         return None
-    first, last = trials
-    if last.errors > FOREIGN * expected_size(case.fit.quantity.unit):
-        return None  # What no robot has is left, and another fault as well.
     data = case.data.weighted(np.ones(len(case.data)))
     rank = np.argsort(data.in_order)
     # It may be a row that was not looked at.
     rows = [(last.place(k, data, rank), k) for k in range(len(steps))]
     faults = tuple(_change(case, last, k, at, rank) for at, k in sorted(rows))
-    large = _caused_errors(case, first.errors, last.errors) > LARGE
-    judged: Severity | None = "error" if large else None
+    costly = _costs(case, first.errors, last.errors) > LARGE
+    judged: Severity | None = "error" if costly else None
     return Explanation(faults, first.errors, last.errors, judged=judged)
 
 
-def _caused_errors(case: Case, before: float, after: float) -> float:
+def _costs(case: Case, before: float, after: float) -> float:
     """Errors that are caused by what leaves less of them, in expected sizes."""
     size = float(np.sqrt(max(before**2 - after**2, 0.0)))
     return size / expected_size(case.fit.quantity.unit)
@@ -505,9 +510,9 @@ def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alterna
     data, change = case.data, trial.changes[k]
     kind, (code, words) = change.kind, CHANGED[change.kind]
     before, behind = _rows_around(concerned(data, change), rank, at).tolist()
-    first = (place_of(data, behind),)
+    first, reading = (place_of(data, behind),), ReadingSetup()
     if kind == "joint":
-        name, reading = data.joints[change.joint], ReadingSetup()
+        name = data.joints[change.joint]
         size = shown(abs(change.size), case.unit(name))
         numbers: dict[str, Any] = {"joint": name, "offset": change.size}
         advice = "measure anew, or calibrate what was measured before and behind apart"
@@ -515,15 +520,13 @@ def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alterna
         name = getattr(data.blocks[data.block_of[before]], kind)
         size, numbers = _frame(trial, k)
         moved = kind == "station"
-        reading = ReadingSetup(moved=first)
-        reading = reading if moved else ReadingSetup(remounted=first)
-        advice = f"give the two parts different {kind}s (a column '{kind}'"
-        advice += ", or --station-per-file)" if moved else ")"
+        reading = ReadingSetup(moved=first) if moved else ReadingSetup(remounted=first)
+        advice = f"give the two parts different {kind}s (a column '{kind}')"
+    owner = " at station" * (kind == "station") + f" '{name}'" if name else ""
     file, line = data.files[before], int(data.lines[before] or rank[before] + 1)
-    where = f"after {'line' if file else 'measurement'} {place_of(data, before)}"
+    where = f"after {named(data, [before])}"
     if data.files[behind] != file:
         where = f"between {file} and {data.files[behind]}"
-    owner = " at station" * (kind == "station") + f" '{name}'" if name else ""
     return Alternative(
         code,
         f"{words.format(owner)} {where} ({size})",
@@ -536,7 +539,7 @@ def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alterna
     )
 
 
-def _another_robot(case: Case, fit: Trial | None, changed: float) -> Explanation | None:
+def _another_robot(case: Case, fit: Trial, most: float) -> Explanation | None:
     """Another robot, or whatever else was measured from some row on.
 
     All errors and frames are others there: to first order, each part has a fit of its
@@ -545,31 +548,25 @@ def _another_robot(case: Case, fit: Trial | None, changed: float) -> Explanation
     Args:
         case: The case.
         fit: Its fit without changes.
-        changed: Part of the errors that changes leave; zero without such.
+        most: Part of the errors that it leaves at most.
     """
-    if fit is None or any(declared(model).contact for model in case.data.models):
-        return None
     columns = column_space(fit.linear[1][:, fit.problem.parameters.free])
-    count, order = columns.shape[1], np.argsort(case.rank)
+    data, order, count = fit.problem.data, np.argsort(case.rank), columns.shape[1]
+    best, remaining = fit.best(columns, order, ROBOT)
     dof = fit.dof - count
-    allowed = divisible(fit.problem.data.groups()[order], ROBOT)
-    gain = np.where(allowed, fit.gains(columns, order), 0.0)
-    best, remaining = int(np.argmax(gain)), 1.0 - float(gain.max())
-    if dof < 1 or by_chance(1.0, remaining, count, dof) * len(order) > CHANCE:
+    if dof < 1 or any(declared(model).contact for model in case.data.models):
         return None
     part = float(np.sqrt(remaining * fit.dof / dof))
-    if part > max(LEFT, changed):
+    if part > most or by_chance(1.0, remaining, count, dof) * len(order) > CHANCE:
         return None
-    data, row = fit.problem.data, int(order[best - 1])
-    text = f"something else was measured after line {place_of(data, row)}, such as "
-    numbers = {"file": data.files[row], "line": int(data.lines[row]) or best}
+    row = int(order[best - 1])
     fault = Alternative(
         "outlying-stretch",
-        f"{text}another robot",
+        f"something else was measured after {named(data, [row])}, another robot say",
         "robot",
         advice="calibrate the two parts apart",
         figure="over-order",
-        numbers=numbers,
+        numbers={"file": data.files[row], "line": int(data.lines[row]) or best},
     )
     return Explanation((fault,), fit.errors, part * fit.errors, judged="error")
 
@@ -580,21 +577,21 @@ def _rows_around(mask: Booleans, rank: Indices, at: int) -> Indices:
     return rows[np.searchsorted(rank[rows], at) + np.array([-1, 0])]
 
 
-def _frame(trial: Trial, k: int) -> tuple[str, dict[str, Any]]:
+def _frame(trial: Trial, k: int) -> tuple[str, dict[str, float]]:
     """How far the frame of a change stands from where it stood."""
-    change, (settled, _) = trial.changes[k], trial.problem.rebased(trial.theta)
-    data, mask = trial.problem.data, concerned(trial.plain.data, change)[trial.index]
+    change, data = trial.changes[k], trial.problem.data
+    mask = concerned(trial.plain.data, change)[trial.index]
     rows = _rows_around(mask, trial.rank[trial.index], change.rank)
-    before, behind = (settled.terms[data.keys[k]] for k in data.block_of[rows])
+    terms = trial.problem.rebased(trial.theta)[0].terms
+    before, behind = (terms[data.keys[k]] for k in data.block_of[rows])
     A, B = before.error.tool, behind.error.tool
     if change.kind == "station":
         # Where the instrument stands, in the base link.
         A, B = before.error.base.inverse(), behind.error.base.inverse()
     apart = A.inverse() * B
     distance = float(np.linalg.norm(apart.translation))
-    size = f"{distance:.3g} m" if distance >= 0.1 else shown(distance, "m", 3)
-    numbers: dict[str, Any] = {"distance": distance}
-    vector = apart.translation.tolist()
+    size, vector = shown(distance, "m", 3), apart.translation.tolist()
+    numbers = {"distance": distance}
     # Of a single point nobody knows how it is turned.
     if change.kind == "station" or len(before.measurement.quantities) > 1:
         vector += pin.log3(apart.rotation).tolist()
@@ -623,31 +620,28 @@ def drift(case: Case) -> Explanation | None:
     if not candidates:
         return None
     _, fault, ramp = min(candidates, key=lambda candidate: candidate[0])
-    first = np.flatnonzero(fit.problem.layout.component == 0)
-    without = fit.explaining(ramp)
-    rest, r = (f.unexplained[1][first] for f in (without, fit))
+    first, without = fit.problem.layout.component == 0, fit.explaining(ramp)
+    rest, r = (f.unexplained[1][: len(first)][first] for f in (without, fit))
     before, part = fit.errors, float(np.linalg.norm(rest) / np.linalg.norm(r))
-    if part > LASTING and not _as_stated(case, without):
+    noise = case.fitted.noise if case.fitted else ()
+    known = noise and all(
+        n.stated and part * n.estimate < NEAR * n.given for n in noise
+    )
+    if part > LASTING and not known:
         return None
-    large = _caused_errors(case, before, part * before) > LARGE
-    judged: Severity | None = None if large else "warning"
+    costly = _costs(case, before, part * before) > LARGE
+    judged: Severity | None = None if costly else "warning"
     return Explanation((fault,), before, part * before, judged=judged)
-
-
-def _as_stated(case: Case, fit: QuickFit) -> bool:
-    """Whether a fit leaves no more than noise that the rows or the setup state."""
-    noise = case.fitted.noise if case.fitted is not None else ()
-    if not noise or not all(component.stated for component in noise):
-        return False
-    units = current_units(fit.problem)[fit.problem.layout.component]
-    r = fit.unexplained[1][: len(units)] * units
-    return chi_square_tail(float(r @ r), fit.dof) > REJECTED
 
 
 FaultOf = Callable[[Case, Score, Sequence[str]], Alternative]
 """Makes the row of a drift from its score and the names of its columns."""
 
 ALL_ALONG = "from the first measurement to the last"
+ROAMS = f"the instrument drifts against the robot {ALL_ALONG}"
+
+DRIFT = partial(Alternative, subject="time", figure="over-order")
+"""A row of the table that is a drift."""
 
 
 def _drifts(case: Case) -> Iterator[tuple[FaultOf, Floats, Sequence[str]]]:
@@ -673,26 +667,20 @@ def _drifts(case: Case) -> Iterator[tuple[FaultOf, Floats, Sequence[str]]]:
 
 def _instrument_drift(case: Case, score: Score, names: Sequence[str]) -> Alternative:
     """A displacement of what is measured can be taken out, one that also turns not."""
-    parameters, kind, advice = case.setup.parameters, InstrumentDrift.name, PARTS
-    if kind not in parameters:
-        lines = written({"parameters": [*parameters, kind]})
-        advice += f"; or estimate it, with the setup lines {lines}"
-        if not all(len(block.conditions.time) for block in case.data.blocks):
-            advice += " and a column 'time' [s]"
-    text = f"the instrument drifts against the robot {ALL_ALONG}"
-    fault = Alternative("instrument-drift", text, "time", advice=advice)
-    if names != TRANSFORM:
-        values = score.values
-        size = float(np.linalg.norm(values))
-        sigma = float(np.linalg.norm(values / size * score.deviations))
-        text = f"the measured values drift by {_with_sigma(size, sigma, 'm')}"
-        # Of distances it is one number.
-        x, y, z = [*(float(f"{v:.3g}") for v in values), 0.0, 0.0][:3]
-        reading = ReadingSetup(drift=(x, y, z))
-        numbers = {**dict(zip(names, values.tolist(), strict=True)), "drift": size}
-        fault = replace(fault, words=f"{text} {ALL_ALONG}", reading=reading)
-        fault = replace(fault, numbers=numbers | {"sigma": sigma})
-    return replace(fault, figure="over-order")
+    families = ",".join((*case.setup.parameters, InstrumentDrift.name))
+    advice = f"{PARTS}; or estimate it: --parameters {families}, with a column 'time'"
+    fault = DRIFT("instrument-drift", ROAMS, advice=advice)
+    if names == TRANSFORM:
+        return fault
+    size = float(np.linalg.norm(score.values))
+    sigma = float(np.linalg.norm(score.values / size * score.deviations))
+    words = f"the measured values drift by {with_sigma(size, sigma, 'm')} {ALL_ALONG}"
+    numbers = dict(zip(names, score.values.tolist(), strict=True))
+    # Of distances it is one number.
+    x, y, z = [*(float(f"{v:.3g}") for v in numbers.values()), 0.0, 0.0][:3]
+    reading = ReadingSetup(drift=(x, y, z))
+    numbers |= {"drift": size, "sigma": sigma}
+    return replace(fault, words=words, reading=reading, numbers=numbers)
 
 
 def _joint_drift(case: Case, score: Score, names: Sequence[str]) -> Alternative:
@@ -701,15 +689,9 @@ def _joint_drift(case: Case, score: Score, names: Sequence[str]) -> Alternative:
     value, sigma = float(score.values[worst]), float(score.deviations[worst])
     name, advice = names[worst], "let the robot warm up before it is measured"
     text = f"the joint positions drift {ALL_ALONG}, most of all '{name}' by "
-    text += _with_sigma(value, sigma, case.unit(name))
+    text += with_sigma(value, sigma, case.unit(name))
     numbers = {"joint": name, "drift": value, "sigma": sigma}
-    fault = Alternative("robot-drift", text, "time", advice=advice, numbers=numbers)
-    return replace(fault, figure="over-order")
-
-
-def _with_sigma(size: float, sigma: float, unit: str) -> str:
-    """A size with its standard deviation."""
-    return f"{shown(size, unit).split()[0]} +- {shown(sigma, unit, 1)}"
+    return DRIFT("robot-drift", text, advice=advice, numbers=numbers)
 
 
 def modeled_drift(case: Case) -> Iterator[Finding]:
@@ -724,7 +706,7 @@ def modeled_drift(case: Case) -> Iterator[Finding]:
         shift, turn = (np.linalg.norm(path[:, k : k + 3], axis=1) for k in (0, 3))
         owner = "" if station == "base" else f" at station '{station}'"
         text = f"the instrument{owner} has drifted by {shown(shift[-1], 'm')} and "
-        text += f"{shown(turn[-1], 'rad')} in {_duration(last - first)}"
+        text += f"{shown(turn[-1], 'rad')} in {(last - first) / 60.0:.3g} min"
         numbers = {"station": station, "seconds": last - first}
         numbers |= {"shift": shift[-1], "turn": turn[-1]}
         numbers |= {"largest_shift": shift.max(), "largest_turn": turn.max()}
@@ -740,31 +722,19 @@ def modeled_warm_up(case: Case) -> Iterator[Finding]:
         term = problem.terms[block.key]
         q, theta = block.q[:, term.columns], case.fit.theta[term.of_error]
         cold, warm = (
-            term.error.basis(q, replace(block.conditions, time=time))
+            term.error.poses(
+                q, theta, term.error.basis(q, replace(block.conditions, time=time))
+            )
             for time in (np.full(len(q), thermal.switched_on[0]), np.zeros(0))
         )
-        shift = term.error.poses(q, theta, cold) - term.error.poses(q, theta, warm)
-        moved.append(shift[:, :3, 3])
+        moved.append((cold - warm)[:, :3, 3])
     size = float(np.sqrt(np.mean(np.sum(np.concatenate(moved) ** 2, axis=1))))
     constant = thermal.warm_up_time or 0.0
     text = f"the cold robot has its tool {shown(size, 'm')} (rms) from where the warm "
-    text += f"one has it, and covers 63 % of that in {_duration(constant)}; the "
+    text += f"one has it, and covers 63 % of that in {constant / 60.0:.3g} min; the "
     text += "geometry is that of the warm robot"
     numbers = {"cold": size, "time_constant": constant}
     yield finding("modeled-warm-up", text, numbers, info=True)
-
-
-def _duration(seconds: float) -> str:
-    """A time as people tell it.
-
-    Examples:
-        >>> _duration(10800.0), _duration(90.0)
-        ('3 h', '1.5 min')
-    """
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= size:
-            return f"{seconds / size:.2g} {unit}"
-    return f"{seconds:.2g} s"
 
 
 MODELED = (modeled_drift, modeled_warm_up)

@@ -71,6 +71,16 @@ def shown(size: float, unit: str, digits: int = 2) -> str:
     return f"{float(text):.0f} {name}" if "e+" in text else f"{text} {name}"
 
 
+def with_sigma(size: float, sigma: float, unit: str) -> str:
+    """A size with its standard deviation.
+
+    Examples:
+        >>> with_sigma(1.234e-3, 2.5e-5, "m")
+        '1.2 +- 0.02 mm'
+    """
+    return f"{shown(size, unit).split()[0]} +- {shown(sigma, unit, 1)}"
+
+
 def listed(words: Sequence[str], more: int = 0) -> str:
     """The first of some words, and how many more there are."""
     more += max(len(words) - NAMED, 0)

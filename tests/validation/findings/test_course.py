@@ -19,9 +19,9 @@ from calib_pin.validation.findings.alternatives import findings_of
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.course import (
     CONFIGURATIONS,
-    _unchanged,
     changes_of,
     drift,
+    unchanged_fit,
 )
 
 WAY = np.array([0.6, 0.0, -0.8])
@@ -157,7 +157,7 @@ def test_all_at_once_is_another_robot(moved_job, unsought) -> None:
     block = turned(displaced(job.plain.only, 2e-3 * behind), 2, 0.01 * behind)
     (finding,) = findings(job, block)
     assert (finding.code, finding.evidence["line"]) == ("outlying-stretch", 32)
-    assert "such as another robot: with" in finding.message
+    assert "another robot say: with" in finding.message
 
 
 @pytest.mark.slow
@@ -174,7 +174,7 @@ def test_what_comes_and_goes_at_once_is_no_change(moved_job, unsought) -> None:
     job = moved_job((30,), ())
     fitted = fit_model(job.chain, Observations.of(job.plain.only), Setup(), 0)
     case = Case.of(fitted)
-    _, found = changes_of(case, _unchanged(case))
+    _, found = changes_of(case, unchanged_fit(case))
     (change,) = found.changes
     again = (c for _, _, c in found.candidates if c.subject == change.subject)
     assert all(abs(c.rank - change.rank) >= CONFIGURATIONS for c in again)
@@ -183,7 +183,7 @@ def test_what_comes_and_goes_at_once_is_no_change(moved_job, unsought) -> None:
         fitted, problem=replace(fitted.problem, data=Observations.of(wrong))
     )
     case = Case.of(fitted)
-    assert len(changes_of(case, _unchanged(case))[1].changes) == 1
+    assert len(changes_of(case, unchanged_fit(case))[1].changes) == 1
 
 
 def test_of_few_rows_as_well(moved_job) -> None:

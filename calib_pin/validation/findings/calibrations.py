@@ -14,18 +14,12 @@ from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import JointMap
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.case import CHANCE, FOREIGN
-from calib_pin.validation.findings.sentences import finding, shown
+from calib_pin.validation.findings.sentences import finding, shown, with_sigma
 from calib_pin.validation.result import CalibrationResult, Jump
 from calib_pin.validation.tip_drift import tip_drift
 
 HOLDS = 1.5
 """Error of the tool, by the promised one, up to which an older calibration holds."""
-
-SEPARATE = {
-    "base": "state the base frame as known, from fixed points beside the robot",
-    "tool": "measure with a tool of known geometry, stated as known",
-}
-"""Measurements that tell frames that moved from joints."""
 
 
 def different_robots(
@@ -44,8 +38,8 @@ def different_robots(
     if apart <= FOREIGN * LENGTH_SCALE:
         return ()
     maps = [
-        {given.joint: given for given in joints if given != JointMap(given.joint)}
-        for joints in (model.setup.joints.values() for model in (first, second))
+        {m.joint: m for m in model.setup.joints.values() if m != JointMap(m.joint)}
+        for model in (first, second)
     ]
     differ = [j for j in {**maps[0], **maps[1]} if maps[0].get(j) != maps[1].get(j)]
     reason = "no robot changes so much on its own"
@@ -71,57 +65,49 @@ def older_calibration(
     """
     assert new.recalibration is not None
     step = new.recalibration.last
-    day = f" of {step.created[:10]}" if step.created else ""
-    sizes = [(n, shown(x.rms, unit)) for n, unit, x in new.recalibration.errors]
-    errors = " and ".join(f"{name} errors of {size} rms" for name, size in sizes)
+    errors = " and ".join(
+        f"{name} errors of {shown(error.rms, unit)} rms"
+        for name, unit, error in new.recalibration.errors
+    )
     basis = f"it predicts these measurements with {errors}, chi-square {step.chi2:.0f} "
     basis += f"(expected: {step.dof})"
-    before, after = (result.accuracy.workspace for result in (older, new))
-    promised = np.nan if before is None else before.calibrated[0]
-    expected = np.nan if after is None else after.calibrated[0]
-    apart = tip_drift(older.model.of(), new.model.of(), base=True, tool=True).position
-    error = float(np.hypot(apart.rms, expected))
-    if before and after and chi_square_tail(step.chi2, step.dof) > CHANCE:
-        # Errors that no parameter describes are as before, though few measurements may
-        # show more of them by chance.
-        instead = before.unmodeled[0] ** 2 - after.unmodeled[0] ** 2
-        error = float(np.sqrt(max(error**2 + instead, 0.0)))
     numbers: dict[str, Any] = {"chi2": step.chi2, "dof": step.dof}
-    if np.isfinite(error):
-        numbers["error"] = error
+    before, after = (result.accuracy.workspace for result in (older, new))
+    holds, remedy = all(map(_of_frame, step.jumps)), ""
+    if before is not None and after is not None:
+        promised, expected = before.calibrated[0], after.calibrated[0]
+        drift = tip_drift(older.model.of(), new.model.of(), base=True, tool=True)
+        square = drift.position.rms**2 + expected**2
+        if chi_square_tail(step.chi2, step.dof) > CHANCE:
+            # Errors that no parameter describes are as before, though few measurements
+            # may show more of them by chance.
+            square += before.unmodeled[0] ** 2 - after.unmodeled[0] ** 2
+        numbers["error"] = error = float(np.sqrt(max(square, 0.0)))
         basis += f", and is off by {shown(error, 'm')} over the workspace "
         basis += f"(promised: {shown(promised, 'm')})"
+        holds &= not error > HOLDS * promised
+        if promised < expected:
+            remedy = f"use the older one: this one is off by {shown(expected, 'm')}"
     for k, jump in enumerate(step.jumps, 1):
         numbers |= {f"joint {k}": jump.name or jump.kind, f"change {k}": jump.change}
-    holds = all(map(_of_frame, step.jumps)) and not error > HOLDS * promised
-    remedy = "; ".join(_remedies(step.jumps))
-    if holds:
-        better = f"use the older one: this one is off by {shown(expected, 'm')}"
-        remedy = better if promised < expected else ""
-    words = "; ".join(map(_change_text, step.jumps))
-    words = words or "nothing is found to have changed at once"
     code, verdict = "old-calibration-holds", "still holds"
     if not holds:
         code, verdict = "old-calibration-no-longer-holds", "no longer holds"
+        remedy = "look for what was hit, loosened or exchanged"
+        if not step.jumps or any(jump.instead for jump in step.jumps):
+            remedy += "; to tell what it was, measure more configurations, with base "
+            remedy += "and tool stated as known"
+    words = "; ".join(map(_change_text, step.jumps))
+    words = words or "nothing is found to have changed at once"
+    day = f" of {step.created[:10]}" if step.created else ""
     text = f"the older calibration{day} {verdict}: {words}; {basis}"
     yield finding(code, text, numbers, remedy, info=holds)
 
 
 def _of_frame(jump: Jump) -> bool:
     """Whether a change is one of a frame, and cannot be one of the robot instead."""
-    return jump.kind in SEPARATE and not any(w.startswith("j") for w in jump.instead)
-
-
-def _remedies(jumps: tuple[Jump, ...]) -> Iterator[str]:
-    yield "look for what was hit, loosened or exchanged"
-    if any(jump.kind == "robot" for jump in jumps):
-        yield "look whether its serial number is that of another robot"
-    words = {w.split(" ")[0] for j in jumps if j.instead for w in (j.kind, *j.instead)}
-    for word in SEPARATE:
-        if word in words:
-            yield f"to tell a {word} that moved from a joint, {SEPARATE[word]}"
-    if not jumps or "joint" in words:
-        yield "measure more configurations"
+    joint = any(words.startswith("j") for words in jump.instead)
+    return jump.kind in ("base", "tool") and not joint
 
 
 def _change_text(jump: Jump) -> str:
@@ -130,14 +116,13 @@ def _change_text(jump: Jump) -> str:
     if jump.beside:
         note += f" (beside it an offset of {' or '.join(jump.beside)} does not show)"
     if jump.kind == "offset":
-        value = shown(abs(jump.change), jump.unit).split()[0]
-        sigma = shown(jump.sigma, jump.unit, 1)
-        return f"the offset of '{jump.name}' has changed by {value} +- {sigma}{note}"
-    subject = f"'{jump.name}'" if jump.name else "the whole robot"
-    if jump.kind in SEPARATE:
-        subject = " ".join(filter(None, ("the", jump.kind, jump.name)))
-    elif jump.kind == "robot":
-        note = ", or this is another robot of its type"
+        size = with_sigma(abs(jump.change), jump.sigma, jump.unit)
+        return f"the offset of '{jump.name}' has changed by {size}{note}"
+    subject = f"the {jump.kind} {jump.name}".rstrip()
+    if jump.kind == "robot":
+        subject, note = "the whole robot", ", or this is another robot of its type"
+    elif jump.kind == "placement":
+        subject = f"'{jump.name}'"
     sizes = [(jump.change, "m"), (jump.turn, "rad")]
     moved = " and ".join(shown(size, unit) for size, unit in sizes if size > 0.0)
     return f"{subject} has moved by {moved}{note}"

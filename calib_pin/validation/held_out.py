@@ -489,7 +489,7 @@ def _check_on(
     fitted: Fit, training: Observations, validation: Observations, method: str
 ) -> HeldOut:
     """The check on validation measurements."""
-    findings, part = list[Finding](), None
+    findings, parts = list[Finding](), list[ModelErrors]()
     q = np.concatenate([training.q[training.weight > 0.0], validation.q])
     old, seen = np.split(grouped(q), [len(q) - len(validation)])
     new = ~np.isin(seen, old)
@@ -501,11 +501,11 @@ def _check_on(
         findings.append(finding("repeated-validation", text, numbers, remedy))
     if new.any():
         pair = both(fitted, validation.rows(new))
-        part, moved = registered_if_moved(fitted, *pair, np.flatnonzero(new))
+        parts, moved = registered_if_moved(fitted, *pair, np.flatnonzero(new))
         findings += moved
-    if part is None:
+    if not parts:
         return HeldOut(validation, findings=tuple(findings))
     clusters = Grouping.of(validation, fitted.problem.setup).clusters
     problem, _ = extended(*fitted.solved, validation)
-    tests = gains(method, problem, [part], clusters)
-    return HeldOut(validation, (part,), method, tests, tuple(findings))
+    tests = gains(method, problem, parts, clusters)
+    return HeldOut(validation, tuple(parts), method, tests, tuple(findings))

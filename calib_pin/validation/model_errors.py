@@ -71,7 +71,7 @@ class ModelErrors:
     def joined(parts: Sequence[ModelErrors]) -> ModelErrors:
         """Those of all parts, one after the other."""
         arrays = ([getattr(part, name) for part in parts] for name in ARRAYS)
-        distances = tuple(distance for part in parts for distance in part.distances)
+        distances = tuple(dict.fromkeys(d for part in parts for d in part.distances))
         names = dict.fromkeys(name for part in parts for name in part.registered)
         positions, before, after, variance = map(np.concatenate, arrays)
         return ModelErrors(positions, before, after, variance, distances, tuple(names))
@@ -82,15 +82,6 @@ class ModelErrors:
         if np.array_equal(positions[index], positions):
             return self
         return replace(self, **{name: getattr(self, name)[index] for name in ARRAYS})
-
-    def replaced(self, index: NDArray[np.intp], by: ModelErrors) -> ModelErrors:
-        """The same with those of some measurements, at positions within them, anew."""
-        by_ends = {distance.between: distance for distance in by.distances}
-        arrays = {name: getattr(self, name).copy() for name in ARRAYS}
-        for name, values in arrays.items():
-            values[index] = getattr(by, name)
-        distances = tuple(by_ends.get(d.between, d) for d in self.distances)
-        return replace(self, distances=distances, **arrays)
 
     def accuracy(self, quantity: Quantity) -> Pair:
         """Accuracy of a quantity before and after; None where none has it."""

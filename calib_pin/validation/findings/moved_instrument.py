@@ -58,7 +58,7 @@ def registered_if_moved(
     before: Registered,
     after: Registered,
     positions: NDArray[np.intp],
-) -> tuple[ModelErrors | None, list[Finding]]:
+) -> tuple[list[ModelErrors], list[Finding]]:
     """Errors of validation measurements, registered anew where an instrument was moved.
 
     Let S be the sum of squared errors with a station of the fit, S' that with a new
@@ -74,28 +74,26 @@ def registered_if_moved(
         positions: Positions of these among all, shape (N,).
 
     Returns:
-        The errors, None if the measurements suffice for no more than the registration;
-        and a finding for every instrument that was moved.
+        The errors station by station, without those that suffice for no more than the
+        registration; and a finding for every instrument that was moved.
     """
-    errors = errors_of_registered(fitted, before, after, positions)
-    data, findings, mask = after.problem.data, [], np.ones(len(positions), bool)
+    data, parts, findings = after.problem.data, list[ModelErrors](), list[Finding]()
     stations = {term.frames.station for term in fitted.problem.terms.values()}
     named = [after.problem.terms[key].frames.station for key in data.keys]
     of_row = np.array(named)[data.block_of]
-    robots = [(*r.problem.rebased(r.theta), r.new) for r in (before, after)]
-    for station in dict.fromkeys(filter(stations.__contains__, named)):
+    for station in dict.fromkeys(named):
         rows = np.flatnonzero(of_row == station)
         nominal, calibrated = (
-            Registered(replace(problem, data=data.rows(rows)), theta, new)
-            for problem, theta, new in robots
+            replace(robot, problem=replace(robot.problem, data=data.rows(rows)))
+            for robot in (before, after)
         )
-        anew, moved = _if_moved(fitted, errors.at(rows), nominal, calibrated, station)
-        findings += moved
-        if anew is None:
-            mask[rows] = False
-        else:
-            errors = errors.replaced(rows, anew)
-    return errors.at(mask) if mask.any() else None, findings
+        part: ModelErrors | None
+        part = errors_of_registered(fitted, nominal, calibrated, positions[rows])
+        if station in stations:
+            part, found = _if_moved(fitted, part, nominal, calibrated, station)
+            findings += found
+        parts += [part] if part is not None else []
+    return parts, findings
 
 
 def _if_moved(
@@ -110,8 +108,8 @@ def _if_moved(
     Args:
         fitted: The fit.
         errors: The errors with the station of the fit.
-        before: The nominal robot with these measurements, about its frames.
-        after: The fitted model with these measurements, about its frames.
+        before: The nominal robot with these measurements.
+        after: The fitted model with these measurements.
         station: Owner and kind of the station's frame.
     """
     here = _at_new_station(after, station)
@@ -123,31 +121,28 @@ def _if_moved(
     nominal = _at_new_station(before, station) if ratio > SUSPICIOUS else None
     if nominal is None:
         return errors, []
-    errors_here: ModelErrors | None
-    errors_here = errors_of_registered(fitted, nominal, here, errors.positions)
-    owner = "" if station == BASE else f" from '{station.rpartition('.')[0]}'"
-    off, anew = (float(np.sqrt(square / values)) for square in (S, S_new))
-    end, remedy = "has moved, and both robots are registered on them", STATION
-    distinct = distinct_values(here.problem)
-    if ratio <= MOVED or not _same_move(errors, errors_here, here.problem):
-        if anew > SUSPICIOUS or by_chance(S, S_new, unknowns, dof) > CHANCE:
-            return errors, []
+    there = errors_of_registered(fitted, nominal, here, errors.positions)
+    off, left = (float(np.sqrt(square / values)) for square in (S, S_new))
+    result: ModelErrors | None = there
+    end = "has moved, and both robots are registered on them"
+    few = here.problem.data.configurations < FEWEST_HELD_OUT
+    if ratio <= MOVED or not _same_move(errors, there, here.problem):
         # Where the fit does not know the robot as well, it is that far off.
         sample = replace(after.problem, data=after.problem.data.sample(MEASUREMENTS))
         square = mahalanobis(fitted, sample, after.theta)
-        if chi_square_tail(square, measured_count(sample)) > CHANCE:
+        by_fit = chi_square_tail(square, measured_count(sample))
+        chance = max(by_fit, by_chance(S, S_new, unknowns, dof))
+        if left > SUSPICIOUS or chance > CHANCE:
             return errors, []
-        errors_here, end = errors, "may have moved before them"
-    elif distinct <= unknowns or here.problem.data.configurations < FEWEST_HELD_OUT:
-        errors_here = None
-        remedy = "measure more validation configurations from one station"
-        end = "has moved, and they are too few for a check from there: "
-        end += f"{distinct} distinct values, {unknowns} unknowns"
+        result, end = errors, "may have moved before them"
+    elif few or distinct_values(here.problem) <= unknowns:
+        result, end = None, "has moved, and they are too few for a check from there"
+    owner = "" if station == BASE else f" from '{station.rpartition('.')[0]}'"
+    text = f"the validation measurements{owner} are off by {off:.3g} standard "
+    text += f"deviations, from another station by {left:.3g}: the instrument {end}"
     numbers = {"chi-square as it is": S, "chi-square registered": S_new}
     numbers |= {"values": values, "unknowns": unknowns}
-    text = f"the validation measurements{owner} are off by {off:.3g} standard "
-    text += f"deviations, from another station by {anew:.3g}: the instrument {end}"
-    return errors_here, [finding("moved-instrument", text, numbers, remedy)]
+    return result, [finding("moved-instrument", text, numbers, STATION)]
 
 
 def _at_new_station(robot: Registered, station: str) -> Registered | None:
@@ -157,13 +152,13 @@ def _at_new_station(robot: Registered, station: str) -> Registered | None:
     robot stay. None if nothing of the station is free.
 
     Args:
-        robot: The problem of measurements from there, about its frames.
+        robot: The problem of measurements from there.
         station: Owner and kind of the station's frame.
     """
-    problem, theta = robot.problem, robot.theta
-    parameters = problem.parameters
+    problem, theta = robot.problem.rebased(robot.theta)
+    parameters, data = problem.parameters, problem.data
     base, outer = np.zeros((2, len(parameters)), bool)
-    for term, _, _, _ in problem.blocks:
+    for term in (problem.terms[key] for key in data.keys):
         base[term.index[:FRAME]] = True
         # References on the tool stay with the robot.
         outer[term.index] |= [p.outer for p in term.parameters]
@@ -172,7 +167,7 @@ def _at_new_station(robot: Registered, station: str) -> Registered | None:
     free = np.flatnonzero((base | outer) & observable)
     if len(free) == 0:
         return None
-    relative = any(block.start.size for block in problem.data.blocks)
+    relative = any(block.start.size for block in data.blocks)
     loose = bool(parameters.free[base].all()) and not relative
     here, theta = relocated_station(problem, theta, station, free, loose)
     return Registered(here, theta, robot.new, tuple(free.tolist()))
@@ -193,7 +188,5 @@ def _same_move(errors: ModelErrors, anew: ModelErrors, problem: Problem) -> bool
 
 def _chi_square(robot: Registered) -> float:
     """Sum of squared errors in standard deviations; infinite where one is lost."""
-    present = np.isfinite(robot.problem.sigma)
-    sigma = robot.problem.sigma[present]
-    errors = robot.problem.errors(robot.theta)[present] / sigma
-    return float(np.nan_to_num(errors @ errors, nan=np.inf, posinf=np.inf))
+    r = robot.problem.residual(robot.theta)[: len(robot.problem.sigma)]
+    return float(np.nan_to_num(r @ r, nan=np.inf, posinf=np.inf))

@@ -11,7 +11,7 @@ import pinocchio as pin
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_columns import JointColumns
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.parameterizations.base import owner
 from calib_pin.parameters import by_joint
 from calib_pin.setup import JointMap, Setup
@@ -74,14 +74,13 @@ class JointErrors:
         moved, factors, values = self._corrected(chain, q)
         T, J = chain.jacobian(moved)
         J = J @ factors
-        target = in_base(fitted, q) @ fitted.tool.inverse().homogeneous
-        pairs = zip(T, target, strict=True)
-        twists = [pin.log6(pin.SE3(a).actInv(pin.SE3(b))).vector for a, b in pairs]
+        apart = invert(T) @ in_base(fitted, q) @ fitted.tool.inverse().homogeneous
+        twists = np.array([pin.log6(pin.SE3(M)).vector for M in apart])
         # A turn counts as the move that it is at the usual distance from the base.
         reach = np.linalg.norm(chain.poses(q)[:, :3, 3], axis=1).mean()
         weights = np.repeat([1.0, max(float(reach), 0.1)], 3)
         A = weights[:, None] * np.concatenate([J, J * values[:, None]], axis=2)
-        return A.reshape(-1, A.shape[2]), (weights * np.array(twists)).reshape(-1)
+        return A.reshape(-1, A.shape[2]), (weights * twists).reshape(-1)
 
 
 def joint_errors(
@@ -104,14 +103,14 @@ def joint_errors(
     # A column that only moves the joint of another has no offset of its own.
     moves = [joint != "" for joint in columns.joints]
     free = np.array([*moves, *(joint in gained for joint in columns.joints)])
-    x = np.zeros(len(free))
+    x, step = np.zeros(len(free)), np.zeros(len(free))
     for _ in range(20):  # A few are enough.
-        current = JointErrors(columns, joints, *np.split(x, 2))
-        parts = zip(*map(current.equations, fitted), strict=True)
+        errors = JointErrors(columns, joints, *np.split(x, 2))
+        parts = zip(*map(errors.equations, fitted), strict=True)
         A, rhs = (np.concatenate(part) for part in parts)
-        step = np.linalg.lstsq(A[:, free], rhs, rcond=None)[0]
-        x[free] += step
-        if np.abs(step).max(initial=0.0) < 1e-9:
+        step[free] = np.linalg.lstsq(A[:, free], rhs, rcond=None)[0]
+        x += step
+        if np.abs(step).max() < 1e-9:
             break
     return JointErrors(columns, joints, *np.split(x, 2))
 
@@ -181,38 +180,32 @@ def joint_offsets(result: CalibrationResult) -> tuple[OffsetEstimate, ...]:
     """The offsets of the columns of all joints that have one as a parameter."""
     model = result.model
     columns = JointColumns.of(model.chains, model.setup.joints)
-    joints = model.chains.joints
-    steps = encoder_steps(model.setup, joints)
+    joints, reverses = model.chains.joints, reversals(columns)
+    per_turn, revolute = encoder_steps(model.setup, joints), model.chains.revolute
+    turning = (j for j, turns in zip(joints, revolute, strict=True) if turns)
+    steps = {j: per_turn[j] / (2.0 * np.pi) for j in turning if j in per_turn}
     # Where columns are coupled, the offset of one is made up of those of several.
     weights = columns.values(np.eye(len(joints)) + columns.offsets).T
     estimates = {p.name: p for p in result.parameters if p.status != "fixed"}
     names = {joint: f"{owner(joint)}.joint-offset.q" for joint in joints}
     known = {j: estimates[name] for j, name in names.items() if name in estimates}
     absorbed = {e.of[0]: e.within for e in result.robot_errors if e.within}
-    place, reverses, offsets = (
-        result.covariance.rows.index,
-        reversals(columns),
-        [],
-    )
+    covariance, offsets = result.covariance, list[OffsetEstimate]()
     for row, joint, column in zip(weights, columns.joints, columns.names, strict=True):
         if joint not in known:
             continue
         parts = [k for k, j in enumerate(joints) if row[k] and j in known]
         involved, w = [known[joints[k]] for k in parts], row[parts]
         status = [one.status for one in involved if one.status != "identifiable"]
-        index, unit = [place(one.name) for one in involved], known[joint].unit
-        C = np.asarray(result.covariance)[np.ix_(index, index)]
-        value = float(w @ [one.value for one in involved])
-        sigma = None if status else float(np.sqrt(w @ C @ w))
-        counted = steps.get(joint) if unit == "rad" else None
-        per_unit = None if counted is None else counted / (2.0 * np.pi)
+        index = [covariance.rows.index(one.name) for one in involved]
+        C = np.asarray(covariance)[np.ix_(index, index)]
         offset = OffsetEstimate(
             joint,
             column,
-            unit,
-            value,
-            sigma,
-            steps=per_unit,
+            known[joint].unit,
+            value=float(w @ [one.value for one in involved]),
+            sigma=None if status else float(np.sqrt(w @ C @ w)),
+            steps=steps.get(joint),
             status=[*status, "identifiable"][0],
             within=absorbed.get(joint, ()),
             reverses=reverses.get(joint, ""),

@@ -12,7 +12,7 @@ what was found is compared with what robots, distances and fleets are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -33,7 +33,6 @@ from calib_pin.estimation.row_blocks import Priors
 from calib_pin.estimation.statistics.distributions import chi_square_tail, normal_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
-from calib_pin.measurement_models.declaration import INSTRUMENT
 from calib_pin.measurement_models.readings import (
     measured_lengths,
     place_of,
@@ -46,7 +45,6 @@ from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import ConvertedSetup, PopulationPrior, ReadingSetup, Setup
-from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.alternatives import (
     FITTED,
@@ -130,57 +128,50 @@ SPOILED = 2.0
 
 def outliers(case: Case) -> Iterator[Finding]:
     """Measurements that are set aside; of a whole fit exchanged ones apart."""
-    fitted, data = case.fitted, case.data
+    fitted, data, moved = case.fitted, case.data, np.inf
     if fitted is None:
-        data = case.fit.problem.data
-        rows = data.in_order[data.weight[data.in_order] == 0.0].tolist()
-        reason = " that were looked at do not fit the nominal robot as the others do"
-        if rows:
-            yield _exclusion("outliers", data, rows, reason, {})
-        return
-    excluded = [o for o in fitted.robust.outliers if o.weight == 0.0]
-    if fitted.robust.squared is None or not excluded:
-        return
-    moved = tool_displacement(fitted, fitted.robust.squared)
-    numbers: dict[str, Any] = {"displaced": moved, "all": len(data)}
-    keeping = f"; keeping them would move the tool point by {shown(moved, 'm')}"
-    pairs = _pairs(data, excluded)
-    if pairs:
-        places = tuple(places_of(data, pair) for pair in pairs)
-        text = f"measurements {' and '.join(places[0])}"
-        text += f", and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
-        text += f" fit if exchanged, and were excluded{keeping}"
-        lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
-        numbers |= {"pairs": len(pairs)}
-        yield finding("measurements-exchanged", text, numbers, "", lines, "over-order")
-    alone = [o for o in excluded if not any(o.row in pair for pair in pairs)]
-    if not alone:
-        return
-    others = np.array([o.row for o in alone])
-    for code, words, stretch in _stretches(data, others):
-        rows = stretch[np.argsort(np.argsort(data.in_order)[stretch])].tolist()
-        targets, evidence = {data.target[row] for row in rows}, {**numbers}
+        data, numbers = case.fit.problem.data, dict[str, Any]()
+        words = " that were looked at do not fit the nominal robot as the others do"
+        parts = [("outliers", words, np.flatnonzero(data.weight == 0.0))]
+    else:
+        excluded = [o for o in fitted.robust.outliers if o.weight == 0.0]
+        if fitted.robust.squared is None or not excluded:
+            return
+        moved = tool_displacement(fitted, fitted.robust.squared)
+        numbers = {"displaced": moved, "all": len(data)}
+        words = f"; keeping them would move the tool point by {shown(moved, 'm')}"
+        if pairs := _pairs(data, excluded):
+            places = tuple(places_of(data, pair) for pair in pairs)
+            text = f"{len(pairs)} pairs of measurements fit if exchanged, "
+            text += f"{' and '.join(places[0])} first, and were excluded{words}"
+            lines = {"reading": lines_of(ReadingSetup(exchanged=places))}
+            more = {**numbers, "pairs": len(pairs)}
+            yield finding("measurements-exchanged", text, more, "", lines, "over-order")
+        alone = np.setdiff1d([o.row for o in excluded], pairs).astype(np.int64)
+        parts = [
+            (code, f" excluded as outliers{where}{words}", rows)
+            for code, where, rows in _stretches(data, alone)
+        ]
+    for code, words, part in parts:
+        rows = data.in_order[np.isin(data.in_order, part)].tolist()
+        if not rows:
+            continue
+        targets = {data.target[row] for row in rows}
+        further = {"outliers": len(rows), "first": place_of(data, rows[0])}
         if len(targets) <= NAMED and all(targets):
-            evidence["target"] = ", ".join(sorted(targets))
-        reason = f" excluded as outliers{words}{keeping}"
-        error, info = bool(words), moved <= LENGTH_SCALE
-        yield _exclusion(code, data, rows, reason, evidence, error=error, info=info)
-
-
-def _exclusion(
-    code: str,
-    data: Observations,
-    rows: Sequence[int],
-    reason: str,
-    numbers: Mapping[str, Any],
-    **severity: bool,
-) -> Finding:
-    """The finding of measurements, in the order of the files, to leave out."""
-    text = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{reason}"
-    numbers = {**numbers, "outliers": len(rows), "first": place_of(data, rows[0])}
-    lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
-    remedy = "measure them again"
-    return finding(code, text, numbers, remedy, lines, "over-order", **severity)
+            further["target"] = ", ".join(sorted(targets))
+        text = f"{named(data, rows)}: {len(rows)} of {len(data)} measurements{words}"
+        lines = {"reading": lines_of(ReadingSetup(without=places_of(data, rows)))}
+        yield finding(
+            code,
+            text,
+            numbers | further,
+            "measure them again",
+            lines,
+            "over-order",
+            error=code != "outliers",
+            info=moved <= LENGTH_SCALE,
+        )
 
 
 def _stretches(data: Observations, rows: Indices) -> Iterator[tuple[str, str, Indices]]:
@@ -191,25 +182,18 @@ def _stretches(data: Observations, rows: Indices) -> Iterator[tuple[str, str, In
 
     def long(part: Indices, stretch: int) -> bool:
         several = len(np.unique(data.groups()[part])) >= CONFIGURATIONS
-        full = len(part) >= FULL * stretch
-        return several and full and len(part) >= STRETCH * len(data)
+        return several and len(part) >= max(FULL * stretch, STRETCH * len(data))
 
-    for _, stretch in still_stretches(data):
+    for joint, stretch in still_stretches(data):
         inside = np.intersect1d(stretch, rows)
         # Where it stopped it is read rightly.
         behind = data.groups()[stretch] != data.groups()[stretch[0]]
         if long(inside, int(behind.sum())):
-            still = np.ptp(data.q[inside], axis=0) == 0.0
-            still &= np.ptp(data.q, axis=0) > 0.0
-            names = enumerated([f"'{data.joints[j]}'" for j in np.flatnonzero(still)])
-            words = f": there the reading of joint {names} does not change"
+            words = f": there the reading of joint '{joint}' does not change"
             yield "stuck-encoder", words, inside
             rows = np.setdiff1d(rows, inside)
-            break
-    if not len(rows):
-        return
     places = np.argsort(data.in_order)[rows]
-    if long(rows, int(np.ptp(places)) + 1):
+    if len(rows) and long(rows, int(np.ptp(places)) + 1):
         words = ", all in one stretch: something else was measured there, such as "
         yield "outlying-stretch", f"{words}another robot, tool or station", rows
     else:
@@ -218,9 +202,8 @@ def _stretches(data: Observations, rows: Indices) -> Iterator[tuple[str, str, In
 
 def tool_displacement(fitted: Fit, squared: Fit) -> float:
     """How far two fits have the tool apart, over the workspace, rms [m]."""
-    first = CalibratedModel.create(fitted.problem, fitted.theta)
-    second = CalibratedModel.create(squared.problem, squared.theta)
-    pairs = [(first.of(name), second.of(name)) for name in first.measured_chains]
+    models = [CalibratedModel.create(of.problem, of.theta) for of in (fitted, squared)]
+    pairs = ([model.of(name) for model in models] for name in models[0].measured_chains)
     return max(tip_drift(*p, base=True, tool=True).position.rms for p in pairs)
 
 
@@ -245,28 +228,25 @@ def units_of_some(case: Case) -> Iterator[Finding]:
     counted, excluded = sizes(data.rows(data.weight > 0.0)), data.rows(aside)
     usual, before = max(float(np.sqrt(np.mean(counted**2))), 1e-9), sizes(excluded)
     lengths = [np.full(len(b), measured_lengths(b).sum()) for b in excluded.blocks]
-    values = np.concatenate(lengths)
-    best = (unlikely(len(FACTORS)), 0.0, np.zeros(0, np.int64))
-    for factor in FACTORS:
-        rescaled = scaled(excluded, np.full(len(excluded), factor))
-        after = np.maximum(sizes(rescaled), usual)
-        fits = (after < FITS * usual) & (before > FITS * after)
-        ratio = float(np.sum((values * np.log(before / after))[fits]))
-        best = max(best, (ratio, factor, aside[fits]), key=lambda trial: trial[0])
-    ratio, factor, rows = best
-    if not len(rows):
+    every = [sizes(scaled(excluded, np.full(len(aside), f))) for f in FACTORS]
+    after = np.maximum(every, usual)
+    fits = (after < FITS * usual) & (before > FITS * after)
+    gains = np.where(fits, np.concatenate(lengths) * np.log(before / after), 0.0)
+    ratios = gains.sum(axis=1)
+    k = int(np.argmax(ratios))
+    if ratios[k] <= unlikely(len(FACTORS)):
         return
-    rank = np.argsort(data.in_order)
-    rows = rows[np.argsort(rank[rows])]
-    places = places_of(data, rows.tolist())
-    converted = ConvertedSetup(factor, places, True)
-    if len(rows) > 1 and np.ptp(rank[rows]) == len(rows) - 1:
-        converted = ConvertedSetup(factor, (places[0], places[-1]))
+    factor, rows = [*FACTORS][k], aside[fits[k]]
+    ranks = np.flatnonzero(np.isin(data.in_order, rows))
+    places = places_of(data, data.in_order[ranks].tolist())
+    run = len(ranks) > 1 and np.ptp(ranks) == len(ranks) - 1
+    ends = (places[0], places[-1]) if run else places
+    converted = ConvertedSetup(factor, ends, each=not run)
     lines = {"reading": lines_of(ReadingSetup(converted=(converted,)))}
     text = f"{len(rows)} of {len(data)} measurements that were set aside, the first in "
     text += f"line {places[0]}, fit if their lengths are {FACTORS[factor]}"
     numbers = {"factor": factor, "measurements": len(rows), "first": places[0]}
-    numbers |= {"log_likelihood_ratio": ratio}
+    numbers |= {"log_likelihood_ratio": ratios[k]}
     yield finding("unit-of-some", text, numbers, lines=lines)
 
 
@@ -276,9 +256,9 @@ def noise(case: Case) -> Iterator[Finding]:
     Too large ones are wrong. Too small ones may leave no room for what no parameter
     describes, gears and compliance; they are wrong where repetitions scatter as much.
     """
-    fitted = case.fitted
-    parts = [(part, *_scatter(part)) for part in (fitted.noise if fitted else ())]
-    parts = [(part, scatter, sure) for part, scatter, sure in parts if scatter > 0.0]
+    noise = case.fitted.noise if case.fitted else ()
+    every = ((part, *_scatter(part)) for part in noise)
+    parts = [known for known in every if known[1] > 0.0]
     sigmas = {part.quantity: float(f"{scatter:.3g}") for part, scatter, _ in parts}
     lines: dict[str, Any] = {"noise": sigmas}
     if states_sigmas(case.data):
@@ -286,28 +266,24 @@ def noise(case: Case) -> Iterator[Finding]:
     for part, scatter, repeated in parts:
         factor = scatter / part.given
         near = 1.0 / FACTOR < factor < FACTOR
+        wrong = part.stated and part.contradicted and not near
         unclear = factor > 1.0 and not repeated
         # Where that is unclear, there may be more to it than noise.
-        wrong = part.stated and part.contradicted and not near
         if not wrong or (unclear and case.doubtful):
             continue
         given, estimated = (shown(sigma, part.unit) for sigma in (part.given, scatter))
-        times = f"{factor:.2g} times too small"
-        times = times if factor > 1.0 else f"{1.0 / factor:.2g} times too large"
-        text = f"the stated sigma of {part.quantity}, {given}, is {times}: the "
-        text, remedy = f"{text}measurements scatter by {estimated}", ""
+        text = f"the stated sigma of {part.quantity} is {given}, and the measurements "
+        text, remedy, info = f"{text}scatter by {estimated}", "", False
         if unclear:
-            text = f"the errors of {part.quantity} are {factor:.3g} times the stated "
-            text += f"{given}: sigma is too small, or no parameter describes them"
+            text += ": sigma is too small, or the model lacks an effect"
             remedy = "repeat some configurations, which tells noise from unmodeled "
             remedy += "errors"
-        # What shows as gears or as lack of fit is no fault of sigma.
-        robot = fitted and (fitted.effects is not None or part.pure is not None)
+            # What shows as gears or as lack of fit is no fault of sigma.
+            gears = case.fitted is not None and case.fitted.effects is not None
+            info = gears or part.pure is not None
         numbers = {"quantity": part.quantity, "stated": part.given}
         numbers |= {"estimated": scatter, "factor": factor}
-        yield finding(
-            "noise", text, numbers, remedy, lines, info=bool(unclear and robot)
-        )
+        yield finding("noise", text, numbers, remedy, lines, info=info)
 
 
 def _scatter(part: VarianceComponent) -> tuple[float, bool]:
@@ -430,37 +406,26 @@ def _scale(case: Case, fitted: Fit) -> Iterator[Finding]:
     # A robot grows to explain what it lacks.
     lacking, estimated = case.lacking[0], case.setup.parameters
     s, deviation, chance, size = _Linear.of(case, fitted, lacking).growth()
-    kinds = [PARAMETERIZATIONS[name] for name in estimated]
-    least, most = GROWN[all(kind.geometric for kind in kinds) and not lacking]
-    if abs(s) < least or chance > CHANCE:
-        return
+    geometric = all(PARAMETERIZATIONS[name].geometric for name in estimated)
+    least, most = GROWN[geometric and not lacking]
     # Lengths that are so wrong would show in the errors of the nominal robot, or in
     # the corrections that make up for them.
     points = tool_points(case.fit.problem, fitted.theta)
     spread = max(float(np.linalg.norm(np.std(p, axis=0))) for p in points)
     shows = max(case.errors_nominal, case.fit.largest_correction)
-    if abs(s) * spread > HIDDEN * shows * LENGTH_SCALE:
+    hidden = abs(s) * spread > HIDDEN * shows * LENGTH_SCALE
+    if abs(s) < least or chance > CHANCE or hidden:
         return
     # The derivative is that of the lengths found, which have grown already.
-    part = s / (1.0 - s)
-    text = f"all lengths of the robot came out {100 * abs(part):.2g} % "
-    text += f"{'longer' if part > 0.0 else 'shorter'} ({abs(s) / deviation:.0f} "
-    text += "standard deviations), which is implausible"
+    part, longer = s / (1.0 - s), "longer" if s > 0.0 else "shorter"
+    text = f"all lengths of the robot came out {100 * abs(part):.2g} % {longer} "
+    text += f"({abs(s) / deviation:.0f} standard deviations), which is implausible"
+    known, models = fitted.problem.further.distances.stated, case.data.models
+    lengths = [f"the known distance {' - '.join(d.between)}" for d in known[:1]]
+    lengths += filter(None, dict.fromkeys(declared(m).yardstick for m in models))
+    remedy = f"check {', '.join(lengths)}, the unit of the lengths in the URDF"
     numbers = {"scale": part, "sigma": deviation, "size": size}
-    remedy = f"check {_yardstick(fitted)}"
     yield finding("scale", text, numbers, remedy, error=abs(s) > most)
-
-
-def _yardstick(fitted: Fit) -> str:
-    """The lengths on which the scale of these measurements rests."""
-    problem = fitted.problem
-    known = problem.further.distances.stated
-    more = ", ..." * (len(known) > 1)
-    lengths = [f"the known distance {' - '.join(d.between)}{more}" for d in known[:1]]
-    others = dict.fromkeys(declared(model).yardstick for model in problem.data.models)
-    # The setup states the others, and can be checked first.
-    lengths += sorted(filter(None, others), key=lambda words: words == INSTRUMENT)
-    return ", ".join([*lengths, "the unit of the lengths in the URDF"])
 
 
 def _corrections(case: Case, fitted: Fit) -> Iterator[Finding]:
@@ -472,7 +437,7 @@ def _corrections(case: Case, fitted: Fit) -> Iterator[Finding]:
     """
     parameters = fitted.problem.parameters
     x, robot = fitted.theta / parameters.scales, _of_robot(parameters)
-    sizes, turn_of_one = _sizes(fitted, x), _expected_turn(case.setup)
+    sizes = _sizes(fitted, x)
     if sizes.max() < LARGE:
         return
     linear, factor, z = _Linear.of(case, fitted, ()), np.inf, x.copy()
@@ -482,30 +447,23 @@ def _corrections(case: Case, fitted: Fit) -> Iterator[Finding]:
             factor = linear.misfit(shrunk) / max(linear.misfit(x[robot]), ROUNDING)
             break
     chains = [term.error.chain for term in fitted.problem.by_chain.values()]
-    names = [[*c.joints, c.tip_joint or c.tip] for c in chains]
+    names = [name for c in chains for name in (*c.joints, c.tip_joint or c.tip)]
     place = int(np.argmax(sizes.max(axis=1)))
-    name = [name for of_chain in names for name in of_chain][place]
-    move, turn = (sizes[place] * (LENGTH_SCALE, turn_of_one)).tolist()
-    text = f"the origin of {name} came out moved by {1e3 * move:.1f} mm and "
+    move, turn = (sizes[place] * (LENGTH_SCALE, _expected_turn(case.setup))).tolist()
+    numbers: dict[str, Any] = {"joint": names[place], "move": move, "turn": turn}
+    text = f"the origin of {names[place]} came out moved by {1e3 * move:.1f} mm and "
     text += f"{np.degrees(turn):.2f} deg"
-    numbers: dict[str, Any] = {"joint": name, "move": move, "turn": turn}
-    frames = [case.setup.base_frame, *case.setup.stations.values()]
-    frames += [case.setup.tool_frame, *case.setup.tools.values()]
-    # Frames at an origin, or one away, share its errors.
-    ends = {name for joints in names for name in (*joints[:2], *joints[-2:])}
-    at_frame = name in ends and any(frame.estimate is False for frame in frames)
     if factor < BOUGHT:
-        text += f", although with no more than {shown(LARGE * LENGTH_SCALE, 'm')} and "
-        text += f"{shown(LARGE * turn_of_one, 'rad')} the remaining errors are only "
+        text += "; without so large a correction the remaining errors are only "
         text += f"{max(factor, 1.0):.2f} times as large"
         numbers["errors_without"] = factor
-        remedy = "measure more configurations, or estimate fewer parameters"
-        remedy += "; check the frames that the setup states" if at_frame else ""
+        remedy = "measure more configurations, estimate fewer parameters, or check the "
+        remedy += "frames that the setup states"
         error = bool(sizes.max() > IMPLAUSIBLE)
         yield finding("implausible-correction", text, numbers, remedy, error=error)
         return
-    remedy = "check this origin in the URDF, and how the joint is mounted"
-    remedy += ", and the frames that the setup states" if at_frame else ""
+    remedy = "check this origin in the URDF, how the joint is mounted, and the frames "
+    remedy += "that the setup states"
     largest, joint, offset = _offset_within(case, fitted, x)
     if largest < LARGE:
         unit = case.unit(joint)
@@ -554,9 +512,7 @@ def _sizes(fitted: Fit, x: Floats) -> Floats:
     return np.array(moved) / (LENGTH_SCALE, turn)
 
 
-def contradicted_distance(
-    fitted: Fit, errors: float, robust: Fit | None = None
-) -> Iterator[Finding]:
+def contradicted_distance(fitted: Fit, errors: float) -> Iterator[Finding]:
     """The known distance that the measurements contradict most, if they do.
 
     Of a distance with the whitened residual v that decides the part h of itself, the
@@ -567,37 +523,32 @@ def contradicted_distance(
     Args:
         fitted: The fit.
         errors: Errors that are left, rms [unit of the first quantity].
-        robust: The one that has set all measurements of an end aside, if it is without.
     """
-    problem = fitted.problem
-    distances = problem.further.distances
-    if not len(distances):
-        return
-    v, J = distances.residual(fitted.theta), distances.jacobian(fitted.theta)
-    # By noise alone, or what a distance decides would be more than all.
-    _, result, moved = with_prior(fitted)
-    half = half_covariance(result.jac, moved, problem.parameters)
-    redundancy = np.maximum(1.0 - np.sum((J @ half) ** 2, axis=1), ROUNDING)
-    if fitted.robust.squared is not None and redundancy.min() <= ROUNDING:
+    for model in filter(None, (fitted, fitted.robust.squared)):
+        problem, distances = model.problem, model.problem.further.distances
+        if not len(distances):
+            return
+        v, J = distances.residual(model.theta), distances.jacobian(model.theta)
+        # By noise alone, or what a distance decides would be more than all.
+        _, result, moved = with_prior(model)
+        half = half_covariance(result.jac, moved, problem.parameters)
+        redundancy = np.maximum(1.0 - np.sum((J @ half) ** 2, axis=1), ROUNDING)
+        if redundancy.min() > ROUNDING:
+            break
         # All measurements of an end are set aside, for one of both must be wrong.
-        yield from contradicted_distance(fitted.robust.squared, errors, fitted)
-        return
     w = np.abs(v) / np.sqrt(redundancy)
     k = int(np.argmax(w))
     distance = distances.stated[k]
     apart = float(v[k] * distance.sigma / redundancy[k])
     metric = problem.layout.quantities[0].unit == "m"
     limit = max(MISSED, BEYOND * errors if metric else 0.0)
-    if abs(apart) < min(limit, CONTRADICTED):
-        return
-    if normal_tail(w[k]) * len(w) > CHANCE:
+    if abs(apart) < min(limit, CONTRADICTED) or normal_tail(w[k]) * len(w) > CHANCE:
         return
     # A wrong distance takes all measurements for coarse ones.
-    if not _scaled_without(robust or fitted, k):
+    if not _scaled_without(fitted, k):
         return
-    ends = " - ".join(distance.between)
-    (unit, factor), measured = DISPLAY["m"], distance.value + apart
-    sizes = [f"{factor * size:.1f} {unit}" for size in (measured, distance.value)]
+    ends, measured = " - ".join(distance.between), distance.value + apart
+    sizes = [shown(size, "m", 4) for size in (measured, distance.value)]
     text = f"the measurements contradict the known distance {ends}: without it they "
     text += f"find {sizes[0]} instead of {sizes[1]} ({w[k]:.0f} standard deviations)"
     numbers = {"between": ends, "value": distance.value, "sigma": distance.sigma}
@@ -629,12 +580,10 @@ def families(case: Case) -> tuple[Finding, ...]:
     if new := [name for name in names if name not in numbers]:
         # Placements have the offsets of joints.
         covered = {JointOffset.name} if Placement.name in new else set()
-        parameters = [name for name in case.setup.parameters if name not in covered]
-        parameters += new
+        parameters = [n for n in case.setup.parameters if n not in covered] + new
         missing = Alternative(
             "model-lacks",
-            f"{enumerated(new)}, not estimated here, explain{'s' * (len(new) == 1)} "
-            f"{'most' if judged == 'warning' else 'a part'} of it",
+            f"{enumerated(new)}, not estimated here, can explain a part of it",
             "the model",
             lines={"parameters": parameters},
             advice=f"estimate them: --parameters {','.join(parameters)}",

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import ceil
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -67,12 +66,12 @@ from calib_pin.validation.findings.sentences import (
 
 Kind = Literal["station", "tool", "joint"]
 
-CHANGED: dict[Kind, tuple[str, str]] = {
-    "station": ("instrument-moved", "the instrument{} moved"),
-    "tool": ("tool-remounted", "the tool{} was re-mounted"),
-    "joint": ("joint-rehomed", "the zero of joint{} changed"),
+CHANGED: dict[Kind, tuple[str, str, str]] = {
+    "station": ("instrument-moved", "the instrument{} moved", "moved"),
+    "tool": ("tool-remounted", "the tool{} was re-mounted", "remounted"),
+    "joint": ("joint-rehomed", "the zero of joint{} changed", ""),
 }
-"""Code and words of a change, by what changes."""
+"""Code and words of a change, and its key in the section `reading`, by what changes."""
 
 TRANSFORM = ("x", "y", "z", "rx", "ry", "rz")
 """A new frame in the old one: position and rotation vector."""
@@ -96,9 +95,6 @@ CONFIGURATIONS, VALUES, ROBOT = 3, 3, 6
 """Least configurations on each side of a change of a frame, and values there by its
 unknowns: it can follow one outlier of four positions, but not one of three poses. And
 configurations on each side of a change of the robot or of one of its joints."""
-
-NOWHERE = np.zeros(0, np.int64)
-"""No place in the files."""
 
 SEEN = 1e-4
 """Part of what a change does that the fit cannot do, below which it is none."""
@@ -286,7 +282,7 @@ class Trial(QuickFit):
         values = int(np.isin(self.problem.layout.row, rows).sum())
         configurations = len(np.unique(self.problem.data.groups()[rows]))
         few = ROBOT if change.kind == "joint" else CONFIGURATIONS
-        return max(few, ceil(VALUES * unknowns * configurations / max(values, 1)))
+        return max(few, -(-VALUES * unknowns * configurations // max(values, 1)))
 
     @property
     def candidates(self) -> list[tuple[float, float, Change]]:
@@ -304,14 +300,14 @@ class Trial(QuickFit):
             rank, (count, unknowns) = self.rank[self.index[rows]], columns.shape
             # What comes and goes within a few measurements is an outlier.
             cuts = sorted(c.rank for c in self.changes if c.subject == change.subject)
-            places, least = np.searchsorted(rank, cuts), self._least(change, unknowns)
-            best, part = self.best(columns, rows, least, places)
+            places = np.searchsorted(rank, cuts).tolist()
+            best, part = self.best(columns, rows, self._least(change, unknowns), places)
             cost = count * np.log(part) + unknowns * np.log(count)
             result.append((cost, part, change._replace(rank=int(rank[best]))))
         return sorted(result, key=lambda candidate: candidate[0])
 
     def best(
-        self, columns: Floats, rows: Indices, least: int, cuts: Indices = NOWHERE
+        self, columns: Floats, rows: Indices, least: int, cuts: Sequence[int] = ()
     ) -> tuple[int, float]:
         """Where a change explains most, and the part of the squares that it leaves.
 
@@ -322,10 +318,7 @@ class Trial(QuickFit):
             cuts: Places among these where it has other sides already.
         """
         (Q, r), row = self.unexplained, self.problem.layout.row
-        place = np.full(len(self.problem.data), -1)
-        place[rows] = np.arange(len(rows))
-        order = np.argsort(place[row], kind="stable")
-        order = order[place[row[order]] >= 0]
+        order = np.concatenate([np.flatnonzero(row == k) for k in rows])
         B, first = columns[order], np.flatnonzero(np.diff(row[order], prepend=-1))
         B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
 
@@ -359,11 +352,10 @@ class Trial(QuickFit):
         columns, row = before.columns(new[0]), before.problem.layout.row
         time = (self.rank[before.index] / max(int(self.rank.max()), 1))[row, None]
         q, joints = before.problem.data.q[row], before.by_joints
-        shapes = (time, time**2, q, np.sin(q), np.cos(q))
-        rivals = np.hstack([columns * time, columns * time**2])
-        smooth = np.hstack([rivals, *(joints * shape for shape in shapes)])
-        if smooth.shape[1] < FEW * before.dof:
-            rivals = smooth
+        smooth = [joints * shape for shape in (time, time**2, q, np.sin(q), np.cos(q))]
+        rivals = np.hstack([columns * time, columns * time**2, *smooth])
+        if rivals.shape[1] >= FEW * before.dof:
+            rivals = rivals[:, : 2 * columns.shape[1]]
         count = len(new) * columns.shape[1]
         return surpasses(before, remaining, count, rivals, len(self.rank))
 
@@ -375,13 +367,14 @@ class Trial(QuickFit):
             data: The measurements among which it is sought.
             rank: Place of each in the order of the files, shape (N,).
         """
-        change, others = self.changes[k], [*self.changes[:k], *self.changes[k + 1 :]]
+        change = self.changes[k]
         ranks = [c.rank for c in self.changes if c.subject == change.subject]
         ends = sorted([0, *ranks, int(rank.max()) + 1])
         first, last = (ends[ends.index(change.rank) + side] for side in (-1, 1))
         squares = np.zeros((2, len(rank)))
         for side, at in enumerate((last, first)):
-            moved, index = with_changes(data, rank, [*others, change._replace(rank=at)])
+            other = [c._replace(rank=at) if c is change else c for c in self.changes]
+            moved, index = with_changes(data, rank, other)
             if any(key not in self.problem.terms for key in moved.keys):
                 return change.rank
             problem = replace(self.problem, data=moved)
@@ -508,9 +501,8 @@ def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alterna
         rank: Place of every measurement, shape (N,).
     """
     data, change = case.data, trial.changes[k]
-    kind, (code, words) = change.kind, CHANGED[change.kind]
+    kind, (code, words, key) = change.kind, CHANGED[change.kind]
     before, behind = _rows_around(concerned(data, change), rank, at).tolist()
-    first, reading = (place_of(data, behind),), ReadingSetup()
     if kind == "joint":
         name = data.joints[change.joint]
         size = shown(abs(change.size), case.unit(name))
@@ -519,9 +511,8 @@ def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alterna
     else:
         name = getattr(data.blocks[data.block_of[before]], kind)
         size, numbers = _frame(trial, k)
-        moved = kind == "station"
-        reading = ReadingSetup(moved=first) if moved else ReadingSetup(remounted=first)
         advice = f"give the two parts different {kind}s (a column '{kind}')"
+    lines: dict[str, Any] = {key: (place_of(data, behind),)} if key else {}
     owner = " at station" * (kind == "station") + f" '{name}'" if name else ""
     file, line = data.files[before], int(data.lines[before] or rank[before] + 1)
     where = f"after {named(data, [before])}"
@@ -531,7 +522,7 @@ def _change(case: Case, trial: Trial, k: int, at: int, rank: Indices) -> Alterna
         code,
         f"{words.format(owner)} {where} ({size})",
         f"{kind} {name}",
-        reading,
+        ReadingSetup(**lines),
         advice=advice,
         figure="over-order",
         joint=name if kind == "joint" else "",
@@ -609,11 +600,10 @@ def drift(case: Case) -> Explanation | None:
     for fault_of, columns, names in _drifts(case):
         score, count = fit.score(columns * time), columns.shape[1]
         waves = np.hstack([columns * np.cos(np.pi * k * time) for k in WAVES])
-        if not surpasses(fit, squares(fit) * score.remaining, count, waves):
-            continue
+        steps = (fit.score(columns * (time >= at)).remaining for at in TENTHS)
+        stands_out = surpasses(fit, squares(fit) * score.remaining, count, waves)
         # What comes at once is no drift.
-        at_once = min(fit.score(columns * (time >= at)).remaining for at in TENTHS)
-        if score.remaining < at_once:
+        if stands_out and score.remaining < min(steps):
             # One of more parts takes a part of what a simpler one explains.
             cost = fit.dof * np.log(score.remaining) + count * unlikely()
             candidates.append((cost, fault_of(case, score, names), columns * time))
@@ -624,10 +614,8 @@ def drift(case: Case) -> Explanation | None:
     rest, r = (f.unexplained[1][: len(first)][first] for f in (without, fit))
     before, part = fit.errors, float(np.linalg.norm(rest) / np.linalg.norm(r))
     noise = case.fitted.noise if case.fitted else ()
-    known = noise and all(
-        n.stated and part * n.estimate < NEAR * n.given for n in noise
-    )
-    if part > LASTING and not known:
+    known = [n.stated and part * n.estimate < NEAR * n.given for n in noise]
+    if part > LASTING and not (known and all(known)):
         return None
     costly = _costs(case, before, part * before) > LARGE
     judged: Severity | None = None if costly else "warning"
@@ -721,13 +709,11 @@ def modeled_warm_up(case: Case) -> Iterator[Finding]:
     for block in problem.data.blocks:
         term = problem.terms[block.key]
         q, theta = block.q[:, term.columns], case.fit.theta[term.of_error]
-        cold, warm = (
-            term.error.poses(
-                q, theta, term.error.basis(q, replace(block.conditions, time=time))
-            )
-            for time in (np.full(len(q), thermal.switched_on[0]), np.zeros(0))
-        )
-        moved.append((cold - warm)[:, :3, 3])
+        times = np.full(len(q), thermal.switched_on[0]), np.zeros(0)
+        states = (replace(block.conditions, time=time) for time in times)
+        bases = (term.error.basis(q, state) for state in states)
+        cold, warm = (term.error.poses(q, theta, basis)[:, :3, 3] for basis in bases)
+        moved.append(cold - warm)
     size = float(np.sqrt(np.mean(np.sum(np.concatenate(moved) ** 2, axis=1))))
     constant = thermal.warm_up_time or 0.0
     text = f"the cold robot has its tool {shown(size, 'm')} (rms) from where the warm "

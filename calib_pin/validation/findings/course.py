@@ -182,19 +182,16 @@ def with_changes(
         The measurements in their new blocks, and the position of each of these among
         what they were.
     """
-    q, count = data.q.copy(), {kind: np.zeros(len(rank), int) for kind in FRAMES}
-    for change in changes:
+    q, moved, index = data.q.copy(), data, np.arange(len(rank))
+    for k, change in enumerate(changes, 1):
         behind = concerned(data, change) & (rank >= change.rank)
         if change.kind == "joint":
             q[behind, change.joint] += change.size
         else:
-            count[change.kind] += behind
-    data, index = with_positions(data, q), np.arange(len(q))
-    names = ("", *(f"~{k + 1}" for k in range(len(changes))))
-    for kind in FRAMES:
-        data, rows = apart(data, kind, Labels(names, count[kind][index]))
-        index = index[rows]
-    return data, index
+            names = Labels(("", f"~{k}"), behind[index].astype(np.int64))
+            moved, rows = apart(moved, change.kind, names)
+            index = index[rows]
+    return with_positions(moved, q[index]), index
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,6 @@ def registered_if_moved(
         registration; and a finding for every instrument that was moved.
     """
     data, parts, findings = after.problem.data, list[ModelErrors](), list[Finding]()
-    stations = {term.frames.station for term in fitted.problem.terms.values()}
     named = [after.problem.terms[key].frames.station for key in data.keys]
     of_row = np.array(named)[data.block_of]
     for station in dict.fromkeys(named):
@@ -89,10 +88,9 @@ def registered_if_moved(
         )
         part: ModelErrors | None
         part = errors_of_registered(fitted, nominal, calibrated, positions[rows])
-        if station in stations:
-            part, found = _if_moved(fitted, part, nominal, calibrated, station)
-            findings += found
+        part, found = _if_moved(fitted, part, nominal, calibrated, station)
         parts += [part] if part is not None else []
+        findings += found
     return parts, findings
 
 

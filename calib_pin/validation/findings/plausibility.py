@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import enumerated
 from calib_pin.estimation.evidence import Finding, Outlier, Severity, VarianceComponent
@@ -39,7 +38,7 @@ from calib_pin.measurement_models.readings import (
     places_of,
     scaled,
 )
-from calib_pin.observations import Indices, Observations, states_sigmas
+from calib_pin.observations import Booleans, Indices, Observations, states_sigmas
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.parameterizations.placement import JointOffset, Placement
@@ -396,7 +395,7 @@ class _Linear(NamedTuple):
         return float(np.linalg.norm(r))
 
 
-def _of_robot(parameters: ParameterSet) -> NDArray[np.bool_]:
+def _of_robot(parameters: ParameterSet) -> Booleans:
     """The free errors of the robot among all parameters, shape (P,)."""
     return np.asarray(parameters.free & ~parameters.nuisance)
 

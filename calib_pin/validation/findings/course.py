@@ -370,8 +370,8 @@ class Trial(QuickFit):
         first, last = (ends[ends.index(change.rank) + side] for side in (-1, 1))
         squares = np.zeros((2, len(rank)))
         for side, at in enumerate((last, first)):
-            other = [c._replace(rank=at) if c is change else c for c in self.changes]
-            moved, index = with_changes(data, rank, other)
+            others = [c._replace(rank=at) if c is change else c for c in self.changes]
+            moved, index = with_changes(data, rank, others)
             if any(key not in self.problem.terms for key in moved.keys):
                 return change.rank
             problem = replace(self.problem, data=moved)

@@ -73,9 +73,6 @@ CHANGED: dict[Kind, tuple[str, str, str]] = {
 }
 """Code and words of a change, and its key in the section `reading`, by what changes."""
 
-TRANSFORM = ("x", "y", "z", "rx", "ry", "rz")
-"""A new frame in the old one: position and rotation vector."""
-
 LEAST = -2.0 * unlikely()
 """Change of the logarithm of the likelihood, doubled, that another change asks for."""
 
@@ -120,11 +117,6 @@ WAVES = range(2, 10)
 
 TENTHS = np.linspace(0.1, 0.9, 9)
 """Places in the files at which what drifts may as well change at once."""
-
-PARTS = (
-    "measure the job in parts, each with an entry of its own in a column 'station', or "
-    "when everything is warm"
-)
 
 
 class Change(NamedTuple):
@@ -585,7 +577,7 @@ def _frame(trial: Trial, k: int) -> tuple[str, dict[str, float]]:
         vector += pin.log3(apart.rotation).tolist()
         numbers["angle"] = angle = float(np.linalg.norm(vector[3:]))
         size += f", {shown(angle, 'rad', 3)}"
-    return size, numbers | dict(zip(TRANSFORM, vector, strict=False))
+    return size, numbers | dict(zip(COMPONENTS, vector, strict=False))
 
 
 def drift(case: Case) -> Explanation | None:
@@ -641,7 +633,7 @@ def _drifts(case: Case) -> Iterator[tuple[FaultOf, Floats, Sequence[str]]]:
             if values == {AXES}:
                 rotation = terms[0].error.base.rotation
                 yield _instrument_drift, J[:, :3] / scales[:3] @ rotation.T, AXES
-            yield _instrument_drift, J, TRANSFORM
+            yield _instrument_drift, J, COMPONENTS
         elif values == {("distance",)}:
             yield _instrument_drift, 1.0 / problem.sigma[:, None], ("distance",)
     # Of few measurements one joint may stand out, but not six.
@@ -653,9 +645,11 @@ def _drifts(case: Case) -> Iterator[tuple[FaultOf, Floats, Sequence[str]]]:
 def _instrument_drift(case: Case, score: Score, names: Sequence[str]) -> Alternative:
     """A displacement of what is measured can be taken out, one that also turns not."""
     families = ",".join((*case.setup.parameters, InstrumentDrift.name))
-    advice = f"{PARTS}; or estimate it: --parameters {families}, with a column 'time'"
+    advice = "measure the job in parts, each with an entry of its own in a column "
+    advice += "'station', or when everything is warm; or estimate it: --parameters "
+    advice += f"{families}, with a column 'time'"
     fault = DRIFT("instrument-drift", ROAMS, advice=advice)
-    if names == TRANSFORM:
+    if names == COMPONENTS:
         return fault
     size = float(np.linalg.norm(score.values))
     sigma = float(np.linalg.norm(score.values / size * score.deviations))

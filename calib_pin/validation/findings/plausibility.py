@@ -580,9 +580,10 @@ def families(case: Case) -> tuple[Finding, ...]:
         # Placements have the offsets of joints.
         covered = {JointOffset.name} if Placement.name in new else set()
         parameters = [n for n in case.setup.parameters if n not in covered] + new
+        share = "most" if judged == "warning" else "a part"
         missing = Alternative(
             "model-lacks",
-            f"{enumerated(new)}, not estimated here, can explain a part of it",
+            f"{enumerated(new)}, not estimated here, can explain {share} of it",
             "the model",
             lines={"parameters": parameters},
             advice=f"estimate them: --parameters {','.join(parameters)}",

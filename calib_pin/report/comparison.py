@@ -10,7 +10,7 @@ import calib_pin.validation.comparison as compared
 from calib_pin.errors import counted
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.report.accuracy import chain_words, model_words
-from calib_pin.report.blocks import Block, Cell, Facts, Line, note, table
+from calib_pin.report.blocks import Block, Cell, Facts, Line, Tone, note, table
 from calib_pin.report.trust import below, findings, judged
 from calib_pin.validation.result import CalibrationResult
 
@@ -30,44 +30,30 @@ def comparison_report(result: compared.Comparison) -> Iterator[Block]:
     yield from map(note, _doubts(result))
     origins = [(label, _origin(record)) for label, record in pair.items()]
     yield Facts(chain_words(result.first.model), origins)
-    yield from tip_differences(result)
-    yield from parameter_changes(result)
+    yield from _tip_differences(result)
+    if result.same_nominal:
+        yield from _parameter_changes(result)
 
 
 def _verdict(result: compared.Comparison) -> Line:
-    drift, where = result.drift, _worst_chain(result)
+    drift = result.drift
     apart = _size(result, drift.position.rms, drift.orientation.rms)
+    if len(result.drifts) > 1:
+        apart += f" at the tip of {result.chain}"
     if result.identical:
         return Line("No drift: both predict the same tool points.", "good")
     if drift.explained is None:
-        return Line(
-            f"The tool points{where} are {apart} rms apart; the files do not "
-            "say how much of it is noise.",
-            "strong",
-        )
-    noise = _size(result, *drift.explained)
-    if result.drifted:
-        beyond = f"{apart} rms{where} where the noise of both explains {noise}."
-        return Line(f"{_cause(result)} {beyond}", "bad")
-    within = f"{apart} rms{where} where noise explains {noise}."
-    if result.changed and result.described:
-        leading, name = result.differences[0], result.differences[0].name
-        if leading.terms:
-            name = f"a combination with {leading.terms[0].parameter}"
-        far = tables.amount(leading.change, leading.unit)
-        return Line(
-            f"The robot changed, but not visibly at the tool point: {name} by {far}, "
-            f"{leading.significance:.0f} standard deviations; the tool points differ "
-            f"by {within}",
-            "bad",
-        )
+        text = f"The tool points are {apart} apart; how much of it is noise is unknown."
+        return Line(text, "strong")
+    tone: Tone = "good"
     text = "No drift beyond the noise of both: the tool points differ by"
-    return Line(f"{text} {within}", "good")
-
-
-def _worst_chain(result: compared.Comparison) -> str:
-    """Of several chains the one that drifted most."""
-    return f" at the tip of {result.chain}" if len(result.drifts) > 1 else ""
+    if result.drifted:
+        text, tone = _cause(result), "bad"
+    elif result.changed and result.described:
+        text = "The robot changed, but not visibly at the tool point, which differs by"
+        tone = "bad"
+    noise = _size(result, *drift.explained)
+    return Line(f"{text} {apart} where the noise of both explains {noise}.", tone)
 
 
 def _cause(result: compared.Comparison) -> str:
@@ -81,42 +67,26 @@ def _cause(result: compared.Comparison) -> str:
 
 def _size(result: compared.Comparison, position: float, orientation: float) -> str:
     """A drift in words; an orientation only where it is known."""
-    pairs = [(position, "m"), (orientation, "rad")][: 2 if result.drift.oriented else 1]
-    return " and ".join(tables.amount(*pair) for pair in pairs)
+    pairs = [(position, "m"), (orientation, "rad")][: 1 + result.drift.oriented]
+    return " and ".join(tables.amount(*pair) for pair in pairs) + " rms"
 
 
 def _doubts(result: compared.Comparison) -> Iterator[str]:
     """Other possible causes of the difference."""
     first, second = both = result.first, result.second
     noisy = result.drifted and result.same_parameters and not result.described
-    known = None not in map(compared.stated_noise, both)
     if not result.same_nominal:
-        yield (
-            "The nominal robots differ: only the tool points are compared, not the "
-            "parameters, which refer to different robots."
-        )
-    if result.same_rows:
-        changed = ": not the robot but the fit changed, and their noise is not "
-        how = " in the same way" if result.identical else f"{changed}independent"
-        yield f"Both fit the same measurements{how}."
-        return
-    if result.same_nominal and not result.same_parameters:
-        yield (
-            "The errors are described by different parameters, which can cause a "
-            "difference without any change of the robot."
-        )
+        yield "The nominal robots differ: only the tool points are compared."
+    elif not result.same_parameters:
+        yield "The errors are described by different parameters: so may the same robot."
     if compared.chained(first, second):
-        yield (
-            "B began with A: it tells what the new measurements have changed, and the "
-            "noise of both is not independent."
-        )
+        yield "B began with A: the noise of both is not independent."
     if compared.shared_files(first, second):
         yield "They share a measurement file: their noise is not independent."
-    elif noisy and known:
+    elif noisy and None not in map(compared.stated_noise, both):
         yield (
-            "Both fits contain errors that no parameter describes, which differ from "
-            "configuration to configuration: measurements at the same configurations "
-            "would settle it."
+            "Both fits contain errors that no parameter describes: measurements at the "
+            "same configurations would settle it."
         )
 
 
@@ -128,39 +98,26 @@ def _origin(record: CalibrationResult) -> str:
     return f"{file}: {how}, {kinds}{created and f'; {created[:10]}'}"
 
 
-def tip_differences(result: compared.Comparison) -> Iterator[Block]:
+def _tip_differences(result: compared.Comparison) -> Iterator[Block]:
     """The distance of the tool points, its maximum, and what is no drift."""
-    rows = []
+    rows, several = [], len(result.drifts) > 1
     for chain, drift in result.drifts.items():
         noise = drift.explained or (math.nan, math.nan)
-        of = f"{chain or 'robot'}, " if len(result.drifts) > 1 else ""
         stages = [("position", "m", drift.position, noise[0])]
-        if result.drift.oriented:
-            stages.append(("orientation", "rad", drift.orientation, noise[1]))
-        for name, unit, accuracy, size in stages:
+        stages += [("orientation", "rad", drift.orientation, noise[1])]
+        for name, unit, accuracy, size in stages[: 1 + result.drift.oriented]:
             *cells, shown = tables.sizes(accuracy, unit)
-            rows.append((of + name, *cells, tables.quantity(size, unit), shown))
+            of = f"{chain or 'robot'}, {name}" if several else name
+            rows.append((of, *cells, tables.quantity(size, unit), shown))
     title = "Tool-point difference over the workspace"
     yield table(title, ("", *tables.SIZES[:-1], "noise rms", tables.UNIT), rows)
-    yield note(" ".join(_reference_notes(result)))
+    ends, reference = " and ".join(result.drift.absorbed), "Base and tool are known."
+    if ends:
+        reference = f"A displacement of {ends} between A and B is removed by a fit."
+    count = len(result.drift.q)
+    yield note(f"{count} random configurations within the joint limits. {reference}")
     if not result.identical:
         yield _farthest(result)
-
-
-def _reference_notes(result: compared.Comparison) -> Iterator[str]:
-    """Sentences on what the differences refer to."""
-    absorbed = result.drift.absorbed
-    yield f"{len(result.drift.q)} random configurations within the joint limits."
-    of = f"A displacement of {' and '.join(absorbed)} between A and B is removed by a "
-    yield f"{of}fit: it is no drift." if absorbed else "Base and tool are known."
-    if not result.drift.oriented:
-        yield "The measurements contain no orientations."
-    if result.drift.explained is None:
-        return
-    ends = "" if len(absorbed) == 2 else ", base and tool included"
-    yield f"The noise is that of both calibrations{ends}."
-    if result.first.identifiability.weak or result.second.identifiability.weak:
-        yield "It excludes weakly observable directions, which were held at nominal."
 
 
 def _farthest(result: compared.Comparison) -> Facts:
@@ -170,47 +127,31 @@ def _farthest(result: compared.Comparison) -> Facts:
     units = [tables.unit_of("rad" if turns else "m") for turns in chain.revolute]
     q = zip(drift.q[position], units, strict=True)
     angles = ", ".join(f"{factor * value:.1f} {unit}" for value, (unit, factor) in q)
-    largest = tables.amount(drift.drift[position], "m")
-    facts = {"tool point": f"at {x}, {y}, {z} mm in {chain.base}"}
-    facts["joints"] = f"at {angles}"
-    return Facts(
-        f"Largest difference{_worst_chain(result)}: {largest}", [*facts.items()]
-    )
+    title = f"Largest difference: {tables.amount(drift.drift[position], 'm')}"
+    place = f"at {x}, {y}, {z} mm in {chain.base}"
+    return Facts(title, [("tool point", place), ("joints", f"at {angles}")])
 
 
-def parameter_changes(result: compared.Comparison) -> Iterator[Block]:
-    """The differences beyond their uncertainty."""
-    if not result.same_nominal:
-        return
+def _parameter_changes(result: compared.Comparison) -> Iterator[Block]:
+    """The differences beyond their uncertainty, and how many agree."""
+    bound = f"{compared.BOUND:.0f} standard deviations"
     if result.moved:
         rows = []
         for moved in result.moved:
             *sizes, unit = tables.estimate(moved.change, moved.sigma, moved.unit)
             ratio = Cell(f"{moved.significance:.1f}", moved.significance)
             rows.append((moved.name, *sizes, ratio, unit))
-        title = "Parameters and combinations that differ by more than "
-        title += f"{compared.BOUND:.0f} standard deviations"
+        title = f"Parameters and combinations that differ by more than {bound}"
         titles = ("", "B - A", "std. dev.", "ratio", tables.UNIT)
         yield table(title, titles, rows)
-    yield note(" ".join(_agreement(result)))
-
-
-def _agreement(result: compared.Comparison) -> Iterator[str]:
-    """Sentences on how many agree, and what is not compared."""
-    if result.differences:
-        agree = [d for d in result.differences if d not in result.moved]
-        yield (
-            f"Both identify {_numbers(result.differences)} of the robot; "
-            f"{_numbers(agree)} agree within {compared.BOUND:.0f} standard deviations "
-            "of the difference. By chance, one in 370 does not."
-        )
-    else:
-        yield "No parameter and no combination of the robot is identified by both."
-    if result.moved and result.drifted is False:
-        yield "The differences move the tool point by no more than noise does."
-    both = result.first, result.second
-    if any(len(record.groups) > len(compared.robot_groups(record)) for record in both):
-        yield "Combinations with terms of base, tool or instrument are left out."
+    if not result.differences:
+        yield note("No parameter or combination of the robot is identified by both.")
+        return
+    agree = [d for d in result.differences if d not in result.moved]
+    yield note(
+        f"Both identify {_numbers(result.differences)} of the robot; {_numbers(agree)} "
+        f"agree within {bound} of the difference. By chance, one in 370 does not."
+    )
 
 
 def _numbers(differences: Sequence[compared.Difference]) -> str:

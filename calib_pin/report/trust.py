@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 
@@ -17,19 +16,9 @@ from calib_pin.estimation.evidence import (
 )
 from calib_pin.estimation.statistics.distributions import chi2_interval
 from calib_pin.io.setup import yaml_text
-from calib_pin.report.blocks import (
-    Block,
-    Cell,
-    Code,
-    Facts,
-    Line,
-    Tone,
-    note,
-    table,
-)
+from calib_pin.report.blocks import Block, Cell, Code, Facts, Line, Tone, note, table
 from calib_pin.report.tables import UNIT, number, percent, significant, unit_of
 from calib_pin.setup import PopulationPrior
-from calib_pin.units import DISPLAY
 from calib_pin.validation.result import CalibrationResult
 
 FIRST = 3
@@ -38,8 +27,8 @@ FIRST = 3
 TONES: Mapping[Severity, Tone] = {"error": "bad", "warning": "strong", "info": "note"}
 """How a finding is shown, by its severity, the worst first."""
 
-PLACES = {"measured": "where measured", "workspace": "over the workspace"}
-"""Where an accuracy is expected, in words, by its name in `ToolAccuracy`."""
+PLACES = ("measured", "workspace")
+"""Where an accuracy is expected, by the names in `ToolAccuracy`."""
 
 NEXT = {
     "unchecked": f"measure more configurations: {ADDING} proposes them",
@@ -127,14 +116,12 @@ def _ordered(items: Iterable[Finding]) -> list[Finding]:
 
 def below(text: str, items: Iterable[Finding]) -> str:
     """A text without the lines of findings, which stand below it."""
-    for finding in items:
-        if finding.setup:
-            from calib_pin.validation.findings.sentences import written
+    from calib_pin.validation.findings.sentences import written
 
-            lines = f"in the setup file: {written(finding.setup)}"
-            text = text.replace(
-                f"state {lines}", "add the lines below to the setup file"
-            )
+    for finding in items:
+        lines = f"state in the setup file: {written(finding.setup)}"
+        if finding.setup:
+            text = text.replace(lines, "add the lines below to the setup file")
     return text
 
 
@@ -145,23 +132,14 @@ def advised(finding: Finding) -> str:
 
 def expected(result: CalibrationResult) -> Iterator[Block]:
     """The expected error of the tool point, at the measurements and elsewhere."""
-    several = len(result.accuracies) > 1
-    known = [
-        (f"{chain or 'robot'}, {place}" if several else where, accuracy)
-        for chain, tool in result.accuracies.items()
-        for place, where in PLACES.items()
-        if (accuracy := getattr(tool, place)) is not None
-    ]
-    if not known:
+    rows = list[tuple[Cell | str, ...]]()
+    for chain, tool in result.accuracies.items():
+        for place in PLACES:
+            if (accuracy := getattr(tool, place)) is not None:
+                of = f"{chain or 'robot'}, " if len(result.accuracies) > 1 else ""
+                rows += _accuracy(of + place, accuracy)
+    if not rows:
         return
-    if result.verdict == "no-gain":
-        # No correction is made, so that its accuracy is of no interest.
-        unit, factor = DISPLAY["m"]
-        parts = [f"{significant(factor * a.nominal[0])} {unit} {w}" for w, a in known]
-        text = f"Expected tool-point error (rms), uncorrected: {', '.join(parts)}."
-        yield note(text)
-        return
-    rows = [row for where, accuracy in known for row in _accuracy(where, accuracy)]
     titles = ("nominal", "calibrated", "95 %", "unmodeled", UNIT, "better", "at")
     yield table("Expected tool-point error (rms)", ("", *titles), rows)
     yield note(
@@ -191,33 +169,21 @@ def _digits(size: float | None, unit: str) -> Cell:
 
 def noise(result: CalibrationResult) -> Iterator[Block]:
     """The noise of every quantity, stated or assumed and estimated."""
-    components = result.statistics.noise
-    if not components:
-        return
-    pure = any(part.pure is not None for part in components)
-    rows, remarks = [], []
-    for part in components:
+    rows = []
+    for part in result.statistics.noise:
         sizes = part.given, part.estimate, *part.interval, part.pure, part.unmodeled
-        given, size, low, high, repeats, rest = (_digits(x, part.unit) for x in sizes)
-        of, unit = "stated" if part.stated else "assumed", unit_of(part.unit)[0]
-        interval = (
-            f"{low.text} ... {high.text}" if math.isfinite(part.estimate) else "-"
-        )
-        cells = Cell(f"{given.text} {of}", part.given), size, interval
-        rows.append((part.quantity, *cells, *[repeats][:pure], rest, unit))
-        parts = []
-        if part.unmodeled:
-            quiet = given if part.pure is None else repeats
-            parts = [f"{quiet.text} {unit} noise, {rest.text} {unit} unmodeled"]
-        # Doubts about the given standard deviation, and their likely cause.
+        given, *shown = (_digits(x, part.unit) for x in sizes)
+        stated = "stated" if part.stated else "assumed"
+        first = part.quantity, Cell(f"{given.text} {stated}", part.given)
+        rows.append((*first, *shown, unit_of(part.unit)[0]))
+    if rows:
+        titles = ("given", "estimated", "from", "to", "repeats", "unmodeled", UNIT)
+        title = "Noise (1 sigma of a component, with its 95 % interval)"
+        yield table(title, ("", *titles), rows)
+    for part in result.statistics.noise:
         if part.lack_of_fit is not None and part.lack_of_fit < 0.05:
-            p = f"= {part.lack_of_fit:.3f}" if part.lack_of_fit >= 1e-3 else "< 0.001"
             more = "configurations differ more than their repetitions"
-            parts.append(f"lack of fit, {more} (p {p})")
-        remarks += [note(f"{part.quantity}: {'; '.join(parts)}.")] if parts else []
-    titles = ["given", "estimated", "95 % interval", *["repeats"][:pure], "unmodeled"]
-    yield table("Noise (1 sigma of a component)", ("", *titles, UNIT), rows)
-    yield from remarks
+            yield note(f"{part.quantity}: {more} (p = {part.lack_of_fit:.1g}).")
 
 
 def statistics(result: CalibrationResult) -> Iterator[Block]:
@@ -225,10 +191,8 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
     fit, setup = result.statistics, result.model.setup
     entries = [("chi-square", f"{number(fit.chi2)} with {fit.dof} dof")]
     if fit.dof > 0:
-        low, high = chi2_interval(fit.dof)
-        where = ("below", "inside", "above")[bisect((low, high), fit.chi2)]
-        interval = f"{number(low)} ... {number(high)}"
-        entries.append(("", f"{where} its 95 % interval {interval}"))
+        low, high = map(number, chi2_interval(fit.dof))
+        entries[0] = ("chi-square", f"{entries[0][1]} (95 %: {low} ... {high})")
         sigmas = "stated" if fit.stated_sigma else "assumed"
         entries.append(("sigma0", f"{number(fit.sigma0)} times the {sigmas} sigma"))
     if isinstance(setup.prior, PopulationPrior):

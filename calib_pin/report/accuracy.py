@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import counted
+from calib_pin.errors import counted, enumerated
 from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.joint_columns import drives_of
 from calib_pin.parameterizations import outside_urdf
@@ -41,48 +41,37 @@ FOLDS = "each fold, predicted by a fit to the other folds"
 
 KNOWN = "Frames and instrument are known; nothing is registered."
 
-LISTED_OWNERS = 3
-"""Members of one kind, such as sockets, up to which each is named."""
+LISTED_CHAINS = 3
+"""Chains up to which the ends of each are named."""
+
+ROOM = 120
+"""Characters of names in a sentence; the others are counted."""
 
 
 def subject(result: CalibrationResult) -> Line:
     """The robot, its chain, and how it was measured."""
-    solver, search = result.solver, ""
-    if solver.history:
-        search = f"; {solver.name}, {counted(solver.evaluations, 'evaluation')}"
-        search += f" ({solver.evaluator})"
-    counts = {kind: len(names) for kind, names in scopes(result.model).items()}
-    several = [f"{count} {kind}s" for kind, count in counts.items() if count > 1]
-    places = f" ({', '.join(several)})" if several else ""
+    scoped = scopes(result.model).items()
+    places = ", ".join(f"{len(names)} {kind}s" for kind, names in scoped)
     measured = counted(len(result.fitted), "measurement")
     return note(
-        f"{chain_words(result.model)}; {model_words(result.model)}{places}, {measured} "
-        f"fitted{search}"
+        f"{chain_words(result.model)}; {model_words(result.model)}"
+        f"{places and f' ({places})'}, {measured} fitted"
     )
 
 
 def measurement_facts(result: CalibrationResult) -> Facts:
     """The measurements: of which robot, how, how many, and who took them."""
-    system, report, held_out = result.model, result.model.setup.report, result.held_out
-    measured = counted(len(result.fitted), "measurement")
-    if aside := int((result.fitted.rows.weight == 0.0).sum()):
-        measured += f", {aside} of them set aside"
-    which = HELD_OUT.get(result.validation.method, FOLDS)
-    checked = "none: nothing but the fitted measurements is known"
-    if held_out is not None:
-        checked = f"{counted(len(held_out), 'measurement')}: {which}"
+    system, report, check = result.model, result.model.setup.report, result.validation
+    measured, aside = counted(len(result.fitted), "measurement"), result.fitted.rows
+    measured += f", {np.count_nonzero(aside.weight == 0.0)} of them set aside"
     entries = [
         ("robot", chain_words(system)),
         ("serial number", report.serial_number),
         ("measured as", model_words(system)),
         ("instrument", report.instrument),
         ("fitted", measured),
-        ("held out", checked),
-        *(
-            (f"{kind}s", ", ".join(name or "-" for name in names))
-            for kind, names in scopes(system).items()
-            if len(names) > 1
-        ),
+        ("held out", f"{counted(check.count, 'measurement')} ({check.method})"),
+        *((f"{kind}s", ", ".join(names)) for kind, names in scopes(system).items()),
         ("files", ", ".join(result.files)),
         ("operator", report.operator),
         ("customer", report.customer),
@@ -101,20 +90,20 @@ def chain_words(system: Terms) -> str:
     """The robot and the ends of its chains, for the line below a verdict."""
     chains = system.chains
     moving = [name for name in chains.names if chains[name].joints]
-    joints = f"{chains.robot.name}: {counted(len(drives_of(chains)), 'joint')}"
-    if len(moving) > LISTED_OWNERS:
-        return f"{joints} in {len(moving)} chains"
     ends = [f"from {chains[name].base} to {chains[name].tip}" for name in moving]
-    return f"{joints} {' and '.join(ends)}"
+    where = " and ".join(ends)
+    if len(moving) > LISTED_CHAINS:
+        where = f"in {len(moving)} chains"
+    return f"{chains.robot.name}: {counted(len(drives_of(chains)), 'joint')} {where}"
 
 
 def scopes(system: Terms) -> dict[str, list[str]]:
-    """Names of stations and tools, sorted."""
+    """Names of stations and tools, sorted, where there are several."""
     frames = [term.frames for term in system.terms.values()]
-    return {
-        "station": sorted({pair.station for pair in frames}),
-        "tool": sorted({pair.tool for pair in frames}),
-    }
+    stations = sorted({pair.station for pair in frames})
+    tools = sorted({pair.tool for pair in frames})
+    named = {"station": stations, "tool": tools}
+    return {kind: names for kind, names in named.items() if len(names) > 1}
 
 
 def model_words(system: Terms) -> str:
@@ -132,15 +121,12 @@ def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Blo
     if result.model_selection is not None:
         yield from ladder(result.model_selection)
     yield accuracy_table(result.errors, details=details)
-    notes = []
-    if result.validation.method != "none":
-        which = HELD_OUT.get(result.validation.method, FOLDS)
-        notes.append(f"Validation measurements ({result.validation.method}): {which}.")
-    if result.model_selection is not None and result.validation.method not in HELD_OUT:
-        notes.append(
-            "The same folds selected the model; separate measurements (--validation) "
-            "are a stricter check."
-        )
+    method, notes = result.validation.method, []
+    if method != "none":
+        which = HELD_OUT.get(method, FOLDS)
+        notes = [f"Validation measurements ({method}): {which}."]
+    if result.model_selection is not None and method not in HELD_OUT:
+        notes.append("The same folds selected the model; --validation is stricter.")
     yield note(" ".join([*notes, *_registration_notes(result)]))
     if result.distances:
         yield distance_table(result.distances)
@@ -149,29 +135,20 @@ def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Blo
 def _registration_notes(result: CalibrationResult) -> Iterator[str]:
     """Sentences on what was registered for the nominal robot as well."""
     of_robot = {p.name for p in result.model.given if not p.nuisance}
-    owners: dict[str, dict[str, None]] = {}
-    for parameter in result.parameters:
-        if parameter.status != "fixed" and parameter.name not in of_robot:
-            owner, kind, _ = parameter.name.rsplit(".", 2)
-            owners.setdefault(kind, {})[owner] = None
-    if not owners:
+    free = {p.name for p in result.parameters if p.status != "fixed"} - of_robot
+    ordered = (p.name.rsplit(".", 2)[:2] for p in result.parameters if p.name in free)
+    if owners := dict.fromkeys(map(" ".join, ordered)):
+        names = enumerated(owners, ROOM)
+        yield f"Registered for both (nominal and calibrated): {names}."
+    else:
         yield KNOWN
-        return
-    lists = [
-        f"{len(names)} {kind}s"
-        if len(names) > LISTED_OWNERS
-        else ", ".join(f"{name} {kind}" for name in names)
-        for kind, names in owners.items()
-    ]
-    yield f"Registered for both (nominal and calibrated): {', '.join(lists)}."
     if located := result.validation.located:
-        few = len(located) <= 2 * LISTED_OWNERS
-        names = ", ".join(located) if few else f"{len(located)} of them"
+        names = enumerated(located, ROOM)
         yield f"Estimated from the validation measurements: {names}."
     if skipped := result.validation.skipped:
-        folds = "fold was" if len(skipped) == 1 else "folds were"
         reasons = " and ".join(dict.fromkeys(skipped))
-        yield f"{len(skipped)} {folds} skipped: in the fit to the others, {reasons}."
+        count = counted(len(skipped), "fold")
+        yield f"Without {count}: in the fit to the others, {reasons}."
 
 
 def moves(result: CalibrationResult) -> Iterator[Block]:
@@ -196,28 +173,23 @@ def moves(result: CalibrationResult) -> Iterator[Block]:
 def beyond(result: CalibrationResult) -> Iterator[Block]:
     """The corrections a URDF cannot hold, and its accuracy without them."""
     if result.rejected:
-        yield note(
-            f"The {TITLES[result.rejected]} brings no gain on held-out measurements "
-            "and is not used."
-        )
+        name = TITLES[result.rejected]
+        yield note(f"The {name} brings no gain on held-out measurements: not used.")
     if result.urdf is None or result.verdict == "no-gain":
         return
     setup = result.model.setup
     kinds: list[str] = [name for name in setup.parameters if name in outside_urdf()]
     if setup.learned is not None:
         kinds.append(f"the correction learned by the {TITLES[setup.learned]}")
-    sentence = f"A URDF cannot hold {' and '.join(kinds)}. "
+    sentence = f"A URDF cannot hold {' and '.join(kinds)}."
     if result.urdf.reason:
         reason = result.urdf.reason.rstrip(".")
-        yield Line(f"{sentence}No URDF is written: {reason}.", "bad")
+        yield Line(f"{sentence} No URDF is written: {reason}.", "bad")
         return
-    means = []
-    for error in result.urdf.errors:
-        means.append(f"{error.name} {amount(error.shown[1].mean, error.unit)}")
-    which = "fitted" if result.validation.method == "none" else "validation"
+    errors = ((e.name, amount(e.shown[1].mean, e.unit)) for e in result.urdf.errors)
     yield note(
-        f"{sentence}It holds the best geometry without: mean error on {which} "
-        f"measurements {', '.join(means)}. `calib-pin compensate` uses everything."
+        f"{sentence} It holds the best geometry without: mean error "
+        f"{', '.join(map(' '.join, errors))}. `calib-pin compensate` uses everything."
     )
 
 
@@ -237,16 +209,12 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
     if evaluation.registered:
         how = "Unknown frames and instrument parameters were registered on these rows."
     if evaluation.located:
-        how = (
-            "New to the calibration, estimated from these measurements: "
-            f"{', '.join(evaluation.located)}. Nothing else was fitted to them."
-        )
-    if evaluation.outside:
-        how += (
-            f" Outside the region in which the correction was learned, where it "
-            f"knows less: {counted(evaluation.outside, 'measurement')}."
-        )
+        names = ", ".join(evaluation.located)
+        how = f"Estimated from these measurements, and nothing else: {names}."
     yield note(how)
+    if evaluation.outside:
+        count = counted(evaluation.outside, "measurement")
+        yield note(f"{count} outside the region in which the correction was learned.")
 
 
 STEPS = 12
@@ -263,9 +231,8 @@ def recalibrated(result: CalibrationResult, *, details: bool = True) -> Iterator
     history = result.recalibration
     if history is None:
         return
-    day = f" of {history.last.created[:10]}" if history.last.created else ""
     yield table(
-        f"New measurements by the older calibration{day}, before they were fitted",
+        "New measurements by the older calibration, before they were fitted",
         ("", *SIZES),
         [(name, *sizes(accuracy, unit)) for name, unit, accuracy in history.errors],
     )
@@ -276,8 +243,8 @@ def recalibrated(result: CalibrationResult, *, details: bool = True) -> Iterator
         for drift in history.last.drifts
     ]
     yield Facts("Drift from one calibration to the next, standard deviation", drifts)
-    rows, first = [], max(len(history.steps) - STEPS, 0)
-    for place, step in enumerate(history.steps[first:], first + 1):
+    rows = []
+    for place, step in [*enumerate(history.steps, 1)][-STEPS:]:
         begun = step.created[:10] or step.start or "-"
         numbers = step.measurements, Cell(number(step.chi2), step.chi2), step.dof
         jumps = ", ".join(jump.name or "the whole robot" for jump in step.jumps)

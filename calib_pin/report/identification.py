@@ -22,15 +22,9 @@ from calib_pin.validation.result import (
     Suggestion,
 )
 
-REMARKS = {"weak": " (held wholly or partly at nominal)"}
-"""Remarks on a status that explain it."""
-
 
 def identified(
-    result: Identification,
-    *,
-    fitted: bool,
-    details: bool = False,
+    result: Identification, *, fitted: bool, details: bool = False
 ) -> Iterator[Block]:
     """Ranks, the errors of the robot, what is not known, suggested measurements.
 
@@ -43,16 +37,15 @@ def identified(
     known = [e for e in result.robot_errors if e.status == "identifiable"]
     if known:
         title = "Identifiable errors of the robot"
-        if fitted:
-            yield error_table(known, title, ESTIMATE)
-        else:
-            yield error_table(known, f"{title} (SI units)", ("formula|name",))
+        keys = ESTIMATE if fitted else ("formula|name",)
+        yield error_table(known, title if fitted else f"{title} (SI units)", keys)
     yield from held(result.robot_errors)
     if details or not result.robot_errors:
         yield from in_full(result, fitted=fitted)
     for status in ("weak", "unidentifiable", "fixed"):
         names = [p.name for p in result.parameters if p.status == status]
-        yield from listed(STATUS[status] + REMARKS.get(status, ""), names)
+        remark = " (held wholly or partly at nominal)" * (status == "weak")
+        yield from listed(STATUS[status] + remark, names)
     yield from _suggestion_blocks(result)
 
 
@@ -64,9 +57,8 @@ def summary(result: Identification, *, advised: bool) -> Line:
     text += "the robot are known"
     if not analysis.scale_observable:
         text += "; its absolute scale is unobservable, add a known length"
-    better = [s for s in result.suggestions if s.count > rank]
-    if advised and better:
-        best = max(better, key=lambda s: s.count)
+    best = max(result.suggestions, key=lambda s: s.count, default=None)
+    if advised and best and best.count > rank:
         text += f"; {best.count} would be if you {best.change}"
     return Line(f"{text}.")
 
@@ -90,11 +82,8 @@ def in_full(result: Identification, *, fitted: bool) -> Iterator[Block]:
         title = "Identifiable linear combinations (coefficients in SI units)"
         yield table(title, titles[shown], [row[shown] for row in rows])
     if hidden := len(result.groups) - len(groups):
-        yield note(
-            f"Not listed: {counted(hidden, 'combination')} with the position of a "
-            "socket, sphere or fixed reference point; see calibration.json or "
-            "`identify --json`."
-        )
+        which = f"{counted(hidden, 'combination')} with the position of a reference"
+        yield note(f"Not listed: {which} object; see calibration.json.")
 
 
 def of_place(group: CoupledGroup) -> bool:
@@ -117,8 +106,9 @@ def _suggestion_blocks(result: Identification) -> Iterator[Block]:
         titles = ("|remark", "identifiable robot parameters")
         yield table("Suggested measurements", titles, rows)
     if result.identifiability.parameters > LARGEST:
-        many = f"more than {LARGEST} parameters"
-        yield note(f"No measurements are suggested for {many}.")
+        yield note(
+            f"With more than {LARGEST} parameters no measurements are suggested."
+        )
     if any(remedy.complete for remedy in result.suggestions):
         yield note(
             "The combinations that remain move the tool point only together: no "
@@ -128,33 +118,25 @@ def _suggestion_blocks(result: Identification) -> Iterator[Block]:
 
 def ranks(known: Identification, *, fitted: bool) -> Facts:
     """Numbers of free parameters, structural and practical rank, singular values."""
-    analysis = known.identifiability
+    of = known.identifiability
     status = Counter(p.status for p in known.parameters if p.status != "fixed")
     counts = ", ".join(f"{count} {STATUS[name]}" for name, count in status.items())
+    everett = f"Everett's count 4R + 2P + 6 = {of.everett}, for geometry and full poses"
     entries = [
-        ("free parameters", f"{analysis.parameters}   ({counts})"),
-        (
-            "structural rank",
-            f"{analysis.structural_rank}   (gap {number(analysis.gap)}; Everett's "
-            f"count 4R + 2P + 6 = {analysis.everett}, for geometry and full poses)",
-        ),
+        ("free parameters", f"{of.parameters}   ({counts})"),
+        ("structural rank", f"{of.structural_rank}   (gap {number(of.gap)})"),
+        ("", everett),
     ]
     if fitted:
-        only = f"{analysis.revealed} observable only at the calibrated geometry"
-        weak = f"{counted(analysis.weak, 'direction')} held at nominal"
-        remarks = [weak] * bool(analysis.weak)
-        remarks += [only] * bool(analysis.revealed)
-        remark = f"   ({'; '.join(remarks)})" if remarks else ""
-        entries.append(("practical rank", f"{analysis.rank}{remark}"))
-    if not analysis.scale_observable:
+        only = f"{of.revealed} observable only at the calibrated geometry"
+        entries.append(("practical rank", f"{of.rank}   ({of.weak} weak, {only})"))
+    if not of.scale_observable:
         entries.append(("absolute scale", "unobservable; add a known length"))
-    if analysis.singular_values:
-        first, last = analysis.singular_values[0], analysis.singular_values[-1]
-        spread = f"{number(first)} ... {number(last)}"
-        entries.append(("singular values", f"{spread}   (scaled, whitened)"))
-        entries.append(("condition number", number(analysis.condition)))
-    if analysis.singular_values and analysis.observability:
-        indices = [f"{k} {number(v)}" for k, v in analysis.observability.items()]
+    if values := of.singular_values:
+        spread = f"{number(values[0])} ... {number(values[-1])}   (scaled, whitened)"
+        indices = [f"{k} {number(v)}" for k, v in of.observability.items()]
+        entries.append(("singular values", spread))
+        entries.append(("condition number", number(of.condition)))
         entries.append(("observability indices", "  ".join(indices)))
     return Facts("Identifiability", entries)
 
@@ -273,30 +255,24 @@ def corrections(result: CalibrationResult) -> Iterator[Block]:
     clear = [e for e in known if abs(e.value) >= CLEAR * (e.sigma or 0.0)]
     if clear:
         yield error_table(clear, "Errors of the robot that were found", ESTIMATE)
-    if clear and (count := len(known) - len(clear)):
-        are = "is" if count == 1 else "are"
-        yield note(f"{count} more {are} smaller than {CLEAR:.0f} standard deviations.")
+        count = len(known) - len(clear)
+        yield note(f"Below {CLEAR:.0f} standard deviations: {count} more.")
 
 
 def held(errors: Sequence[RobotError], *, details: bool = True) -> Iterator[Line]:
     """Errors that stay at nominal, and those that frames take along."""
-    together: dict[str, list[RobotError]] = {}
+    together: dict[str, dict[str, dict[str, None]]] = {}
     for error in errors:
-        if error.status == "weak":
-            together.setdefault("Held at nominal, hardly observable", []).append(error)
-        elif error.status == "absorbed":
-            frames = enumerated([_frame(name) for name in error.within])
-            together.setdefault(f"Part of {frames}", []).append(error)
-    for meaning in sorted(together, key=lambda words: not words.startswith("Held")):
-        members = together[meaning]
-        # Errors by joint, such as `joint offset and link offset of wrist_3_joint`.
-        by_owner: dict[str, dict[str, None]] = {}
-        for error in members:
-            by_owner.setdefault(_owner(error), {})[error.kind] = None
-        text = "; ".join(
-            f"{enumerated([*kinds]) if len(kinds) < 4 else 'the placement'} of {owner}"
-            for owner, kinds in by_owner.items()
-        )
-        if len(by_owner) > MANY and not details:
-            text = f"{counted(len(members), 'error')}, see --details"
+        meaning = "Held at nominal, hardly observable"
+        if error.status == "absorbed":
+            meaning = f"Part of {enumerated(map(_frame, error.within))}"
+        if error.status in ("absorbed", "weak"):
+            # Errors by joint, such as `joint offset and link offset of wrist_3_joint`.
+            owners = together.setdefault(meaning, {})
+            owners.setdefault(_owner(error), {})[error.kind] = None
+    for meaning, owners in sorted(together.items()):
+        parts = [f"{enumerated(kinds)} of {owner}" for owner, kinds in owners.items()]
+        text = "; ".join(parts)
+        if len(parts) > MANY and not details:
+            text = f"{counted(sum(map(len, owners.values())), 'error')}, see --details"
         yield note(f"{meaning}: {text}.")

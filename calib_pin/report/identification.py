@@ -271,7 +271,10 @@ def held(errors: Sequence[RobotError], *, details: bool = True) -> Iterator[Line
             owners = together.setdefault(meaning, {})
             owners.setdefault(_owner(error), {})[error.kind] = None
     for meaning, owners in sorted(together.items()):
-        parts = [f"{enumerated(kinds)} of {owner}" for owner, kinds in owners.items()]
+        parts = [
+            f"{enumerated(kinds) if len(kinds) < 4 else 'the placement'} of {owner}"
+            for owner, kinds in owners.items()
+        ]
         text = "; ".join(parts)
         if len(parts) > MANY and not details:
             text = f"{counted(sum(map(len, owners.values())), 'error')}, see --details"

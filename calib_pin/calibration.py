@@ -7,6 +7,7 @@ that were held out, and judges it; then the same for the geometry that a URDF ca
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import AT, Measurements, Observations, states_sigmas
 from calib_pin.parameterizations import outside_urdf
 from calib_pin.progress import Stages, named, portion
-from calib_pin.setup import ReadingSetup, Setup
+from calib_pin.setup import SMALLEST, ReadingSetup, Setup, Value
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.calibrations import older_calibration
@@ -66,7 +67,7 @@ def calibrate(
     others: Others = tuple,
     workers: Workers = SERIAL,
     start: CalibrationResult | None = None,
-    process_noise: float | None = None,
+    process_noise: Annotated[float, Value("m, rad", SMALLEST)] | None = None,
 ) -> CalibrationResult:
     """Calibrate a robot.
 

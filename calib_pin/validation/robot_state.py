@@ -9,7 +9,7 @@ prior of the next calibration, or of a plan for it (`prior`).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +30,7 @@ from calib_pin.estimation.statistics.population_prior import (
     RobotEvidence,
     explained,
 )
-from calib_pin.estimation.terms import Terms
+from calib_pin.estimation.terms import Term, Terms
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.kinematics.spatial import Floats, so3_log
@@ -127,8 +127,7 @@ class RobotState:
         free: Which of them were estimated, shape (P,).
         drifts: The drift that is expected until the next calibration.
         noise: The noise of every quantity, as it is known.
-        still: Logarithm of the evidence that it does not drift; None where no
-            calibration began with another one.
+        steps: The calibrations that began with another one, the last is this one.
         made: File of the calibration, for messages, and when it was made.
         unmodeled: See `JointPrior.unmodeled`.
     """
@@ -139,7 +138,7 @@ class RobotState:
     free: NDArray[np.bool_]
     drifts: tuple[DriftSize, ...]
     noise: tuple[NoiseSize, ...]
-    still: float | None
+    steps: tuple[RecalibrationStep, ...]
     made: tuple[str, str]
     unmodeled: Mapping[str, tuple[PoseSizes, PoseSizes]]
 
@@ -150,24 +149,21 @@ class RobotState:
         Args:
             result: The calibration.
             process_noise: The drift that a user states [m, rad]; None for none.
-
-        Raises:
-            OptionError: If the stated drift is none.
         """
-        free = np.array([p.status != "fixed" for p in result.parameters])
-        begun = None if result.recalibration is None else result.recalibration.last
+        begun, places = result.recalibration, result.accuracies.items()
+        steps = () if begun is None else begun.steps
         return RobotState(
             result.model,
             result.model.theta,
             np.asarray(result.covariance),
-            free,
-            _drifts(begun, process_noise),
-            _noise(begun, result.statistics.noise),
-            None if begun is None else begun.still,
+            np.array([p.status != "fixed" for p in result.parameters]),
+            _drifts(steps[-1:], process_noise),
+            _noise(steps[-1:], result.statistics.noise),
+            steps,
             (result.provenance.file, result.provenance.created),
             {
                 chain: (accuracy.measured.unmodeled, accuracy.workspace.unmodeled)
-                for chain, accuracy in result.accuracies.items()
+                for chain, accuracy in places
                 if accuracy.measured and accuracy.workspace
             },
         )
@@ -224,8 +220,7 @@ class RobotState:
         names = [p.name for p, free in zip(parameters, robot, strict=True) if free]
         if lacking := [name for name in names if name not in known]:
             reason = f"the older calibration has not estimated {enumerated(lacking)}"
-            allowed = "the same 'fixed' in both"
-            raise OptionError(reason, file=self.made[0] or None, allowed=allowed)
+            raise OptionError(reason, file=self.made[0] or None)
         return [known[name] for name in names]
 
     def prior(
@@ -276,14 +271,12 @@ class Change:
         directions: Its independent effects on all parameters divided by their scales,
             shape (P, k), each of the expected size of an error.
         unit: Unit of an offset, rad or m.
-        size: Expected size of an offset in that unit.
     """
 
     name: str
     kind: str
     directions: Floats
     unit: str = "m"
-    size: float = LENGTH_SCALE
 
     @property
     def label(self) -> str:
@@ -306,7 +299,8 @@ def drifts(
         sudden: What may change at once: offsets drift as well.
     """
     scales = [p.scale if p.unit in ("m", "rad") else LENGTH_SCALE for p in system.given]
-    offsets = [c.directions / c.size for c in sudden if c.kind == "offset"]
+    moved = (c for c in sudden if c.kind == "offset")
+    offsets = [c.directions / expected_size(c.unit) for c in moved]
     by_joint = np.hstack([np.zeros((len(robot), 0)), *offsets])
     geometry = np.diag(1.0 / np.array(scales))[:, robot]
     return {"geometry": geometry, "joint offsets": by_joint}
@@ -320,41 +314,42 @@ def changes(system: Terms, robot: NDArray[np.bool_]) -> dict[str, Change]:
         robot: The errors of the robot among its parameters, shape (P,).
     """
     by_name, unit = dict[str, Change](), np.eye(len(robot))
-    for offset in _offsets(system, robot):
-        by_name.setdefault(f"offset {offset.name}", offset)
-    for joint in system.chains.joints:
-        mask = robot & _joint_mask(system, joint)
+    owners = np.array([p.name.rsplit(".", 2)[0] for p in system.given])
+    of_joint = {j: robot & (owners == owner(j)) for j in system.chains.joints}
+    for term in system.terms.values():
+        chain = term.error.chain
+        for k, joint in enumerate(chain.joints):
+            along = _along(term, k, of_joint[joint])
+            if along is not None:
+                turned = "rad" if chain.revolute[k] else "m"
+                directions = expected_size(turned) * along[:, None]
+                offset = Change(joint, "offset", directions, turned)
+                by_name.setdefault(f"offset {joint}", offset)
+    for joint, mask in of_joint.items():
         if mask.sum() > 1:
             by_name[f"placement {joint}"] = Change(joint, "placement", unit[:, mask])
     by_name["robot"] = Change("", "robot", unit[:, robot])
     return by_name
 
 
-def _joint_mask(system: Terms, joint: str) -> NDArray[np.bool_]:
-    """The parameters that have the name of a joint, shape (P,)."""
-    owners = [parameter.name.rsplit(".", 2)[0] for parameter in system.given]
-    return np.asarray(np.array(owners) == owner(joint))
+def _along(term: Term, k: int, mask: NDArray[np.bool_]) -> Floats | None:
+    """The errors that are the motion of joint k of a chain, (P,); None without such.
 
-
-def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
-    """Offsets of the joints whose motion the errors of the robot hold."""
-    for term in system.terms.values():
-        chain = term.error.chain
-        behind = [*chain.placements, chain.tip_placement]
-        for frame, joint in enumerate(chain.joints, 1):
-            # Errors in the next frame, as those of a DH matrix, move with the joint.
-            to_frame = {frame: np.eye(6), frame + 1: behind[frame].toActionMatrix()}
-            mask, T = robot & _joint_mask(system, joint), np.zeros((6, len(robot)))
-            for screw, k in zip(term.error.screws, term.of_error, strict=True):
-                if mask[k] and screw.frame in to_frame and screw.basis is None:
-                    twist = to_frame[screw.frame] @ screw.twist
-                    T[:, k] += twist * screw.parameter.scale
-            motion = chain.motions[frame - 1]
-            along = np.linalg.lstsq(T, motion, rcond=1e-9)[0]
-            if np.abs(T @ along - motion).max() <= 1e-9:
-                unit = "rad" if chain.revolute[frame - 1] else "m"
-                size = expected_size(unit)
-                yield Change(joint, "offset", size * along[:, None], unit, size)
+    Args:
+        term: A term of the chain.
+        k: Number of the joint.
+        mask: The errors of the joint, shape (P,).
+    """
+    chain, frame, T = term.error.chain, k + 1, np.zeros((6, len(mask)))
+    behind = [*chain.placements, chain.tip_placement][frame]
+    # Errors in the next frame, as those of a DH matrix, move with the joint.
+    to_frame = {frame: np.eye(6), frame + 1: behind.toActionMatrix()}
+    for screw, column in zip(term.error.screws, term.of_error, strict=True):
+        if mask[column] and screw.frame in to_frame and screw.basis is None:
+            twist = to_frame[screw.frame] @ screw.twist
+            T[:, column] += twist * screw.parameter.scale
+    along = np.linalg.lstsq(T, chain.motions[k], rcond=1e-9)[0]
+    return along if np.abs(T @ along - chain.motions[k]).max() <= 1e-9 else None
 
 
 @serial_blas
@@ -420,9 +415,7 @@ def resume(
     if start is None:
         raise OptionError("a process noise belongs to an older calibration, 'start'")
     if ladder:
-        reason = "the model of an older calibration is kept; it is not selected anew"
-        allowed = "an older calibration, or the selection of a model"
-        raise OptionError(reason, allowed=allowed)
+        raise OptionError("the model of an older calibration is kept, not selected")
     require_usable(chains, setup, start)
     older = RobotState.of(start, process_noise)
     plain = replace(setup, prior={}, noise=older.sigmas | dict(setup.noise))
@@ -434,13 +427,12 @@ def resume(
     problem, result = register(problem, theta)
     if reason := registration_reason(problem, result):
         reason = f"cannot go on from the older calibration: {reason}"
-        allowed = "base and tool that are stated as known"
-        raise InputError(reason, file=data.files[0] or None, allowed=allowed)
+        raise InputError(reason, file=data.files[0] or None)
     step, prior = Innovations(problem, result.x, older).explain(len(data))
     sizes = error_sizes(problem, result.x)
     errors = tuple((name, unit, Accuracy.of(size)) for name, unit, size in sizes)
-    steps = () if start.recalibration is None else start.recalibration.steps
-    return replace(setup, prior=prior), Recalibration(errors, (*steps, step))
+    begun = Recalibration(errors, (*older.steps, step))
+    return replace(setup, prior=prior), begun
 
 
 def expected_setup(
@@ -485,51 +477,40 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
     whose = "of serial number '{}', these measurements are of '{}'".format(*serials)
     known, given = (", ".join(s.parameters) for s in (older, setup))
     unsure = not np.isfinite(start.covariance).all() or not start.statistics.noise
+    nominal = "take its nominal robot, nominal.urdf in its folder"
     for refused, reason in (
-        (difference, f"is not of this robot: {difference}"),
+        (difference, f"is not of this robot: {difference}; {nominal}"),
         (all(serials) and len({*serials}) > 1, f"is {whose} ({setup.file})"),
         (start.verdict not in TRUSTED, f"is {start.verdict}: {start.reason}"),
         (older.learned or setup.learned, "cannot carry a learned correction on"),
         (
             {*older.parameters} != {*setup.parameters},
-            f"has the parameters {known}, and not {given}",
+            f"has parameters {known}, not {given}",
         ),
         (unsure, "does not say how sure it is of its parameters: calibrate again"),
     ):
         if refused:
-            file = start.provenance.file or None
             reason = f"the older calibration {reason}"
-            allowed = "its nominal robot, nominal.urdf in its folder"
-            raise OptionError(
-                reason, file=file, allowed=allowed if difference else None
-            )
+            raise OptionError(reason, file=start.provenance.file or None)
 
 
 def _drifts(
-    begun: RecalibrationStep | None, process_noise: float | None
+    last: Sequence[RecalibrationStep], process_noise: float | None
 ) -> tuple[DriftSize, ...]:
-    """The drift since a calibration that began so, as it is stated or expected.
-
-    Raises:
-        OptionError: If the stated drift is none.
-    """
+    """The drift since a calibration, and its last step, as it is stated or expected."""
     if process_noise is not None:
-        if not 0.0 < process_noise < np.inf:
-            reason = "the process noise is a standard deviation"
-            allowed = "a positive number [m, rad]"
-            raise OptionError(reason, value=process_noise, allowed=allowed)
         return (DriftSize(EXPECTED[0].name, process_noise, np.inf),)
-    before = () if begun is None else begun.drifts
     # What a user has stated once, says nothing of the next time.
-    by_name = {drift.name: drift for drift in before if np.isfinite(drift.worth)}
+    before = (d for step in last for d in step.drifts if np.isfinite(d.worth))
+    by_name = {drift.name: drift for drift in before}
     return tuple(by_name.get(drift.name, drift) for drift in EXPECTED)
 
 
 def _noise(
-    begun: RecalibrationStep | None, components: Sequence[VarianceComponent]
+    last: Sequence[RecalibrationStep], components: Sequence[VarianceComponent]
 ) -> tuple[NoiseSize, ...]:
     """The noise of all quantities that a calibration and those before it have shown."""
-    by_name = {} if begun is None else {size.quantity: size for size in begun.noise}
+    by_name = {size.quantity: size for step in last for size in step.noise}
     for part in components:
         name, dof = part.quantity.split(" ")[0], part.redundancy * part.values
         known = by_name.get(name, NoiseSize(name, 0.0, 0.0))
@@ -641,8 +622,9 @@ class Innovations:
         calm, _ = best.without(names).fitted()
         still = calm.likelihood + first.without(names).expected(calm)
         still -= best.likelihood + first.expected(best)
-        believed = still + (CALM if state.still is None else state.still)
-        still += state.still or 0.0
+        before = state.steps[-1].still if state.steps else CALM
+        believed = still + before
+        still += before if state.steps else 0.0
         _, counts = best.fitted()
         drifted, effects = list[DriftSize](), list[tuple[float, Floats]]()
         for drift, cause, n in zip(state.drifts, best.causes, counts, strict=False):
@@ -663,7 +645,10 @@ class Innovations:
         hit = dict[str, float]()
         for cause in sudden:
             instead, beside = self._alternatives(best, cause, sudden)
-            jumps.append(self._jump(best, cause, instead, beside))
+            others = (
+                [self.sudden[n].label for n in names] for names in (instead, beside)
+            )
+            jumps.append(self._jump(best, cause, *map(tuple, others)))
             # A single change tells little of the size that such changes have.
             hit |= dict.fromkeys([cause.name, *instead], max(cause.size, 1.0))
         effects += [(size, self.sudden[name].directions) for name, size in hit.items()]
@@ -712,30 +697,19 @@ class Innovations:
                 beside.append(name)
         return instead, beside
 
-    def _jump(
-        self, best: Explanation, cause: Cause, instead: list[str], beside: list[str]
-    ) -> Jump:
+    def _jump(self, best: Explanation, cause: Cause, *others: tuple[str, ...]) -> Jump:
         """A sudden change as the innovations tell it, and what it may be instead."""
         change, parameters = self.sudden[cause.name], self.parameters
         effects, covariance = best.effects(cause)
-        size, sigma, turn = change.size * float(effects[0]), np.nan, 0.0
+        about = change.name, change.kind, change.unit
         if change.kind == "offset":
-            sigma = change.size * float(covariance[0, 0]) ** 0.5
-        else:
-            moved = change.directions @ effects * parameters.scales
-            units = np.array([parameter.unit for parameter in parameters])
-            parts = (moved[units == unit] for unit in ("m", "rad"))
-            size, turn = (float(np.linalg.norm(part)) for part in parts)
-        return Jump(
-            change.name,
-            change.kind,
-            change.unit,
-            size,
-            sigma,
-            turn,
-            instead=tuple(self.sudden[name].label for name in instead),
-            beside=tuple(self.sudden[name].label for name in beside),
-        )
+            size = expected_size(change.unit)
+            sigma = size * float(covariance[0, 0]) ** 0.5
+            return Jump(*about, size * float(effects[0]), sigma, 0.0, *others)
+        moved = change.directions @ effects * parameters.scales
+        units = np.array([parameter.unit for parameter in parameters])
+        size, turn = (np.linalg.norm(moved[units == unit]) for unit in ("m", "rad"))
+        return Jump(*about, float(size), np.nan, float(turn), *others)
 
 
 def _scatter(problem: Problem, theta: Floats) -> float:

@@ -12,6 +12,7 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.evidence import PoseErrors
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations import Observations
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import FrameSetup, ReportSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.findings.calibrations import older_calibration
@@ -34,7 +35,7 @@ def test_an_offset_is_one(name) -> None:
     for k, change in enumerate(offsets):
         theta = change.directions[:, 0] * parameters.scales / 1e3
         moved = q.copy()
-        moved[:, k] += change.size / 1e3
+        moved[:, k] += expected_size(change.unit) / 1e3
         expected = term.error.poses(moved, 0.0 * theta)
         # Errors apply one after the other: the second order is left.
         np.testing.assert_allclose(term.error.poses(q, theta), expected, atol=1e-10)

@@ -40,11 +40,8 @@ class Event:
 
     def document(self) -> dict[str, Any]:
         """The event as plain data, without numbers that are not known."""
-        known = {
-            name: value
-            for name, value in self.numbers.items()
-            if not (isinstance(value, float) and math.isnan(value))
-        }
+        # NaN is not equal to itself.
+        known = {name: value for name, value in self.numbers.items() if value == value}
         return {"kind": self.kind, "text": self.text, **known}
 
 
@@ -98,18 +95,14 @@ class State:
     @property
     def text(self) -> str:
         """One line."""
-        aside = f", {self.aside} set aside" * (self.aside > 0)
-        words = [
-            f"{counted(self.rows, 'row')}{aside}",
-            self.verdict.upper() or "no verdict yet",
-        ]
+        words = [f"{counted(self.rows, 'row')}, {self.aside} set aside"]
+        words.append(self.verdict.upper() or "no verdict yet")
         if self.verdict not in TRUSTED and self.reason:
             words[-1] += f" ({self.reason.partition(';')[0]})"
         if not math.isnan(self.workspace):
-            bound = f"95 %: below {sized(self.bound)}"
-            over = f"{sized(self.workspace)} over the workspace ({bound})"
-            near = f"{sized(self.near)} near the rows, " * (self.near == self.near)
-            words.append(f"expected error {near}{over}")
+            near, over, bound = map(sized, (self.near, self.workspace, self.bound))
+            over = f"{over} over the workspace (95 %: below {bound})"
+            words.append(f"expected error {near} near the rows, {over}")
         if self.unknown:
             words.append(f"still unknown: {enumerated(self.unknown, 60)}")
         if self.more:

@@ -192,19 +192,16 @@ class Fitted:
         except CalibPinError as error:
             return replace(known, reason=str(error)), ()
         state, (_, accuracy) = dict[str, Any](), judgement.worst
-        if accuracy is not None:
-            measured = [a.measured for a in judgement.accuracies.values() if a.measured]
-            now = accuracy.calibrated.position
-            state |= {"workspace": now, "bound": accuracy.bound.position}
-            if measured:
-                state |= {"near": max(e.calibrated.position for e in measured)}
-            state |= {"ahead": tuple(now * size / ahead[0] for size in ahead)}
-        state["unknown"] = tuple(
-            f"{error.kind} of {' + '.join(error.of)}"
-            for error in robot_errors(model.problem, model.structure, model)
-            if error.status == "weak"
-        )
         state["verdict"], state["reason"] = judgement.verdict
+        if accuracy is not None:
+            near = (a.measured for a in judgement.accuracies.values() if a.measured)
+            now, state["bound"] = accuracy.calibrated.position, accuracy.bound.position
+            state["near"] = max(error.calibrated.position for error in near)
+            state["workspace"] = now
+            state["ahead"] = tuple(now * size / ahead[0] for size in ahead)
+        known_errors = robot_errors(model.problem, model.structure, model)
+        weak = [error for error in known_errors if error.status == "weak"]
+        state["unknown"] = tuple(f"{e.kind} of {' + '.join(e.of)}" for e in weak)
         return replace(known, **state), judgement.findings
 
 

@@ -105,9 +105,9 @@ class Proposals:
         return _rows(read_table(self.plan, columns=setup.columns), chains, setup)
 
     def _collisions(self, chains: Chains, setup: Setup) -> Collisions | None:
-        folders = self.package_dirs
+        folders, pairs = self.package_dirs, self.srdf
         return load_collisions(
-            chains, setup.obstacles, srdf=self.srdf, package_dirs=folders
+            chains, setup.obstacles, srdf=pairs, package_dirs=folders
         )
 
     def ahead(

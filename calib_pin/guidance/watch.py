@@ -78,7 +78,6 @@ class Watch:
         self._seed, self._searched, self._reviewed = seed, 0, 2 * FEW
         self._stamp: tuple[Any, ...] | None = None
         self._problem, self._reached, self._reported = "", False, set[str]()
-        self._unplanned = ""
         self._known, self._aside = dict[Key, str](), set[Key]()
         self._removed = list[str]()
         self._fitted: Fitted | None = None
@@ -174,17 +173,16 @@ class Watch:
         """Tell of a new row."""
         numbers: dict[str, Any] = {"place": place, "wrong": again}
         if again:
-            text = f"{place}: the same numbers as in a row before; was it measured?"
-            return Event("row", text, numbers)
-        if deviation is None:
-            reason = "not known yet" if self._fitted is None else self._fitted.reason
-            return Event("row", f"{place}: {reason}", numbers)
-        size, sigma = (sized(x, deviation.unit) for x in deviation[:2])
-        text = f"{place}: {size} from where it is expected ({sigma})"
-        if deviation.wrong:
-            text += "; set aside: is the target seated? is the robot still?"
-        numbers |= deviation._asdict() | {"wrong": deviation.wrong}
-        return Event("row", text, numbers)
+            text = "the same numbers as in a row before; was it measured?"
+        elif deviation is None:
+            text = "not known yet" if self._fitted is None else self._fitted.reason
+        else:
+            size, sigma = (sized(x, deviation.unit) for x in deviation[:2])
+            text = f"{size} from where it is expected ({sigma})"
+            if deviation.wrong:
+                text += "; set aside: is the target seated? is the robot still?"
+            numbers |= deviation._asdict() | {"wrong": deviation.wrong}
+        return Event("row", f"{place}: {text}", numbers)
 
     def _reconsider(self, rows: Observations, keys: Sequence[Key]) -> Iterator[Event]:
         """Tell of rows that agree now, and of those that the fit has set aside."""
@@ -221,10 +219,8 @@ class Watch:
         try:
             self.next, ahead = self.proposals.ahead(fitted, rows)
         except CalibPinError as error:  # What is known of the rows stands.
-            self.next, ahead, text = None, (), one_line(str(error))
-            if text != self._unplanned:
-                yield Event("problem", text)
-            self._unplanned = text
+            self.next, ahead = None, ()
+            yield Event("problem", one_line(str(error)))
         if fitted.model is None:
             yield Event("waiting", f"{counted(count, 'row')}: {fitted.reason}")
         else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import cycle, islice
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from calib_pin.observations import (
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup.arguments import as_array
+from calib_pin.setup.values import Value
 
 LEG = 10
 """Rows that are measured from one start where configurations are drawn."""
@@ -46,13 +47,8 @@ def draw_errors(parameters: ParameterSet, rng: np.random.Generator) -> Floats:
     moved = parameters.free & ~parameters.nuisance
     drawn = rng.uniform(-1.0, 1.0, len(parameters)) * parameters.scales
     lagging = ".hysteresis.backlash"
-    positive = np.array(
-        [
-            p.unit in ("rad/Nm", "m/N", "1/K") or p.name.endswith(lagging)
-            for p in parameters
-        ],
-        bool,
-    )
+    units = ("rad/Nm", "m/N", "1/K")
+    positive = [p.unit in units or p.name.endswith(lagging) for p in parameters]
     return np.where(moved, np.where(positive, np.abs(drawn), drawn), 0.0)
 
 
@@ -69,8 +65,8 @@ def simulate(
     conditions: Conditions = UNSTATED,
     count: int | None = None,
     per_configuration: bool = False,
-    noise: float | None = None,
-    repeats: int = 1,
+    noise: Annotated[float, Value(least=0.0)] | None = None,
+    repeats: Annotated[int, Value(least=1)] = 1,
 ) -> Observations:
     """Measure a robot with known errors.
 
@@ -124,37 +120,33 @@ def simulate(
     if key is not None:
         require_known("block", str(key), map(str, keys))
         keys = (key,)
-    for name, number, least in (("count", count, len(keys)), ("repeats", repeats, 1)):
-        if number is not None and number < least:
-            allowed = f"{least} or more"
-            raise OptionError(f"{name} is too small", value=number, allowed=allowed)
-    if noise is not None and not 0.0 <= noise < np.inf:
-        raise OptionError("noise is out of range", value=noise, allowed="0 or more")
     if (q is None) == (count is None):
         raise OptionError("give either configurations or their count")
+    if count is not None and count < len(keys):
+        allowed = f"{len(keys)} or more"
+        raise OptionError("count is too small", value=count, allowed=allowed)
     strict = len(keys) == 1 or bool(len(target) or places)
     masks = _block_masks(keys, places, 0 if q is None else len(q))
-    blocks = []
+    blocks, payloads = [], problem.data.payload.distinct or ("",)
     for number, block in enumerate(keys):
-        declared = problem.terms[block].measurement.declaration
+        declared, mask = problem.terms[block].measurement.declaration, masks[block]
         at_once = per_configuration and declared.at_once
+        share = (
+            int(mask.sum()) if count is None else len(range(number, count, len(keys)))
+        )
+        carried = _in_turn(payloads, share) if at_once else ()
         if q is None:
-            assert count is not None
-            share = len(range(number, count, len(keys)))
-            at = _random_rows(problem, theta, block, share, at_once, rng)
+            at = _random_rows(problem, theta, block, share, carried, rng)
+        elif not share:
+            continue
         else:
-            q_block, held = q[masks[block]], conditions.rows(masks[block])
-            if not len(q_block):
-                continue
-            targets = Labels.of(target)[masks[block]] if len(target) else None
-            if targets is None:
-                targets = Labels.of(
-                    _in_turn(nominal.named_targets(problem, block), len(q_block))
-                )
-            if not len(held.payload):
-                names = Labels.of(_payloads(problem, block, len(q_block), at_once))
-                held = replace(held, payload=names)
-            at = nominal.unmeasured(problem, block, q_block, targets, held)
+            held = conditions.rows(mask)
+            targets: Targets = _in_turn(nominal.named_targets(problem, block), share)
+            if len(target):
+                targets = Labels.of(target)[mask]
+            if carried and not len(held.payload):
+                held = replace(held, payload=Labels.of(carried))
+            at = nominal.unmeasured(problem, block, q[mask], targets, held)
             if not at_once:
                 at = _measurable(problem, theta, at, strict)
         if at_once:
@@ -227,7 +219,7 @@ def _random_rows(
     theta: Floats,
     key: BlockKey,
     count: int,
-    at_once: bool,
+    payload: Sequence[str],
     rng: np.random.Generator,
 ) -> Measurements:
     """Random configurations of a block, those of starts of relative distances added.
@@ -237,40 +229,28 @@ def _random_rows(
         theta: Parameter values, shape (P,).
         key: The block.
         count: Number of configurations that count.
-        at_once: Whether all targets are measured at each.
+        payload: What is carried at each; none for what is usual.
         rng: Random generator.
     """
-    if not problem.terms[key].measurement.declaration.relative:
-        carried = _payloads(problem, key, count, at_once)
-        return nominal.observable_configurations(
-            problem, key, theta, count, rng, carried
-        )
-    more = count + -(-count // LEG)
-    at = nominal.observable_configurations(problem, key, theta, more, rng)
-    return replace(at, target=Labels.of(_legs(at.target, LEG + 1)))
+    relative = problem.terms[key].measurement.declaration.relative
+    count += -(-count // LEG) if relative else 0
+    at = nominal.observable_configurations(problem, key, theta, count, rng, payload)
+    return replace(at, target=_legs(at.target)) if relative else at
 
 
-def _in_turn(names: Sequence[str], count: int) -> tuple[str, ...]:
+def _in_turn(names: Sequence[str], count: int) -> list[str]:
     """Names in turn, one for each configuration."""
-    return tuple(islice(cycle(names), count))
+    return [names[k % len(names)] for k in range(count)]
 
 
-def _payloads(
-    problem: Problem, key: BlockKey, count: int, at_once: bool
-) -> tuple[str, ...]:
-    """The payloads in turn, so that each meets every target, length `count`."""
-    if not at_once:
-        return nominal.payloads_in_turn(problem, key, count)
-    return _in_turn(problem.data.payload.distinct or ("",), count)
-
-
-def _legs(target: Sequence[str], size: int) -> tuple[str, ...]:
+def _legs(target: Labels) -> Labels:
     """Names of the starts of successive rows, behind the point that these look at."""
-    points = [target[k // size].rpartition(AT)[0] for k in range(len(target))]
-    return tuple(
-        f"{point}{AT}{k // size + 1}" if point else str(k // size + 1)
-        for k, point in enumerate(points)
-    )
+    names = []
+    for k in range(len(target)):
+        start = k // (LEG + 1)
+        point = target[start].rpartition(AT)[0]
+        names.append(f"{point}{AT}{start + 1}" if point else str(start + 1))
+    return Labels.of(names)
 
 
 def _without_starts(at: Measurements) -> Measurements:
@@ -340,9 +320,6 @@ def _require_seen(
     """
     if seen.all() or (seen.any() and not strict):
         return
-    which = f"configuration {int(np.argmin(seen)) + 1} cannot"
-    if not strict:
-        which = f"none of {len(seen)} configurations can"
+    which = f"configuration {int(np.argmin(seen)) + 1} cannot be measured ({key})"
     why = problem.terms[key].measurement.declaration.unmeasurable
-    reason = f"{which} be measured ({key}): {why}"
-    raise InputError(reason, file=problem.setup.file or None)
+    raise InputError(f"{which}: {why}", file=problem.setup.file or None)

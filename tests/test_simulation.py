@@ -400,5 +400,6 @@ def test_the_generator_decides_everything(problem):
 )
 def test_numbers_out_of_range(options):
     problem = make("pose")
+    rng = np.random.default_rng(1)
     with pytest.raises(OptionError):
-        simulated(problem, errors(problem), np.random.default_rng(1), **options)
+        calib_pin.simulate(problem, errors(problem), rng, **options)

@@ -31,8 +31,6 @@ FAMILIES = {
 }
 """The module of each family that others may extend."""
 
-_registered: dict[str, dict[str, Any]] = {}
-
 
 def register(family: str, name: str, member: Any) -> None:
     """Add a member to a family from Python, without a package and its entry point.
@@ -63,7 +61,7 @@ def register(family: str, name: str, member: Any) -> None:
         raise CalibPinError(f"the {family} have a member '{name}'")
     if reason := members.fault(name, member):
         raise CalibPinError(f"'{name}' cannot be one of the {family}: {reason}")
-    _registered.setdefault(f"calib_pin.{family}", {})[name] = member
+    members.registered[name] = member
 
 
 @cache
@@ -120,9 +118,8 @@ class Members(Mapping[str, T]):
             fault: Reason why an object from another package cannot be a member, given
                 its name and the object; empty if it can.
         """
-        self._group = group
-        self._bundled = bundled
-        self.fault = fault
+        self._group, self._bundled, self.fault = group, bundled, fault
+        self.registered = dict[str, T]()
         Members.known[group] = self
 
     @property
@@ -133,17 +130,14 @@ class Members(Mapping[str, T]):
             CalibPinError: If an entry point cannot be loaded, has the name of another
                 member, or cannot be a member.
         """
-        outside = {**_registered.get(self._group, {}), **extensions(self._group)}
-        if not outside:
-            return self._bundled
+        outside = {**self.registered, **extensions(self._group)}
         for name, member in outside.items():
             reason = self.fault(name, member)
             if name in self._bundled:
                 reason = "a bundled member has this name"
             if reason:
-                raise CalibPinError(
-                    f"the plug-in '{name}' of {self._group} cannot be used: {reason}"
-                )
+                subject = f"the plug-in '{name}' of {self._group}"
+                raise CalibPinError(f"{subject} cannot be used: {reason}")
         return {**self._bundled, **outside}
 
     def __getitem__(self, name: str) -> T:

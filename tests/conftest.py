@@ -36,7 +36,7 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
-from calib_pin.plugins import every_entry_point, extensions
+from calib_pin.plugins import Members, every_entry_point, extensions
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.workers.cluster import Cluster
@@ -146,7 +146,8 @@ def interruptible() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def unregistered(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a test or a page registers, the next one of the process does not know."""
-    monkeypatch.setattr("calib_pin.plugins._registered", {})
+    for members in Members.known.values():
+        monkeypatch.setattr(members, "registered", {})
 
 
 @pytest.fixture

@@ -28,7 +28,8 @@ from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import AT, Measurements, Observations, states_sigmas
 from calib_pin.parameterizations import outside_urdf
 from calib_pin.progress import Stages, named, portion
-from calib_pin.setup import SMALLEST, ReadingSetup, Setup, Value
+from calib_pin.setup import ReadingSetup, Setup
+from calib_pin.setup.values import SMALLEST, Value
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.calibrations import older_calibration
@@ -336,12 +337,8 @@ def _measurement_errors(
     """Errors with their measurements, in the order of these."""
     errors = errors.at(np.argsort(errors.positions, kind="stable"))
     rows = measurements.rows(errors.positions)
-    problem, theta = fitted.solved
-    if all(key in problem.terms for key in rows.keys):
-        problem = replace(problem, data=rows)
-    else:
-        registered = model_errors.registered(problem, theta, rows)
-        problem, theta = registered.problem, registered.theta
+    registered = model_errors.registered(*fitted.solved, rows)
+    problem, theta = registered.problem, registered.theta
     points, points_of = [], tool_points(problem, theta)
     for (term, *_), tips in zip(problem.blocks, points_of, strict=True):
         error, of_robot = term.error, term.values(theta)[0]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -29,6 +29,7 @@ from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.observations.labels import Labels
 from calib_pin.plugins import upper
 from calib_pin.setup.arguments import as_array
+from calib_pin.setup.values import OneOf
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
 
@@ -64,13 +65,10 @@ class QuantityErrors:
 
     *Before* is registration only: base, tool and instrument fitted to the training
     measurements, the robot nominal.
-
-    Raises:
-        ValueError: If the unit is none.
     """
 
     name: str
-    unit: str
+    unit: Annotated[str, OneOf(tuple(DISPLAY))]
     before: Accuracy = field(metadata={"key": "training.before"})
     after: Accuracy = field(metadata={"key": "training.after"})
     validation_before: Accuracy | None = field(metadata={"key": "validation.before"})
@@ -88,11 +86,6 @@ class QuantityErrors:
     def shown(self) -> tuple[Accuracy, Accuracy]:
         """Before and after, of held-out measurements where there are any."""
         return [*self.stages.values()][-1]
-
-    def __post_init__(self) -> None:
-        """Refuse a unit that is none."""
-        if self.unit not in DISPLAY:
-            raise ValueError(f"'{self.unit}' is no unit of '{self.name}'")
 
 
 VERDICTS = ("good", "no-gain", "unchecked", "untrusted")
@@ -144,21 +137,16 @@ class MeasurementErrors:
             model: The calibrated robot.
             count: Number of measurements.
         """
-        joints, (quantities, _) = model.chains.joints, columns_of(model)
-        errors = np.full((count, quantities[-1].columns.stop), np.nan)
-        term, q = model.only, np.zeros((count, len(joints)))
+        term, (quantities, _) = model.only, columns_of(model)
+        q = np.zeros((count, len(model.chains.joints)))
         values = np.zeros((count, term.measurement.width))
-        rows = Measurements(joints, q, values=values, **term.key._asdict())
-        points = np.full((count, 3), np.nan)
-        return MeasurementErrors(
-            Observations.of(rows),
-            quantities,
-            before=errors,
-            after=errors,
-            sigma=errors,
-            points=points,
-            leverage=points[:, 0],
-        )
+        key = term.key._asdict()
+        rows = Measurements(model.chains.joints, q, values=values, **key)
+        nothing = np.full((count, max(quantities[-1].columns.stop, 3)), np.nan)
+        errors = nothing[:, : quantities[-1].columns.stop]
+        points, leverage = nothing[:, :3], nothing[:, 0]
+        every = errors, errors, errors, points, leverage
+        return MeasurementErrors(Observations.of(rows), quantities, *every)
 
     def __len__(self) -> int:
         """Number of measurements."""
@@ -940,7 +928,7 @@ class Tables(Identification, Breakdown):
 
     model: CalibratedModel = field(metadata={"key": None})
     reference: CalibratedModel = field(metadata={"key": None})
-    verdict: str = field(metadata={"key": "verdict.status"})
+    verdict: Annotated[str, OneOf(VERDICTS)] = field(metadata={"key": "verdict.status"})
     reason: str = field(metadata={"key": "verdict.reason"})
     errors: tuple[QuantityErrors, ...] = field(metadata={"by": "name"})
     covariance: NamedArray
@@ -1083,11 +1071,6 @@ class CalibrationResult(Tables):
     findings: tuple[Finding, ...] = ()
     provenance: Provenance = field(default_factory=Provenance, metadata={"key": ""})
     recalibration: Recalibration | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse a verdict that is none."""
-        if self.verdict not in VERDICTS:
-            raise ValueError(f"{self.verdict!r} is no verdict")
 
     @property
     def geometry(self) -> CalibratedModel | None:

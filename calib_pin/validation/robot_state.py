@@ -708,8 +708,8 @@ class Innovations:
             return Jump(*about, size * float(effects[0]), sigma, 0.0, *others)
         moved = change.directions @ effects * parameters.scales
         units = np.array([parameter.unit for parameter in parameters])
-        size, turn = (np.linalg.norm(moved[units == unit]) for unit in ("m", "rad"))
-        return Jump(*about, float(size), np.nan, float(turn), *others)
+        far, turn = (np.linalg.norm(moved[units == unit]) for unit in ("m", "rad"))
+        return Jump(*about, float(far), np.nan, float(turn), *others)
 
 
 def _scatter(problem: Problem, theta: Floats) -> float:

@@ -15,11 +15,7 @@ import calib_pin.estimation.formulation as formulation
 import calib_pin.validation.assessment as assessment
 import calib_pin.validation.model_errors as model_errors
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.fit import (
-    fit_model,
-    time_course,
-    with_time_course,
-)
+from calib_pin.estimation.fit import fit_model, time_course, with_time_course
 from calib_pin.estimation.fitted import Fit, as_weighted
 from calib_pin.estimation.problem import tool_points
 from calib_pin.kinematics.chains import Chains, Robots

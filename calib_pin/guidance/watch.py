@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,8 +26,8 @@ from calib_pin.measurement_models import declared
 from calib_pin.observations import Booleans, Observations, fitted_and_held_out
 from calib_pin.setup import ReadingSetup, Setup
 
-SETTLED = 1.0
-"""Age of a file from which what looks unfinished is what it is [s]."""
+SETTLED = 0.5
+"""Age of a file from which what another program writes to it is whole [s]."""
 
 FEW = 8
 """New rows up to which each is judged by those before it, while more are judged
@@ -76,10 +77,9 @@ class Watch:
         self._read, self._files, self._limit = read, tuple(files), limit
         self.proposals = proposals
         self._seed, self._searched, self._reviewed = seed, 0, 2 * FEW
-        self._stamp: tuple[Any, ...] | None = None
+        self._stamp: list[tuple[int, int]] | None = None
         self._problem, self._reached, self._reported = "", False, set[str]()
         self._known, self._aside = dict[Key, str](), set[Key]()
-        self._removed = list[str]()
         self._fitted: Fitted | None = None
         self.fit: Fit | None = None
         self.state: State | None = None
@@ -96,46 +96,38 @@ class Watch:
         Args:
             last: Whether no other look follows, so that nothing waits for it.
         """
-        stamp, unfinished = _stamp(self._files)
+        stamp = _stamp(self._files)
         if stamp == self._stamp:
             return
-        newest = max((entry[0] for entry in stamp if entry), default=0)
-        new = not last and time.time() - 1e-9 * newest < SETTLED
-        if new and unfinished:
-            return  # A half-written line waits.
+        if not last:
+            age = time.time() - 1e-9 * max((changed for changed, _ in stamp), default=0)
+            time.sleep(float(np.clip(SETTLED - age, 0.0, SETTLED)))
+        self._stamp = _stamp(self._files)
         try:
             chains, setup, rows = self._read()
             setup = replace(setup, reading=ReadingSetup())
             chains, (rows,) = fitting(chains, setup, fitted_and_held_out(rows)[0])
-            job = Fitted(chains, rows, setup, self._seed)
-            places = {key: rows.source(k) for k, key in enumerate(_keys(rows))}
-            gone = [place for key, place in self._known.items() if key not in places]
-            if new and gone != self._removed:
-                self._removed = gone
-                return  # A file that is written anew begins with nothing.
-            self._stamp, self._problem, self._removed = stamp, "", []
-            yield from self._update(job, places, gone)
+            yield from self._update(Fitted(chains, rows, setup, self._seed))
+            self._problem = ""
         except (CalibPinError, np.linalg.LinAlgError) as error:
-            if new and self._stamp != stamp:
-                return  # It may be half written.
-            self._stamp, text = stamp, one_line(str(error))
+            text = one_line(str(error))
             if text != self._problem:
                 self._problem = text
                 yield Event("problem" if self._known else "waiting", text)
 
-    def _update(
-        self, job: Fitted, places: dict[Key, str], gone: Sequence[str]
-    ) -> Iterator[Event]:
+    def _update(self, job: Fitted) -> Iterator[Event]:
         """Tell of rows that came and went, then of the job."""
-        rows, keys = job.rows, [*places]
+        rows, keys = job.rows, _keys(job.rows)
         self._aside &= {*keys}
         used = np.array([key in self._known and key not in self._aside for key in keys])
         new = [k for k in rows.in_order.tolist() if keys[k] not in self._known]
+        places = {key: rows.source(k) for k, key in enumerate(keys)}
+        gone = [place for key, place in self._known.items() if key not in places]
         self._known = places
         if gone:
             what = gone[0] if len(gone) == 1 else f"{len(gone)} rows"
             text = f"{what}: removed or corrected, no longer used as before"
-            yield Event("removed", text, {"places": [*gone]})
+            yield Event("removed", text, {"places": gone})
         units = _units(rows, new)
         if gone or self._fitted is None or len(units) > FEW:
             used[new] = len(units) > FEW
@@ -247,19 +239,14 @@ class Watch:
         self._reported = {*by_code}
 
 
-def _stamp(files: Sequence[Path]) -> tuple[tuple[Any, ...], bool]:
-    """Times of change and sizes of files, and whether one ends within a line."""
-    stamp, unfinished = list[Any](), False
+def _stamp(files: Sequence[Path]) -> list[tuple[int, int]]:
+    """Times of change [ns] and sizes of the files that are there."""
+    stamp = list[tuple[int, int]]()
     for file in files:
-        try:
+        with suppress(OSError):
             status = file.stat()
-            with file.open("rb") as stream:
-                stream.seek(max(status.st_size - 1, 0))
-                unfinished |= stream.read() not in (b"\n", b"\r")
             stamp.append((status.st_mtime_ns, status.st_size))
-        except OSError:
-            stamp.append(None)  # It is not there.
-    return tuple(stamp), unfinished
+    return stamp
 
 
 def _keys(rows: Observations) -> list[Key]:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 import calib_pin.estimation.nominal as nominal
 from calib_pin.compiled.threads import serial_blas
@@ -147,10 +146,8 @@ def simulate(
             if carried and not len(held.payload):
                 held = replace(held, payload=Labels.of(carried))
             at = nominal.unmeasured(problem, block, q[mask], targets, held)
-            if not at_once:
-                at = _measurable(problem, theta, at, strict)
-        if at_once:
-            at = _everything_seen(problem, theta, at, strict)
+        if at_once or count is None:
+            at = _measurable(problem, theta, at, at_once, strict)
         if declared.relative:
             at = _without_starts(at)
         elif "direction" in needed_conditions(problem.setup.parameters):
@@ -275,51 +272,34 @@ def _without_starts(at: Measurements) -> Measurements:
 
 
 def _measurable(
-    problem: Problem, theta: Floats, at: Measurements, strict: bool
+    problem: Problem, theta: Floats, at: Measurements, at_once: bool, strict: bool
 ) -> Measurements:
     """Configurations that can be measured; those of a contact where the tool touches.
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+        at: The configurations.
+        at_once: Whether all targets are measured that can be seen at each.
+        strict: Whether something has to be measured at each.
 
     Raises:
         InputError: If the instrument cannot measure at a configuration; where others
             may be left out, at none.
     """
-    seen = np.ones(len(at.q), bool)
-    if problem.terms[at.key].measurement.declaration.contact:
-        q, seen = nominal.brought_to_contact(problem, theta, at)
+    count, declared = len(at.q), problem.terms[at.key].measurement.declaration
+    if at_once:
+        names = nominal.named_targets(problem, at.key)
+        every = Labels(names, np.tile(np.arange(len(names)), count))
+        at = replace(at.rows(np.repeat(np.arange(count), len(names))), target=every)
+    touches = np.ones(len(at.q), bool)
+    if declared.contact:
+        q, touches = nominal.brought_to_contact(problem, theta, at)
         at = replace(at, q=q)
-    seen &= problem.observable(theta, at)
-    _require_seen(problem, at.key, seen, strict)
+    seen = touches & problem.observable(theta, at)
+    anything = seen.reshape(count, -1).any(axis=1)
+    if not (anything if strict else anything.any()).all():
+        which = f"configuration {int(np.argmin(anything)) + 1} cannot be measured"
+        reason = f"{which} ({at.key}): {declared.unmeasurable}"
+        raise InputError(reason, file=problem.setup.file or None)
     return at if seen.all() else at.rows(seen)
-
-
-def _everything_seen(
-    problem: Problem, theta: Floats, at: Measurements, strict: bool
-) -> Measurements:
-    """All targets that an instrument sees at each configuration, in their order.
-
-    Raises:
-        InputError: As for `_measurable`.
-    """
-    names = nominal.named_targets(problem, at.key)
-    each = at.rows(np.repeat(np.arange(len(at.q)), len(names)))
-    codes = np.tile(np.arange(len(names)), len(at.q))
-    each = replace(each, target=Labels(names, codes))
-    seen = problem.observable(theta, each)
-    visible = np.asarray(seen.reshape(-1, len(names)).any(axis=1))
-    _require_seen(problem, at.key, visible, strict)
-    return each.rows(seen)
-
-
-def _require_seen(
-    problem: Problem, key: BlockKey, seen: NDArray[np.bool_], strict: bool
-) -> None:
-    """Check that an instrument can measure, at every configuration if that is strict.
-
-    Raises:
-        InputError: If it cannot.
-    """
-    if seen.all() or (seen.any() and not strict):
-        return
-    which = f"configuration {int(np.argmin(seen)) + 1} cannot be measured ({key})"
-    why = problem.terms[key].measurement.declaration.unmeasurable
-    raise InputError(f"{which}: {why}", file=problem.setup.file or None)

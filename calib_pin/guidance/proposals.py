@@ -85,7 +85,6 @@ class Proposals:
     srdf: Path | None
     package_dirs: Sequence[Path]
     _known: tuple[Workspace, Candidates] | None = None
-    _degrees: bool | None = None
     _together: tuple[Floats, Indices] | None = None
 
     def check(self, chains: Chains, setup: Setup) -> None:
@@ -195,12 +194,11 @@ class Proposals:
 
     def _proposal(self, fitted: Fitted, q: Floats, target: str, count: int) -> Proposal:
         """A configuration in the names, units and signs of the measurement file."""
-        chains, joints = fitted.chains, fitted.setup.joints
-        if self._degrees is None and self.file is not None:  # As its header stays.
-            columns = read_table(self.file, columns=fitted.setup.columns).columns
-            units = (columns[n].unit for n in {*chains.joints, *joints} & {*columns})
-            self._degrees = "deg" in units
-        degrees = bool(self._degrees)
+        chains, joints, degrees = fitted.chains, fitted.setup.joints, False
+        if self.file is not None:
+            given = read_table(self.file, columns=fitted.setup.columns).columns.items()
+            turned = {name for name, column in given if column.unit == "deg"}
+            degrees = not turned.isdisjoint((*chains.joints, *joints))
         table = encode_configurations(
             chains, q[None], [target], joints=joints, degrees=degrees
         )

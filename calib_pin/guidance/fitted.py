@@ -179,11 +179,10 @@ class Fitted:
             ahead: Error of the tool point after 0, 1, ... further rows [m].
             seek: Whether to seek faults of all rows; they have been sought otherwise.
         """
-        model = self.model
-        if model is None:
-            return known, ()
-        if self.early and self._case is not None:
-            return known, find(self._case, seek=False).others
+        model, case = self.model, self._case
+        assert model is not None and case is not None
+        if self.early:
+            return known, find(case, seek=False).others
         try:
             errors = model_errors.fitted_errors(model, self.rows)
             held_out = check(model, self.rows, self.seed, validate=False)

@@ -291,8 +291,7 @@ def read_calibration(path: str | Path) -> CalibratedModel:
     Raises:
         InputError, OutputError, RobotError: As `read_result`.
     """
-    result, _ = read_written(path, measured=False)
-    return result.model
+    return read_written(path, measured=False)[0].model
 
 
 def doubt_of(result: CalibrationResult | None, path: str | Path | None) -> str:

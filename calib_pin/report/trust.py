@@ -116,11 +116,11 @@ def _ordered(items: Iterable[Finding]) -> list[Finding]:
 
 def below(text: str, items: Iterable[Finding]) -> str:
     """A text without the lines of findings, which stand below it."""
-    from calib_pin.validation.findings.sentences import written
-
     for finding in items:
-        lines = f"state in the setup file: {written(finding.setup)}"
         if finding.setup:
+            from calib_pin.validation.findings.sentences import written
+
+            lines = f"state in the setup file: {written(finding.setup)}"
             text = text.replace(lines, "add the lines below to the setup file")
     return text
 

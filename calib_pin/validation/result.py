@@ -156,10 +156,9 @@ class MeasurementErrors:
     def components(self) -> tuple[str, ...]:
         """Names of the residual components, such as `position.x`."""
         return tuple(
-            f"{quantity.name}.{axis}" if len(axes) > 1 else quantity.name
+            f"{quantity.name}.{axis}" if quantity.dimension > 1 else quantity.name
             for quantity in self.quantities
-            for axes in [AXES[: quantity.columns.stop - quantity.columns.start]]
-            for axis in axes
+            for axis in AXES[: quantity.dimension]
         )
 
     def table(self, name: str, directions: bool = False) -> dict[str, Sequence[Any]]:

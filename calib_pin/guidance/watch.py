@@ -78,7 +78,8 @@ class Watch:
         self.proposals = proposals
         self._seed, self._searched, self._reviewed = seed, 0, 2 * FEW
         self._stamp: list[tuple[int, int]] | None = None
-        self._problem, self._reached, self._reported = "", False, set[str]()
+        self._problem, self._unplanned = "", ""
+        self._reached, self._reported = False, set[str]()
         self._known, self._aside = dict[Key, str](), set[Key]()
         self._fitted: Fitted | None = None
         self.fit: Fit | None = None
@@ -212,7 +213,9 @@ class Watch:
             self.next, ahead = self.proposals.ahead(fitted, rows)
         except CalibPinError as error:  # What is known of the rows stands.
             self.next, ahead = None, ()
-            yield Event("problem", one_line(str(error)))
+            if (text := one_line(str(error))) != self._unplanned:
+                self._unplanned = text
+                yield Event("problem", text)
         if fitted.model is None:
             yield Event("waiting", f"{counted(count, 'row')}: {fitted.reason}")
         else:

@@ -85,12 +85,13 @@ def tiles(result: CalibrationResult) -> Iterator[Tile]:
         )
     if result.verdict not in TRUSTED or result.verdict == "no-gain":
         return
+    used_by = URDF * (result.model.setup.learned is not None)
     for chain, tool in result.accuracies.items():
         if (tip := tool.workspace) is not None:
             of = f" of {chain or 'the robot'}" if len(result.accuracies) > 1 else ""
             yield Tile(
                 label=f"expected tool-point error{of} over the workspace, rms",
-                steps=(_step("", tip.nominal[0], tip.calibrated[0], "m"),),
+                steps=(_step(used_by, tip.nominal[0], tip.calibrated[0], "m"),),
                 unit=unit_of("m")[0],
                 remark=f"better than nominal with probability {percent(tip.better)}",
             )

@@ -340,7 +340,9 @@ def _rules(judgement: Judgement) -> Iterator[tuple[str, str]]:
     if (bound := workspace.bound.position) > UNCERTAIN * calibrated:
         expected += f" (95 %: below {shown(bound, 'm', 3)})"
     expected += f" instead of {shown(nominal, 'm', 3)} are expected"
-    expected = f"over the workspace{chain} {expected}"
+    expected = (
+        f"over the workspace{chain} {expected}{_if_learned(judgement, calibrated)}"
+    )
     unsure = f"the corrected robot is better where it was measured, but {expected}, "
     unsure += f"better with a probability of only {100.0 * workspace.better:.0f} %; "
     unsure += _advice(judgement, "measure configurations that differ more")
@@ -431,6 +433,28 @@ def _if_noise(judgement: Judgement, promised: float) -> str:
         return ""
     size = shown(rms, "m", 3)
     return f" if the {size} that are left are noise; state it, or repeat measurements"
+
+
+def _if_learned(judgement: Judgement, alone: float) -> str:
+    """The ways to use what was learned, which no URDF holds, and what they promise.
+
+    At configurations like the measured ones errors are as on held-out measurements, and
+    elsewhere, where a correction fades, those of the URDF.
+
+    Args:
+        judgement: What is judged.
+        alone: Error that is expected of the corrected URDF [m].
+    """
+    learned, quantity = judgement.fitted.learned, judgement.errors[0]
+    (tip, *_), held = judgement.accuracies.values(), quantity.validation_after
+    if learned is None:
+        return ""
+    text = " of the URDF alone"
+    if quantity.unit == "m" and tip.tip is not None and held is not None:
+        near = float(learned.model.region.inside(tip.tip.q).mean())
+        size = np.sqrt(near * held.rms**2 + (1.0 - near) * alone**2)
+        text += f", at most {shown(size, 'm', 3)} with what was learned"
+    return text
 
 
 def _if_board(judgement: Judgement) -> str:

@@ -281,3 +281,23 @@ def test_a_promise_of_images_tells_what_a_wrong_board_costs(unsought) -> None:
     assert 0.5 < np.linalg.norm(moved) / (1e-3 * float(number)) < 1.05
     offsets = replace(job.setup, parameters=("joint-offset",))
     assert "of the board" not in calib_pin.calibrate(job.chain, rows, offsets).reason
+
+
+def test_the_urdf_and_what_was_learned_have_a_promise_each() -> None:
+    """Gears are learned, which no URDF holds."""
+    gears = Setup(parameters=("placement", "transmission"))
+    problem, truth = simulated("position", gears, 60, 1.0, seed=4, noise=5e-5)
+    setup = Setup(learned="gaussian-process")
+    result = calib_pin.calibrate(problem.chains, problem.data, setup)
+    q, error = result.accuracies[""].tip.q, problem.only.error
+    true = error.poses(q, truth[problem.only.of_error])[:, :3, 3]
+    models = result.urdf.model, result.model
+    apart = [np.linalg.norm(m.of().poses(q)[:, :3, 3] - true, axis=1) for m in models]
+    alone, learned = (1e3 * np.sqrt(np.mean(e**2)) for e in apart)
+    _, _, text = result.reason.partition("over the workspace ")
+    assert " of the URDF alone, at most " in text
+    promised = [float(words.split()[0]) for words in text.split("at most ")]
+    assert 0.5 < alone / promised[0] < 1.5
+    assert 0.3 < learned / promised[1] < 1.0 and learned < 0.2 * alone
+    lacking = next(f for f in result.findings if f.code == "model-lacks")
+    assert "not estimated here but learned" in lacking.message

@@ -574,6 +574,8 @@ def families(case: Case) -> tuple[Finding, ...]:
     names, remaining = case.lacking
     before, part = case.fit.errors, float(np.sqrt(remaining))
     judged: Severity = "info" if part >= FITTED else "warning"
+    # The URDF lacks them all the same.
+    learned = " but learned" * (case.fitted is not None and bool(case.fitted.learned))
     numbers = held_numbers(case) if names else {}
     faults = [numbers[name] for name in names if name in numbers]
     if new := [name for name in names if name not in numbers]:
@@ -583,7 +585,7 @@ def families(case: Case) -> tuple[Finding, ...]:
         share = "most" if judged == "warning" else "a part"
         missing = Alternative(
             "model-lacks",
-            f"{enumerated(new)}, not estimated here, can explain {share} of it",
+            f"{enumerated(new)}, not estimated here{learned}, can explain {share} of it",
             "the model",
             lines={"parameters": parameters},
             advice=f"estimate them: --parameters {','.join(parameters)}",

@@ -47,7 +47,7 @@ def accept(asked: Accept) -> int:
     with printing.progress_bar(quiet=asked.quiet) as bar:
         measured, rows = files.open_rows(asked, paths, chains, used, bar=bar)
         with in_file(str(paths[0])):
-            outcome = acceptance.tested(
+            tests, about = acceptance.tested(
                 calibrated or measured,
                 rows,
                 used,
@@ -57,16 +57,15 @@ def accept(asked: Accept) -> int:
             )
     for doubt in doubts:
         printing.notice(doubt)
-    tests = outcome.tests
-    blocks = [*acceptance_text.acceptance_report(tests, limit, outcome.about)]
+    blocks = [*acceptance_text.acceptance_report(tests, limit, about)]
     contents = {}
     if made:
         figure = next(figures.drawn("acceptance", tests, limit))
-        about = dated(entries), outcome.about
-        cover = acceptance_cover(tests, limit, chains.robot, *about, figure=figure)
+        stated = dated(entries), about
+        cover = acceptance_cover(tests, limit, chains.robot, *stated, figure=figure)
         data = (
             json_text.encode(acceptance_document(tests, limit)),
-            measurements.encode_table(outcome.table(), [outcome.about]),
+            measurements.encode_table(acceptance.visits_table(tests), [about]),
             html.acceptance_page(cover, blocks),
             *(pdf_report(cover, blocks) for _ in made[3:]),
         )

@@ -58,8 +58,8 @@ from calib_pin.validation.result import CalibrationResult
 MODELS = ("position", "pose")
 """Measurement models that tell where a point is."""
 
-LEVEL = 0.95
-"""Probability that an interval holds the true value."""
+TAILS = 0.5 - 0.5 * 0.95, 0.5 + 0.5 * 0.95
+"""Probabilities of lower values than the ends of an interval."""
 
 CHANCE = 0.01
 """Probability with which a test without any fault is told to have one of a kind."""
@@ -231,10 +231,11 @@ def acceptance(
     tested_poses = [k for k in np.argsort(numbers) if len(visits[k]) >= LEAST]
     if not tested_poses:
         most = max(map(len, visits), default=0)
-        reason = f"no pose was visited {LEAST} times: {counted(len(first), 'pose')}, "
-        reason += f"at most {counted(most, 'visit')} of one"
-        allowed = "repeated poses, by their commanded joint positions; 'plan --accept "
-        raise InputError(reason, allowed=f"{allowed}--cycles N' asks for them")
+        found = (
+            f"{counted(len(first), 'pose')}, at most {counted(most, 'visit')} of one"
+        )
+        reason = f"no pose was visited {LEAST} times: {found}"
+        raise InputError(reason, allowed="those of 'plan --accept --cycles N'")
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
     for k in tested_poses:
@@ -346,8 +347,8 @@ def _sizes(deviations: Floats) -> tuple[float, float]:
 
 
 def student(dof: float) -> float:
-    """Standard deviations of Student's t to either side that hold `LEVEL`."""
-    return student_quantile(dof, 0.5 - 0.5 * LEVEL)
+    """Standard deviations of Student's t to either side that hold an interval."""
+    return student_quantile(dof, TAILS[0])
 
 
 def _mean(values: Floats, effect: Floats, dof: float) -> Interval:
@@ -367,7 +368,7 @@ def _mean(values: Floats, effect: Floats, dof: float) -> Interval:
 def _three_sigma(values: Floats) -> Interval:
     """Three standard deviations with the chi-square interval, of shape (n,)."""
     dof, s = len(values) - 1, 3.0 * float(values.std(ddof=1))
-    few, many = (chi_square_quantile(dof, 0.5 + k * LEVEL) for k in (0.5, -0.5))
+    few, many = (chi_square_quantile(dof, part) for part in TAILS[::-1])
     return Interval(s, s * (dof / many) ** 0.5, s * (dof / few) ** 0.5)
 
 
@@ -414,8 +415,8 @@ def _length(m: Floats, noise: Floats) -> Interval:
     true = np.sqrt(np.maximum(length**2 - squares + along**2, 0.0)) - along
     # A larger error than what was found leaves open whether there is any length.
     least = np.where(squares < length**2, true, 0.0)
-    ends = (0.5 - 0.5 * LEVEL, least), (0.5 + 0.5 * LEVEL, np.maximum(true, 0.0))
-    low, high = (np.quantile(e, part, method="inverted_cdf") for part, e in ends)
+    ends = zip((least, np.maximum(true, 0.0)), TAILS, strict=True)
+    low, high = (np.quantile(*end, method="inverted_cdf") for end in ends)
     return Interval(length, float(low), float(high))
 
 
@@ -430,7 +431,7 @@ def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
     tests = _normal(C, (DRAWS, n), rng)
     radii = np.linalg.norm(tests - tests.mean(axis=1, keepdims=True), axis=2)
     ratios = (radii.mean(axis=1) + 3.0 * radii.std(axis=1, ddof=1)) / true
-    low, high = np.quantile(ratios, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+    low, high = np.quantile(ratios, TAILS)
     return Interval(RP, RP / float(high), RP / float(low))
 
 
@@ -491,28 +492,15 @@ def worst(intervals: Sequence[Interval]) -> Interval:
     return Interval(*map(max, zip(*intervals, strict=True)))
 
 
-@dataclass(frozen=True)
-class Tested:
-    """An acceptance test.
-
-    Attributes:
-        tests: The test by the robot that the commanded poses are of, `nominal` before
-            `calibrated`.
-        about: The robot, the poses and the frames, in a sentence.
-    """
-
-    tests: Mapping[str, Acceptance]
-    about: str
-
-    def table(self) -> dict[str, Sequence[object]]:
-        """A table by robot and pose, in SI units."""
-        columns = [f"{quantity}{end} [m]" for quantity in ("AP", "RP") for end in ENDS]
-        rows = []
-        for name, p in ((name, p) for name, t in self.tests.items() for p in t.poses):
-            vAP = "" if p.directions is None else p.directions
-            rows.append((name, p.pose, p.visits, *p.accuracy, *p.repeatability, vAP))
-        titles = ("robot", "pose", "visits", *columns, "vAP [m]")
-        return dict(zip(titles, zip(*rows, strict=True), strict=True))
+def visits_table(tests: Mapping[str, Acceptance]) -> dict[str, Sequence[object]]:
+    """A table by robot and pose, in SI units."""
+    columns = [f"{quantity}{end} [m]" for quantity in ("AP", "RP") for end in ENDS]
+    rows = []
+    for name, p in ((name, p) for name, t in tests.items() for p in t.poses):
+        vAP = "" if p.directions is None else p.directions
+        rows.append((name, p.pose, p.visits, *p.accuracy, *p.repeatability, vAP))
+    titles = ("robot", "pose", "visits", *columns, "vAP [m]")
+    return dict(zip(titles, zip(*rows, strict=True), strict=True))
 
 
 @serial_blas
@@ -524,7 +512,7 @@ def tested(
     registration: bool = False,
     named: Names | None = None,
     doubts: Sequence[str] = (),
-) -> Tested:
+) -> tuple[dict[str, Acceptance], str]:
     """Test a robot on repeated visits of poses.
 
     Args:
@@ -539,17 +527,21 @@ def tested(
             and its `cycle`, each as far as there are such.
         doubts: Why no limit passes whatever the visits are, in sentences.
 
+    Returns:
+        The test by the robot that the commanded poses are of, `nominal` before
+        `calibrated`; and the robot, the poses and the frames, in a sentence.
+
     Raises:
         InputError: If they are of something else, no pose was visited often enough, or
             names contradict each other.
     """
     if len(rows.blocks) != 1 or rows.blocks[0].model not in MODELS:
-        listed = ", ".join(dict.fromkeys(block.model for block in rows.blocks))
+        listed = ", ".join(rows.models)
         reason = "an acceptance test needs positions or poses from one station"
         raise InputError(reason, value=listed, allowed=" or ".join(MODELS))
-    visits, others = rows, None
-    if rows.validate.any() and not rows.validate.all():
-        visits, others = rows.rows(rows.validate), rows.rows(~rows.validate)
+    visits, others = rows.rows(rows.validate), rows.rows(~rows.validate)
+    if alone := len(visits) in (0, len(rows)):
+        visits = rows
     time = visits.conditions.time if len(visits.conditions.time) else visits.lines
     order = np.lexsort((visits.lines, time, visits.files.codes))
     visits = Observations((visits.only.rows(order),))
@@ -564,46 +556,46 @@ def tested(
     if moved is not None:
         place = places[np.flatnonzero(good)[moved]]
         doubts += [f"the instrument was moved before {place}; test both parts alone"]
+    others = visits if alone else others
     frames, fitted, origin, more = _frames(robot, visits, others, setup, registration)
     doubts, elsewhere, shaken = (*doubts, *more), ELSEWHERE in more, moved is not None
     tests = {}
     for name, fit in frames.items():
-        visited_fit = model_errors.registered(fit.problem, fit.theta, visits)
-        deviations = -error_table(visited_fit.problem, visited_fit.theta)
-        effects = _derivatives(visited_fit.problem, visited_fit.theta) @ fit.known
+        there = model_errors.registered(fit.problem, fit.theta, visits)
+        deviations = -error_table(there.problem, there.theta)
+        effects = _derivatives(there.problem, there.theta) @ fit.known
         uncertainty = FrameErrors(effects, fit.dof or np.inf, fitted)
         test = acceptance(x, deviations, number[good], cycle[good], uncertainty)
         tests[name] = replace(test, doubts=doubts, moved=shaken, elsewhere=elsewhere)
     name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
     visited = f"{counted(len(x), 'visit')} of {counted(len(test.poses), 'pose')}"
-    return Tested(tests, f"{name}: {visited}; {origin}.")
+    return tests, f"{name}: {visited}; {origin}."
 
 
 def _frames(
     robot: Chains | CalibrationResult,
     visits: Observations,
-    others: Observations | None,
+    rows: Observations,
     setup: Setup,
     registration: bool,
 ) -> tuple[dict[str, FrameFit], str, str, list[str]]:
     """Robots, what of them was fitted to the visits, where frames are of, and doubts.
 
-    Registered frames come before stated ones.
+    Registered frames, on other rows or on the visits themselves, come before stated
+    ones.
     """
-    rows, source, doubts = visits, "fitted to these visits", list[str]()
-    alone = others is None
-    if others is not None:
-        rows = others
+    alone, doubts, source = rows is visits, list[str](), "fitted to these visits"
+    if not alone:
         source = f"registered on {counted(len(rows), 'other measurement')}"
     if isinstance(robot, Chains):
-        fit = _as_stated(robot, rows, setup)
-        what, origin = "base and tool were", "base and tool as stated"
+        fit, origin = _as_stated(robot, rows, setup), "base and tool as stated"
         if not alone or not np.isfinite(fit.known).all():
             problem, solution = register(fit.problem, fit.theta)
             nuisance = problem.parameters.free & problem.parameters.nuisance
             fit = _frame_fit(problem, solution.x, nuisance, alone)
             origin = f"base and tool {source}"
-        return {"robot": fit}, "" if fit.dof else f"{what} {source}", origin, doubts
+        fitted = f"base and tool were {source}" * (fit.dof == 0)
+        return {"robot": fit}, fitted, origin, doubts
     models = {"nominal": robot.reference, NOW: robot.model}
     elsewhere = visits.keys[0] not in robot.model.problem(visits).terms
     if registration or elsewhere or not alone:
@@ -618,9 +610,8 @@ def _frames(
             for name, model in models.items()
         }
         again = _at_station(robot.model, visits)
-        was, now = (
-            np.linalg.norm(error_table(*f[:2])[:, :3]) for f in (fits[NOW], again)
-        )
+        tables = (error_table(f.problem, f.theta) for f in (fits[NOW], again))
+        was, now = (np.linalg.norm(table[:, :3]) for table in tables)
         # A station uses up all values of a pose: what a robot leaves has to tell.
         limit = error_limit(again.problem, "m") * len(visits) ** 0.5
         if again.dof:
@@ -629,8 +620,7 @@ def _frames(
         doubts += [ELSEWHERE] * bool(was > limit)
         origin = "base and tool as calibrated"
     origin += " (nominal robot: as registered on the calibration's measurements)"
-    fitted = "" if fits[NOW].dof else f"the station was {source}"
-    return fits, fitted, origin, doubts
+    return fits, f"the station was {source}" * (fits[NOW].dof == 0), origin, doubts
 
 
 def _pose_numbers(
@@ -644,7 +634,7 @@ def _pose_numbers(
     """
     places = [*zip(visits.files, visits.lines.tolist(), strict=True)]
     pose, turn = (named.get(column, {}) for column in ("pose", "cycle"))
-    for column, names in (("pose", pose), ("cycle", turn)):
+    for column, names in named.items():
         lacking = [row for row, place in enumerate(places) if place not in names]
         if names and lacking:
             reason = f"the visit names no {column}, others do"
@@ -670,11 +660,11 @@ def _pose_numbers(
         # Every file counts its own cycles.
         cycle = cycle + visits.files.codes * int(cycle.max())
         cycles = {*cycle}
-    missing = [
-        f"P{p} lacks {len(gaps)} of {len(cycles)} cycles: {enumerated(map(str, gaps))}"
-        for p in sorted(poses)
-        if (gaps := sorted(cycles - {*cycle[number == p]}))
-    ]
+    missing = list[str]()
+    for p in sorted(poses):
+        if gaps := sorted(cycles - {*cycle[number == p]}):
+            listed = enumerated(map(str, gaps))
+            missing.append(f"P{p} lacks {len(gaps)} of {len(cycles)} cycles: {listed}")
     return number, cycle, missing
 
 

@@ -248,8 +248,8 @@ def test_one_pose_tells_no_station_from_an_error(calibration, poses, moved, told
     q = np.tile(problem.only.error.chain.random_configurations(poses, rng), (10, 1))
     visited = calib_pin.simulate(problem, truth, rng, q=q, noise=1e-6).only
     visited = replace(visited, values=visited.values + moved * np.eye(3)[0])
-    test = run(result, Observations.of(visited), result.model.setup)
-    assert test.tests["calibrated"].elsewhere == told
+    tests, _ = run(result, Observations.of(visited), result.model.setup)
+    assert tests["calibrated"].elsewhere == told
 
 
 def test_angles_hide_no_move_of_the_instrument() -> None:
@@ -262,5 +262,5 @@ def test_angles_hide_no_move_of_the_instrument() -> None:
     visited = calib_pin.simulate(problem, truth, rng, q=q).only
     for moved in (0.0, 5e-3):
         there = replace(visited, values=visited.values + moved * np.eye(7)[0])
-        test = run(result, Observations.of(there), setup).tests["calibrated"]
-        assert test.elsewhere == (moved > 0.0)
+        tests, _ = run(result, Observations.of(there), setup)
+        assert tests["calibrated"].elsewhere == (moved > 0.0)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +32,6 @@ from calib_pin.validation.result import Accuracy, DistanceCheck, QuantityErrors
 
 ARRAYS = ("positions", "before", "after", "variance")
 """Those that have a row for each measurement."""
-
-Pair: TypeAlias = tuple[Accuracy | None, Accuracy | None]
-"""Accuracy before and after; None where no measurement has any."""
 
 
 @dataclass(frozen=True)
@@ -83,22 +78,11 @@ class ModelErrors:
             return self
         return replace(self, **{name: getattr(self, name)[index] for name in ARRAYS})
 
-    def accuracy(self, quantity: Quantity) -> Pair:
+    def accuracy(self, quantity: Quantity) -> tuple[Accuracy | None, Accuracy | None]:
         """Accuracy of a quantity before and after; None where none has it."""
-        place = quantity.columns.start, quantity.columns.stop
-        if place not in self._accuracies:
-            sizes = (quantity.errors(e) for e in (self.before, self.after))
-            before, after = (Accuracy.of(s) if len(s) else None for s in sizes)
-            self._accuracies[place] = before, after
-        return self._accuracies[place]
-
-    @cached_property
-    def _accuracies(self) -> dict[tuple[int, int], Pair]:
-        """Accuracies that have been asked for, by their columns.
-
-        The verdict, the result and every station, tool and chain ask for them.
-        """
-        return {}
+        sizes = (quantity.errors(errors) for errors in (self.before, self.after))
+        before, after = (Accuracy.of(size) if len(size) else None for size in sizes)
+        return before, after
 
     def counted(self, weight: Floats) -> ModelErrors:
         """Those that are not set aside; all of them where no other is left.
@@ -269,41 +253,23 @@ def registered(
         InputError: If a new station or reference object uses up all that its
             measurements say, or they are of something that was not fitted.
     """
-    known, before = set(problem.parameters.names), located_names(problem)
+    known, located = set(problem.parameters.names), located_names(problem)
     problem, theta = extended(problem, theta, measurements)
+    new, reason, used_up = list[int](), "", 0
     if anew:
-        return registered_anew(problem, theta, before)
-    located = tuple(n for n in located_names(problem) if n not in before)
-    names, free = problem.parameters.names, problem.parameters.free
-    new = tuple(k for k, name in enumerate(names) if name not in known and free[k])
-    if not new:
-        return Registered(problem, theta, located=located)
-    plain = replace(problem, setup=replace(problem.setup, distances=()))
-    _require_redundancy(plain, theta, new)
-    basis = np.diag(problem.parameters.scales)[:, list(new)]
-    theta = least_squares(plain, theta, basis).x
-    return Registered(problem, theta, new, located=located)
-
-
-def registered_anew(
-    problem: Problem, theta: Floats, before: Collection[str]
-) -> Registered:
-    """A problem with base, tool and instrument fitted to its measurements.
-
-    Args:
-        problem: The problem.
-        theta: Parameter values, shape (P,).
-        before: Names of what has been located before.
-    """
-    problem, result = register(problem, theta)
-    return Registered(
-        problem,
-        result.x,
-        registered=True,
-        reason=registration_reason(problem, result),
-        located=tuple(n for n in located_names(problem) if n not in before),
-        used_up=_used_up(problem, result),
-    )
+        problem, result = register(problem, theta)
+        theta, used_up = result.x, _used_up(problem, result)
+        reason = registration_reason(problem, result)
+    else:
+        names = enumerate(problem.parameters.names)
+        new = [k for k, n in names if n not in known and problem.parameters.free[k]]
+    if new:
+        plain = replace(problem, setup=replace(problem.setup, distances=()))
+        _require_redundancy(plain, theta, new)
+        basis = np.diag(problem.parameters.scales)[:, new]
+        theta = least_squares(plain, theta, basis).x
+    there = tuple(name for name in located_names(problem) if name not in located)
+    return Registered(problem, theta, tuple(new), (), anew, reason, there, used_up)
 
 
 def _used_up(problem: Problem, result: LeastSquaresResult) -> int:

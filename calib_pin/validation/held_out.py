@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +17,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, Gain
-from calib_pin.estimation.fit import (
-    fit_model,
-    learned_without,
-)
+from calib_pin.estimation.fit import fit_model, learned_without
 from calib_pin.estimation.fitted import (
     Fit,
     Posterior,
@@ -165,19 +161,18 @@ def left_out(
     if not masks or fit.problem.station_parameters:
         # The elimination of stations is no sum over groups.
         return result
-    robots, solutions = Linear.of(fit), dict[int, tuple[Rest, Rest]]()
+    nominal, fitted = Linear.of(fit)
+    solutions = dict[int, tuple[Floats, Floats, Floats]]()
     for k, mask in enumerate(masks):
-        before, after = (solution_without(robot, mask) for robot in robots)
-        if before is not None and after is not None:
-            solutions[k] = before, after
+        first, second = solution_without(nominal, mask), solution_without(fitted, mask)
+        if first is not None and second is not None:
+            solutions[k] = first[0], *second
     corrections = dict[int, LearnedCorrection]()
     if fit.learned is not None:
-        rng = np.random.default_rng(seed)
-        parts = [masks[k] for k in solutions]
+        parts, rng = [masks[k] for k in solutions], np.random.default_rng(seed)
         retrained = learned_without(fit.learned, fit, parts, rng)
         corrections = dict(zip(solutions, retrained, strict=True))
-    for k, (nominal, fitted) in solutions.items():
-        rows, theta = fit.problem.data.rows(masks[k]), fitted.theta
+    for k, (uncalibrated, theta, inner) in solutions.items():
         problem, deviations = fit.problem, fit.posterior
         if k in corrections:
             of_error = np.concatenate([t.of_error for t in problem.terms.values()])
@@ -188,11 +183,12 @@ def left_out(
             problem = fit.solved.problem.learning(correction)
             theta = fit.solved.theta + step
         elif not problem.many:
-            deviations = _deviations(fit, robots[1], fitted, masks[k])
-        uncalibrated = Registered(replace(fit.problem, data=rows), nominal.theta)
-        calibrated = Registered(replace(problem, data=rows), theta)
-        given = np.flatnonzero(masks[k]), deviations
-        errors = errors_of_registered(fit, uncalibrated, calibrated, *given)
+            deviations = _deviations(fit, fitted, inner, masks[k])
+        both = (fit.problem, uncalibrated), (problem, theta)
+        data = fit.problem.data.rows(masks[k])
+        before, after = (Registered(replace(p, data=data), x) for p, x in both)
+        given = before, after, np.flatnonzero(masks[k]), deviations
+        errors = errors_of_registered(fit, *given)
         result[k] = replace(errors, reason=unusable(fit))
     return result
 
@@ -204,30 +200,21 @@ def unusable(fitted: Fit) -> str:
     return "" if fitted.result.status.success else "it did not converge"
 
 
-class Rest(NamedTuple):
-    """A fit without a group of measurements.
-
-    Attributes:
-        theta: Parameter values, shape (P,).
-        inner: K of `N_g^-1 = (F K) (F K)^T`, shape (k, k').
-    """
-
-    theta: Floats
-    inner: Floats
-
-
-def solution_without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
-    """A solution without some measurements.
+def solution_without(
+    robot: Linear, mask: NDArray[np.bool_]
+) -> tuple[Floats, Floats] | None:
+    """A solution without a group of measurements.
 
     Args:
         robot: The solution of all N measurements.
         mask: Those that are left out, shape (N,).
 
     Returns:
-        The solution; None where the others do not determine it, as the place of a
-        socket that only these name, or the problem is not linear enough to tell, see
-        `BENT`. Of so many measurements that they are not linearized one by one, one
-        step is all there is to make.
+        Parameter values, shape (P,), and K of `N_g^-1 = (F K) (F K)^T`, shape (k, k');
+        None where the others do not determine them, as the place of a socket that only
+        these name, or the problem is not linear enough to tell, see `BENT`. Of so many
+        measurements that they are not linearized one by one, one step is all there is
+        to make.
     """
     problem, F, fun = robot.problem, robot.factor, robot.fun
     group = replace(problem, data=problem.data.rows(mask))
@@ -250,26 +237,25 @@ def solution_without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     else:
         return None
     least, most = problem.parameters.bounds
-    if ((theta < least) | (theta > most)).any():
-        return None
-    return Rest(theta, inner)
+    inside = ((theta >= least) & (theta <= most)).all()
+    return (theta, inner) if inside else None
 
 
 def _deviations(
-    fit: Fit, robot: Linear, rest: Rest, mask: NDArray[np.bool_]
+    fit: Fit, robot: Linear, inner: Floats, mask: NDArray[np.bool_]
 ) -> Posterior:
     """Deviations of a fit without a group of measurements, see `fitted.posterior`.
 
     Args:
         fit: The fit of all measurements.
         robot: Its solution.
-        rest: That without the group.
+        inner: K of that without the group, see `solution_without`.
         mask: The group, shape (N,).
     """
     problem, layout, noise = fit.problem, fit.problem.layout, fit.posterior.noise
     shared = shared_variances(problem, fit.noise, noise)
-    count, moved = len(layout.row), robot.factor @ rest.inner
-    others = robot.columns[:count] @ rest.inner
+    count, moved = len(layout.row), robot.factor @ inner
+    others = robot.columns[:count] @ inner
     others[mask[layout.row]] = 0.0
     by_effects = moved @ (others.T @ fit.effect_rows)
     # Where their noise is not one, and repetitions have a part of it in common.
@@ -406,29 +392,30 @@ def check(
     """
     training = as_weighted(fitted, training)
     grouping = Grouping.of(training, fitted.problem.setup)
-    problem = replace(fitted.problem, data=training)
-    pressed: tuple[Gain, ...] = ()
+    problem, result = replace(fitted.problem, data=training), HeldOut(training)
+    if validate and validation is not None:
+        result = _check_on(fitted, training, validation, method)
+    elif validate:
+        if parts is None:
+            masks = folds(grouping, fitted, seed)
+            parts = [*cross_validate(fitted, training, masks, seed, progress, workers)]
+        # A fit that fails without its fold says nothing about the robot.
+        usable = tuple(part for part in parts if not part.reason)
+        held = [
+            part.positions[training.weight[part.positions] > 0.0] for part in usable
+        ]
+        joined = np.concatenate([np.zeros(0, np.intp), *held])
+        if training.rows(joined).configurations < FEWEST_HELD_OUT:
+            usable = ()
+        name = grouping.validation_name(len(usable))
+        tests = gains(name, problem, usable, grouping.clusters)
+        skipped = tuple(part.reason for part in parts if part.reason)
+        result = HeldOut(training, usable, name, tests, skipped=skipped)
     if fitted.dof > 0:  # Without redundancy the hat matrix says nothing.
         press = press_check(fitted, grouping.groups)
-        pressed = gains(PRESS, problem, [press], grouping.clusters)
-    if not validate:
-        return HeldOut(training, gains=pressed)
-    if validation is not None:
-        held_out = _check_on(fitted, training, validation, method)
-        return replace(held_out, gains=held_out.gains + pressed)
-    if parts is None:
-        masks = folds(grouping, fitted, seed)
-        parts = tuple(cross_validate(fitted, training, masks, seed, progress, workers))
-    # A fit that fails without its fold says nothing about the robot.
-    usable = tuple(part for part in parts if not part.reason)
-    counted = [part.positions[training.weight[part.positions] > 0.0] for part in usable]
-    held = np.concatenate([np.zeros(0, np.intp), *counted])
-    if training.rows(held).configurations < FEWEST_HELD_OUT:
-        usable = ()
-    name = grouping.validation_name(len(usable))
-    tests = gains(name, problem, usable, grouping.clusters) + pressed
-    skipped = tuple(part.reason for part in parts if part.reason)
-    return HeldOut(training, usable, name, tests, skipped=skipped)
+        tests = gains(PRESS, problem, [press], grouping.clusters)
+        result = replace(result, gains=result.gains + tests)
+    return result
 
 
 def cross_validate(

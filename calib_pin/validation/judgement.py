@@ -48,13 +48,11 @@ SCALE = (
 )
 """Why a robot of unknown size must not be trusted."""
 
-KNOWN_LENGTH = {
-    False: "add a known length: a distance between two sockets, say ('distances' in "
-    "the setup file), or a length of the robot that is held ('fixed')",
-    True: "the stated distances are too uncertain, or their ends are not measured, or "
-    "set aside",
-}
-"""The advice, by whether distances are stated."""
+KNOWN_LENGTH = (
+    "add a known length: a distance between two sockets, say ('distances' in the setup "
+    "file), or a length of the robot that is held ('fixed')"
+)
+"""The advice then."""
 
 CHECK = (
     "check the base and tip links, the joint columns with their signs and offsets, and "
@@ -335,9 +333,8 @@ def _rules(judgement: Judgement) -> Iterator[tuple[str, str]]:
         yield "good", f"{gain} on {held}"
         return
     nominal, calibrated = workspace.nominal.position, workspace.calibrated.position
-    usual = expected_size("m")
-    expected = shown(calibrated, "m", 3)
-    if (bound := workspace.bound.position) > UNCERTAIN * calibrated:
+    bound, expected = workspace.bound.position, shown(calibrated, "m", 3)
+    if bound > UNCERTAIN * calibrated:
         expected += f" (95 %: below {shown(bound, 'm', 3)})"
     expected += f" instead of {shown(nominal, 'm', 3)} are expected"
     expected = (
@@ -346,7 +343,8 @@ def _rules(judgement: Judgement) -> Iterator[tuple[str, str]]:
     unsure = f"the corrected robot is better where it was measured, but {expected}, "
     unsure += f"better with a probability of only {100.0 * workspace.better:.0f} %; "
     unsure += _advice(judgement, "measure configurations that differ more")
-    if better and workspace.better < LIKELY and nominal <= min(bound, usual):
+    small = nominal <= min(bound, expected_size("m"))
+    if better and workspace.better < LIKELY and small:
         # As good as robots are, and perhaps no better where it was not measured.
         yield "no-gain", unsure
     if workspace.better >= SURE:
@@ -364,17 +362,16 @@ def _rules(judgement: Judgement) -> Iterator[tuple[str, str]]:
 def _distrust(judgement: Judgement) -> Iterator[str]:
     """The reasons to distrust a fit whatever a check says, empty ones among them."""
     fitted, status = judgement.fitted, judgement.fitted.result.status
-    advice = KNOWN_LENGTH[bool(fitted.problem.setup.distances)]
     unknown = unexplained(fitted, judgement.remaining)
     yield summary(judgement.causes)
     # Errors that nothing explains hide the scale as well.
-    yield "" if unknown or fitted.structure.scaled else f"{SCALE}; {advice}"
+    yield "" if unknown or fitted.structure.scaled else f"{SCALE}; {KNOWN_LENGTH}"
     yield "" if status.success else status.advice
     yield summary([f for f in judgement.findings if f.severity == "error"][:1])
     if judgement.aside > BREAKDOWN:
         part = f"{100.0 * judgement.aside:.0f} % of the configurations are outliers"
-        most = f"{100.0 * BREAKDOWN:.0f} %"
-        yield f"{part}; beyond {most} they cannot be told from the others; {CHECK}"
+        most = f"beyond {100.0 * BREAKDOWN:.0f} %"
+        yield f"{part}; {most} they cannot be told from the others; {CHECK}"
     yield f"{unknown}; {CHECK}" if unknown else ""
     yield _unaccounted(judgement, COARSE)
 
@@ -386,31 +383,23 @@ def _unaccounted(judgement: Judgement, coarse: float) -> str:
         judgement: What is judged.
         coarse: Errors, by the reach, that noise may leave where nobody knows it.
     """
-    quantities = (q for q in judgement.remaining if q.unit in ("m", "px"))
-    reasons = (_inexplicable(judgement, q, coarse) for q in quantities)
-    return next(filter(None, reasons), "")
-
-
-def _inexplicable(judgement: Judgement, quantity: QuantityErrors, coarse: float) -> str:
-    """The same of one quantity."""
-    before, after = (sizes.rms for sizes in quantity.shown)
-    noise = _noise(judgement, quantity)
-    # Half of the nominal robot's errors may be left.
-    if after <= max(0.5 * before, NOISY * (noise or 0.0)):
-        return ""
-    # Whatever finds the corners of a board finds them well.
-    known = noise is not None or quantity.unit == "px"
-    part = LARGE if known else coarse
-    if after <= error_limit(judgement.fitted.problem, quantity.unit, part):
-        return ""
-    times = "" if noise is None else f", {after / noise:.2g} times the noise"
-    state = "" if known else ", state the 'noise' if the instrument is so coarse"
-    advice = _advice(judgement, f"measure at rest{state}, and {CHECK}")
-    first, last = (shown(errors, quantity.unit, 3) for errors in (before, after))
-    return (
-        f"{quantity.name} errors of {last} rms remain (nominal robot: {first}){times}: "
-        f"nothing that was estimated explains them; {advice}"
-    )
+    for quantity in (q for q in judgement.remaining if q.unit in ("m", "px")):
+        before, after = (sizes.rms for sizes in quantity.shown)
+        unit, noise = quantity.unit, _noise(judgement, quantity)
+        # Whatever finds the corners of a board finds them well.
+        known = noise is not None or unit == "px"
+        problem, part = judgement.fitted.problem, LARGE if known else coarse
+        # Half of the nominal robot's errors may be left.
+        small = after <= max(0.5 * before, NOISY * (noise or 0.0))
+        if small or after <= error_limit(problem, unit, part):
+            continue
+        times = "" if noise is None else f", {after / noise:.2g} times the noise"
+        state = "" if known else ", state the 'noise' if the instrument is so coarse"
+        advice = _advice(judgement, f"measure at rest{state}, and {CHECK}")
+        first, last = (shown(errors, unit, 3) for errors in (before, after))
+        text = f"{quantity.name} errors of {last} rms remain (nominal robot: {first})"
+        return f"{text}{times}: nothing that was estimated explains them; {advice}"
+    return ""
 
 
 def _advice(judgement: Judgement, otherwise: str) -> str:
@@ -464,9 +453,9 @@ def _if_board(judgement: Judgement) -> str:
     """
     problem = judgement.fitted.problem
     tips = [accuracy.tip for accuracy in judgement.accuracies.values()]
-    robot = [p for p in problem.parameters if p.free and not p.nuisance]
-    rest = problem.data.models != ("camera",) or problem.setup.distances
-    if rest or not any(p.unit == "m" for p in robot):
+    lengths = (p.unit == "m" and not p.nuisance for p in problem.parameters if p.free)
+    others = problem.data.models != ("camera",) or problem.setup.distances
+    if others or not any(lengths):
         return ""
     points = [tip.points for tip in tips if tip is not None]
     spread = max((float(np.linalg.norm(np.std(p, axis=0))) for p in points), default=0)
@@ -483,12 +472,12 @@ def _noise(judgement: Judgement, quantity: QuantityErrors) -> float | None:
     slices = (q.columns for q in layout.quantities if q.name == quantity.name)
     columns = np.r_[next(slices, slice(0, 0))]
     pairs = zip(judgement.fitted.noise, layout.of_components, strict=False)
-    components = [n for n, k in pairs if np.isin(layout.column[k[:1]], columns).any()]
-    if not components or not all(n.stated or n.pure is not None for n in components):
+    parts = [n for n, k in pairs if np.isin(layout.column[k[:1]], columns).any()]
+    sizes = [n.given if n.pure is None else n.pure for n in parts]
+    if not parts or not all(n.stated or n.pure is not None for n in parts):
         return None
-    sizes = [n.given if n.pure is None else n.pure for n in components]
-    size = np.sqrt(len(columns) * np.mean(np.square(sizes)))
-    return float(size) or None  # Copies show none.
+    # Copies show none.
+    return float(np.sqrt(len(columns) * np.mean(np.square(sizes)))) or None
 
 
 def _unchecked(judgement: Judgement) -> str:
@@ -504,32 +493,27 @@ def _unchecked(judgement: Judgement) -> str:
     distinct = data.rows(data.weight > 0.0).configurations
     # Exact rows say by one what noisy ones say by many.
     least = (FEWEST_HELD_OUT, CONFIGURATIONS) if fitted.noise else (1, 1)
-    remedy = "; measure more configurations"
-    if values < needed:
-        reason = f"{values} measured {known} cannot determine {needed} identifiable"
-        return f"{reason} parameters{remedy} or estimate fewer parameters"
-    if values <= fitted.rank:
-        reason = f"{values} measured {known} for {fitted.rank} estimated parameters"
-        return f"{reason} leave nothing to check the fit with{remedy}"
+    remedy = "measure more configurations"
+    if values < needed or values <= fitted.rank:
+        reason = f"{values} measured {known} are too few for {max(needed, fitted.rank)}"
+        return f"{reason} identifiable parameters; {remedy} or estimate fewer"
     if not sure and redundancy < REDUNDANT:
         reason = f"{redundancy:.1f} redundant values are too few to estimate the noise"
-        return f"{reason}{remedy}, or state the standard deviations"
+        return f"{reason}; {remedy}, or state the standard deviations"
     if held < least[0] or distinct < least[1]:
         reason = f"{held} independent held-out configurations of {distinct} are too few"
-        return f"{reason} to check the fit with{remedy}"
+        return f"{reason} to check the fit with; {remedy}"
     return ""
 
 
 def _disproved(judgement: Judgement) -> str:
     """The objection of held-out measurements to the fit; empty where there is none."""
+    text = "on held-out measurements the corrected robot is worse than the nominal one"
     # A quantity says more than all of them together, which have no unit.
     for gain in sorted(judgement.gains, key=lambda gain: gain.quantity == ALL):
         if gain.worse < LOSS_CHANCE:
-            return (
-                "on held-out measurements the corrected robot is worse than the "
-                f"nominal one: {gain.quantity} errors larger by "
-                f"{_margin(judgement, gain, -1.0)}"
-            )
+            larger = _margin(judgement, gain, -1.0)
+            return f"{text}: {gain.quantity} errors larger by {larger}"
     if judgement.misjudged:
         larger = f"{judgement.gains[0].ratio:.1f} times as large as the fit predicts"
         return f"errors on held-out measurements are {larger}"
@@ -585,30 +569,30 @@ def _gain(judgement: Judgement, nothing: bool = False) -> tuple[str, str]:
     """
     gain, quantity = judgement.gains[0], judgement.errors[0]
     name, (before, after) = quantity.name, quantity.shown
+    held = gain.method != PRESS and after is quantity.validation_after
     where = f"{gain.configurations} independent held-out configurations"
     if gain.method == PRESS:
         where = f"{gain.configurations} configurations, each predicted by the others"
-    old, new = (shown(sizes.rms, quantity.unit, 3) for sizes in (before, after))
-    held = after is quantity.validation_after
-    if gain.method == PRESS or not held:
-        of_first = (g for g in judgement.gains if g.method == gain.method)
-        by = _margin(judgement, next((g for g in of_first if g.quantity == name), gain))
-        text = f"{name} errors smaller by {by}"
-        if nothing:
-            text = f"{name} errors differ by {by} if it is corrected"
-    elif nothing and _certain(judgement, quantity) is not after:
-        text = f"errors differ by {_margin(judgement, gain)} if it is corrected"
-    elif nothing:
-        text = f"{name} error {old} rms as it is, {new} corrected"
-    else:
-        text = f"{name} error {new} rms instead of {old}"
-    if not nothing and held and gain.mean > 0.0 and after.rms > before.rms:
-        # A few that nobody can predict, near the plane of a camera say, outweigh all.
-        text = f"errors smaller by {_margin(judgement, gain)}"
     noisy = (_by_noise(judgement, quantity) for quantity in judgement.errors)
     if times := "; ".join(filter(None, noisy)):
         where += f" ({times})"
-    return text, where
+    # A few that nobody can predict, near the plane of a camera say, outweigh all.
+    outweighed = gain.mean > 0.0 and after.rms > before.rms
+    if nothing:
+        outweighed = _certain(judgement, quantity) is not after
+    if held and not outweighed:
+        old, new = (shown(sizes.rms, quantity.unit, 3) for sizes in (before, after))
+        text = f"{old} rms as it is, {new} corrected"
+        return (
+            f"{name} error {text if nothing else f'{new} rms instead of {old}'}",
+            where,
+        )
+    if not held:
+        of_first = (g for g in judgement.gains if g.method == gain.method)
+        gain = next((g for g in of_first if g.quantity == name), gain)
+    by = _margin(judgement, gain)
+    text = f"differ by {by} if it is corrected" if nothing else f"smaller by {by}"
+    return f"{'' if held else f'{name} '}errors {text}", where
 
 
 def _certain(judgement: Judgement, quantity: QuantityErrors) -> Accuracy:

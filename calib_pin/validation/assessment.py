@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+import calib_pin.validation.result as results
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.fitted import Fit
@@ -47,21 +48,6 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.facts import still_joints
 from calib_pin.validation.model_errors import ModelErrors, quantity_errors
-from calib_pin.validation.result import (
-    Breakdown,
-    ChainSummary,
-    Coefficient,
-    CoupledGroup,
-    Frame,
-    FrameSummary,
-    Identifiability,
-    Identification,
-    ParameterEstimate,
-    QuantityErrors,
-    RobotError,
-    ToolAccuracy,
-    frames_of,
-)
 
 WEAK_PART = 0.1
 """Part of a sum in directions held at nominal from which it counts as weak."""
@@ -95,7 +81,7 @@ def identify(
     setup: Stated = None,
     *,
     seed: int = 0,
-) -> Identification:
+) -> results.Identification:
     """The identifiability of a robot by how it is measured, without measurements.
 
     Args:
@@ -120,12 +106,12 @@ def identify(
     ranks = _ranks(problem, structure, structure.robot, structure.configurations)
     parameters, groups = estimates(problem.parameters, structure)
     errors = robot_errors(problem, structure)
-    return Identification(parameters, groups, ranks, robot_errors=errors)
+    return results.Identification(parameters, groups, ranks, robot_errors=errors)
 
 
 def estimates(
     parameters: ParameterSet, structure: Structure, fitted: Estimated | None = None
-) -> tuple[tuple[ParameterEstimate, ...], tuple[CoupledGroup, ...]]:
+) -> tuple[tuple[results.ParameterEstimate, ...], tuple[results.CoupledGroup, ...]]:
     """The status of every parameter and the coupled groups, with values of a fit.
 
     Args:
@@ -133,7 +119,7 @@ def estimates(
         structure: Their structural analysis.
         fitted: The estimates, if there are any; otherwise values are zero.
     """
-    groups, member = list[CoupledGroup](), defaultdict[int, list[int]](list)
+    groups, member = list[results.CoupledGroup](), defaultdict[int, list[int]](list)
     alone, weak, names = dict[int, bool](), set[int](), parameters.names
     sigmas = dict[int, float | None]()
     for combination in structure.combinations:
@@ -146,9 +132,9 @@ def estimates(
         weak |= set() if observable else {number}
         for position, _ in combination.terms:
             member[position].append(number)
-        terms = tuple(Coefficient(names[k], c) for k, c in combination.terms)
+        terms = tuple(results.Coefficient(names[k], c) for k, c in combination.terms)
         text, unit = combination.expression(names), combination.unit
-        groups.append(CoupledGroup(number, text, unit, value, sigma, terms))
+        groups.append(results.CoupledGroup(number, text, unit, value, sigma, terms))
     for k, other in structure.equivalent.items():
         if fitted is not None and sigmas.get(other) is not None:
             sigmas[k] = float(fitted.covariance[k, k] ** 0.5)
@@ -166,11 +152,11 @@ def estimates(
         return "weak" if weak.issuperset(member[k]) else "coupled"
 
     theta = np.zeros(len(parameters)) if fitted is None else fitted.theta
-    result = list[ParameterEstimate]()
+    result = list[results.ParameterEstimate]()
     for k, (p, value) in enumerate(zip(parameters, theta.tolist(), strict=True)):
         of_groups = tuple(member.get(k, ()))
         estimate = p.name, p.unit, value, sigmas.get(k), status(k), of_groups
-        result.append(ParameterEstimate(*estimate))
+        result.append(results.ParameterEstimate(*estimate))
     return tuple(result), tuple(groups)
 
 
@@ -195,7 +181,7 @@ def _estimate(
     return float(row @ fitted.theta), sigma if known else None, observable
 
 
-def fitted_ranks(fitted: Fit) -> Identifiability:
+def fitted_ranks(fitted: Fit) -> results.Identifiability:
     """Ranks and observability of the measurements that were fitted."""
     problem, result = fitted.problem, fitted.result
     s = robot_singular_values(fitted.directions, result.jac, problem.parameters)
@@ -224,7 +210,7 @@ def _values_without_priors(fitted: Fit) -> Floats:
 
 def _ranks(
     problem: Problem, structure: Structure, s: Floats, configurations: int
-) -> Identifiability:
+) -> results.Identifiability:
     """Ranks of a structure, with the singular values s of some configurations."""
     ends = [(t.frames.station, t.frames.tool) for t in problem.terms.values()]
     frames = {frame for pair in ends for frame in pair}
@@ -232,7 +218,7 @@ def _ranks(
     # beyond a base and a tool has six more.
     turns = problem.chains.revolute
     everett = int(4 * turns.sum() + 2 * (~turns).sum() + 6 * (len(frames) - 1))
-    return Identifiability(
+    return results.Identifiability(
         parameters=int(problem.parameters.free.sum()),
         rank=structure.rank,
         structural_rank=structure.rank,
@@ -258,7 +244,7 @@ def measurement_leverages(fitted: Fit) -> Floats:
 
 def robot_errors(
     system: Terms, structure: Structure, fitted: Estimated | None = None
-) -> tuple[RobotError, ...]:
+) -> tuple[results.RobotError, ...]:
     """The identifiable errors of a robot, each direction once, and those in frames.
 
     Base, tool and instrument are eliminated first: what a frame absorbs is no error of
@@ -299,7 +285,7 @@ def _error(
     parameters: ParameterSet,
     sizes: Floats,
     fitted: Estimated | None,
-) -> RobotError:
+) -> results.RobotError:
     """An identifiable error by its coefficients in the named directions, (P,)."""
     label, unit = columns.labels[lead], parameters[lead].unit
     row = columns.turned @ full
@@ -314,7 +300,7 @@ def _error(
     for least in (max(sigma or 0.0, float(SMALL * sizes[lead])), 0.5 * sizes[lead]):
         if main := tuple((k, c) for k, c in terms if abs(c) * sizes[k] >= least):
             break
-    return RobotError(
+    return results.RobotError(
         label.kind,
         of,
         unit,
@@ -322,13 +308,13 @@ def _error(
         sigma,
         status="identifiable" if known else "weak",
         expression=Combination(main, unit).expression(parameters.names),
-        terms=tuple(Coefficient(parameters.names[k], c) for k, c in main),
+        terms=tuple(results.Coefficient(parameters.names[k], c) for k, c in main),
     )
 
 
 def _absorbed(
     leads: NDArray[np.intp], C: Floats, columns: Columns, parameters: ParameterSet
-) -> Iterator[RobotError]:
+) -> Iterator[results.RobotError]:
     """Errors that base, tool or instrument take along, so that none is known.
 
     Args:
@@ -346,7 +332,7 @@ def _absorbed(
         owners = (parameters[p].name.rpartition(".")[0] for p in takers.tolist())
         label, within = columns.labels[k], tuple(dict.fromkeys(owners))
         error = label.kind, (label.of,), parameters[k].unit, 0.0, None
-        yield RobotError(*error, status="absorbed", within=within)
+        yield results.RobotError(*error, status="absorbed", within=within)
 
 
 LIMITS = {"m": 0.01, "rad": 0.01, "px": 10.0}
@@ -358,8 +344,8 @@ FAR = 10.0
 
 @serial_blas
 def breakdown(
-    fitted: Fit, errors: ModelErrors, accuracies: Mapping[str, ToolAccuracy]
-) -> Breakdown:
+    fitted: Fit, errors: ModelErrors, accuracies: Mapping[str, results.ToolAccuracy]
+) -> results.Breakdown:
     """A calibration part by part.
 
     Args:
@@ -368,7 +354,7 @@ def breakdown(
         accuracies: The expected errors of the tool by chain.
     """
     parts = _Parts(fitted, errors)
-    return Breakdown(
+    return results.Breakdown(
         accuracies=accuracies,
         stations=tuple(parts.frames(0)),
         tools=tuple(parts.frames(1)),
@@ -393,20 +379,20 @@ class _Parts:
         self.covariance: Floats = np.mean(likely, axis=0)
         self.open_directions = open_directions(fitted, self.covariance)
 
-    def frames(self, end: int) -> Iterator[FrameSummary]:
+    def frames(self, end: int) -> Iterator[results.FrameSummary]:
         """The stations, end 0, or the tools, end 1."""
-        by_frame: dict[Frame, list[BlockKey]] = {}
+        by_frame: dict[results.Frame, list[BlockKey]] = {}
         for key, term in self.problem.terms.items():
-            by_frame.setdefault(frames_of(term)[end][0], []).append(key)
+            by_frame.setdefault(results.frames_of(term)[end][0], []).append(key)
         calibrated = CalibratedModel.create(*self.fit.solved)
         for frame, keys in by_frame.items():
             term, at = self.problem.terms[keys[0]], calibrated.of(keys[0])
             T, chain = (at.tool if end else at.error.base), term.error.chain
-            _, index = frames_of(term)[end]
+            _, index = results.frames_of(term)[end]
             screws = term.error.screws[-FRAME:] if end else term.error.screws[:FRAME]
             theta = self.fit.theta[index]
             twists, _ = ordered_screws(screws, theta, screws[0].frame + 1)
-            yield FrameSummary(
+            yield results.FrameSummary(
                 frame.name,
                 chain.tip if end else chain.base,
                 *self._statistics(keys),
@@ -416,7 +402,7 @@ class _Parts:
                 estimated=bool(self.problem.parameters.free[index].any()),
             )
 
-    def chains(self) -> Iterator[ChainSummary]:
+    def chains(self) -> Iterator[results.ChainSummary]:
         """The chains."""
         still = set(still_joints(self.problem))
         for name in self.problem.chains.names:
@@ -424,13 +410,13 @@ class _Parts:
             keys = [key for key in self.problem.terms if key.chain == name]
             count, errors, _ = self._statistics(keys)
             motionless = tuple(joint for joint in chain.joints if joint in still)
-            yield ChainSummary(
+            yield results.ChainSummary(
                 name, chain.base, chain.tip, chain.joints, count, errors, motionless
             )
 
     def _statistics(
         self, keys: Collection[BlockKey]
-    ) -> tuple[int, tuple[QuantityErrors, ...], tuple[VarianceComponent, ...]]:
+    ) -> tuple[int, tuple[results.QuantityErrors, ...], tuple[VarianceComponent, ...]]:
         """Number of measurements of some blocks, their accuracy, and noise."""
         data, layout = self.problem.data, self.problem.layout
         mask = np.array([block.key in keys for block in data.blocks])[data.block_of]

@@ -17,7 +17,6 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
@@ -167,10 +166,7 @@ class Comparison(Printed):
     @property
     def drifted(self) -> bool | None:
         """Whether the drift is more than noise explains; None if that is unknown."""
-        drift = self.drift
-        if drift.explained is None:
-            return None
-        return drift.ratio > EXPLAINED
+        return None if self.drift.explained is None else self.drift.ratio > EXPLAINED
 
 
 @serial_blas
@@ -195,13 +191,7 @@ def compare(
     drifts = {}
     for name, other in chains.items():
         pair = (first, name), (second, other)
-        known = [
-            _free_ends(record, term)
-            for record, chain in pair
-            for term in record.model.terms.values()
-            if term.key.chain == chain
-        ]
-        base, tool = np.any(known, axis=0).tolist()
+        base, tool = np.any([_free_ends(*each) for each in pair], axis=0).tolist()
         models = (record.model.of(chain) for record, chain in pair)
         drift = tip_drift(*models, base=base, tool=tool, seed=seed)
         tips = [record.accuracies.get(n, ToolAccuracy()).tip for record, n in pair]
@@ -213,16 +203,17 @@ def compare(
         drifts[name] = replace(drift, explained=explained, oriented=oriented)
     same = same_nominal(first.model, second.model)
     mine, theirs = (_known_sums(record) if same else {} for record in (first, second))
-    shared = [key for key in mine if key in theirs and _equal(mine[key], theirs[key])]
     differences = list[Difference]()
-    for a, b in ((mine[key], theirs[key]) for key in shared):
-        if a.sigma is not None and b.sigma is not None:
-            sigma = max(math.hypot(a.sigma, b.sigma), SAME)
-            terms = a.terms if len(a.terms) > 1 else ()
-            values = a.value, b.value, sigma
-            differences.append(Difference(a.expression, a.unit, *values, terms))
-    ordered = tuple(sorted(differences, key=lambda d: -d.significance))
-    return Comparison(first, second, same, ordered, drifts)
+    for a, b in ((mine[key], theirs[key]) for key in mine if key in theirs):
+        # The same sum of the same terms, whatever their order.
+        there = dict(b.terms)
+        weights = np.array([(c, there[name]) for name, c in a.terms])
+        if np.allclose(weights[:, 0], weights[:, 1], rtol=1e-6, atol=1e-9):
+            sigma = max(math.hypot(a.sigma or 0.0, b.sigma or 0.0), SAME)
+            values = a.value, b.value, sigma, a.terms if len(a.terms) > 1 else ()
+            differences.append(Difference(a.expression, a.unit, *values))
+    differences.sort(key=lambda d: -d.significance)
+    return Comparison(first, second, same, tuple(differences), drifts)
 
 
 def faults(comparison: Comparison) -> tuple[Finding, ...]:
@@ -270,19 +261,13 @@ def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
 
 def _known_sums(record: CalibrationResult) -> dict[frozenset[str], CoupledGroup]:
     """The parameters and sums of a robot that a calibration knows, by their terms."""
-    robot = robot_parameters(record)
-    known = [p for p in record.parameters if p.name in robot and p.sigma is not None]
-    terms = [(p, (Coefficient(p.name, 1.0),)) for p in known]
-    alone = [CoupledGroup(0, p.name, p.unit, p.value, p.sigma, t) for p, t in terms]
-    groups = *alone, *robot_groups(record)
-    return {frozenset(dict(group.terms)): group for group in groups}
-
-
-def _equal(a: CoupledGroup, b: CoupledGroup) -> bool:
-    """Whether both are the same sum of the same terms, whatever their order."""
-    mine, theirs = dict(a.terms), dict(b.terms)
-    pair = [*mine.values()], [theirs[name] for name in mine]
-    return np.allclose(*pair, rtol=1e-6, atol=1e-9)
+    robot, sums = robot_parameters(record), list[CoupledGroup]()
+    for p in record.parameters:
+        if p.name in robot:
+            alone = (Coefficient(p.name, 1.0),)
+            sums.append(CoupledGroup(0, p.name, p.unit, p.value, p.sigma, alone))
+    known = (s for s in (*sums, *robot_groups(record)) if s.sigma is not None)
+    return {frozenset(dict(s.terms)): s for s in known}
 
 
 def partners(first: CalibratedModel, second: CalibratedModel) -> dict[str, str]:
@@ -327,11 +312,16 @@ def _geometry(calibrated: CalibratedChain) -> Floats:
     return np.vstack([chain.axes, *(pose.homogeneous[:3].T for pose in poses)])
 
 
-def _free_ends(record: CalibrationResult, term: Term) -> list[bool]:
-    """Whether anything at base and tool of a part or its instrument was estimated."""
+def _free_ends(record: CalibrationResult, chain: str) -> list[bool]:
+    """Whether anything at base and tool of a chain or its instruments was estimated."""
     free = np.array([p.status != "fixed" for p in record.parameters])
-    instrument = term.parameters[len(term.error.screws) :], free[term.of_instrument]
-    ends = [p.outer for p, estimated in zip(*instrument, strict=False) if estimated]
-    frames = (free[index].any() for _, index in frames_of(term))
-    pairs = zip(frames, (True, False), strict=True)
-    return [bool(frame) or outer in ends for frame, outer in pairs]
+    ends = [False, False]
+    for term in record.model.terms.values():
+        if term.key.chain == chain:
+            own = len(term.error.screws)
+            instrument = term.parameters[own:], free[term.of_instrument]
+            pairs = zip(*instrument, strict=False)
+            outer = {p.outer for p, estimated in pairs if estimated}
+            for k, (_, index) in enumerate(frames_of(term)):
+                ends[k] |= bool(free[index].any()) or (k == 0) in outer
+    return ends

@@ -132,7 +132,7 @@ def calibrate(
     if held is not None:
         formulation.require_conditions(held, setup)
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
-    selected, parts = None, None
+    selection, parts = None, None
 
     def checking(stage: str, part: float) -> None:
         if progress is not None:
@@ -140,10 +140,9 @@ def calibrate(
 
     with explained(chains, training, setup, others):
         if ladder:
-            selected = select_model(
+            selection, fitted, parts = select_model(
                 chains, training, setup, seed, progress, workers, use
             )
-            fitted, parts = selected.fit, selected.parts
             # What hid a drift of the instrument may be explained now.
             chosen = fitted.problem.setup
             chosen = replace(chosen, drift=original.drift, thermal=original.thermal)
@@ -178,7 +177,7 @@ def calibrate(
     result = replace(
         _result(training, errors, held_out, judgement, seed),
         files=tuple(filter(None, dict.fromkeys(files))),
-        model_selection=None if selected is None else selected.selection,
+        model_selection=selection,
         urdf=_urdf(training, held, seed, validate, judgement, workers),
         recalibration=begun,
     )

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -95,8 +96,7 @@ class Judged:
     sizes: tuple[Floats, ...] = ()
 
 
-@dataclass(frozen=True)
-class SelectedModel:
+class SelectedModel(NamedTuple):
     """The model that was selected.
 
     Attributes:
@@ -140,9 +140,9 @@ def select_model(
     beyond, others = _further_effects(measurements, setup), (OFFSETS, *outside_urdf())
     geometric = tuple(p for p in setup.parameters if p not in others)
     geometric = geometric or Setup.parameters
-    _require_patterns(chains, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
     candidates = _Candidates(chains, measurements, setup, seed, progress, workers, use)
+    candidates.require_patterns((OFFSETS, *geometric, *beyond))
     offset = candidates.add("joint offset", (OFFSETS,))
     if not offset.sizes:
         raise OptionError(f"no model can be selected: {offset.candidate.reason}")
@@ -154,8 +154,10 @@ def select_model(
     for name in learned:
         candidates.add(f"+ {name}", base.candidate.parameters, name, extends=(base,))
     chosen, q = judged[simplest(judged, use)], measurements.q
-    near = zip(*(end(axis=0).tolist() for end in (q.min, q.max)), strict=True)
-    ranges = dict(zip(measurements.joints, near, strict=True))
+    ends = np.column_stack([q.min(axis=0), q.max(axis=0)]).tolist()
+    ranges = {
+        joint: (*end,) for joint, end in zip(measurements.joints, ends, strict=True)
+    }
     all_candidates = tuple(entry.candidate for entry in judged)
     assert chosen.fit is not None
     selection = ModelSelection(chosen.candidate.name, use, ranges, all_candidates)
@@ -349,6 +351,18 @@ class _Candidates:
         candidate = replace(candidate, rank=fitted.rank, helps=better, **figures)
         return Judged(candidate, fitted, near, sizes)
 
+    def require_patterns(self, parameterizations: Sequence[str]) -> None:
+        """Refuse names and globs that no candidate has."""
+        names, setup = list[str](), self.setup
+        for name in parameterizations:
+            alone = replace(setup, parameters=(name,))
+            with suppress(OptionError):  # The candidate will say so.
+                names += parameter_names(self.chains, self.measurements, alone)
+        for pattern in (*setup.fixed, *setup.bounds, *setup.prior_by_glob):
+            if not matching(pattern, names):
+                reason = f"no parameter matches '{pattern}'{nearest(pattern, names)}"
+                raise OptionError(reason, file=setup.file or None)
+
 
 def _further_effects(measurements: Observations, setup: Setup) -> tuple[str, ...]:
     """Effects that may join the geometry: those for which enough is stated."""
@@ -360,21 +374,3 @@ def _further_effects(measurements: Observations, setup: Setup) -> tuple[str, ...
         return known and (name != MotorRipple.name or bool(setup.gear_ratios))
 
     return tuple(filter(sufficient, outside_urdf()))
-
-
-def _require_patterns(
-    chains: Chain | Chains,
-    measurements: Observations,
-    setup: Setup,
-    parameterizations: Sequence[str],
-) -> None:
-    """Refuse names and globs that no candidate has."""
-    names: list[str] = []
-    for name in parameterizations:
-        with suppress(OptionError):  # The candidate will say so.
-            alone = replace(setup, parameters=(name,))
-            names += parameter_names(chains, measurements, alone)
-    for pattern in (*setup.fixed, *setup.bounds, *setup.prior_by_glob):
-        if not matching(pattern, names):
-            reason = f"no parameter matches '{pattern}'{nearest(pattern, names)}"
-            raise OptionError(reason, file=setup.file or None)

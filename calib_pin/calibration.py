@@ -165,10 +165,9 @@ def calibrate(
             fitted,
             training,
             seed,
-            validation=held,
+            validation=held if validate else None,
             method=method,
-            validate=validate and not hopeless,
-            parts=parts,
+            parts=parts if validate and not hopeless else (),
             progress=checking,
             workers=workers,
         )
@@ -310,8 +309,9 @@ def _urdf(
         chains = fitted.problem.chains
         setup = formulation.with_parameters(chains, training, setup, names)
         geometry = fit_model(chains, training, setup, seed)
+    held, parts = (held, None) if validate else (None, ())
     held_out = check(
-        geometry, training, seed, validation=held, validate=validate, workers=workers
+        geometry, training, seed, validation=held, parts=parts, workers=workers
     )
     errors = model_errors.fitted_errors(geometry, training)
     known = examine(geometry, seed, seek=False)

@@ -137,12 +137,10 @@ class Fitted:
             return None  # Its own place is all it tells.
         problem, theta = row_fit.problem, row_fit.theta
         values = len(problem.sigma)
-        square = model_errors.mahalanobis(fit, problem, theta) / inflation**2
+        square = model_errors.mahalanobis(fit, row_fit) / inflation**2
         first = problem.layout.component == problem.layout.component[0]
         error = problem.errors(theta)[first]
-        variance = (
-            inflation**2 * model_errors.predicted_variance(fit, problem, theta)[first]
-        )
+        variance = inflation**2 * model_errors.predicted_variance(fit, row_fit)[first]
         size, sigma = np.sqrt([np.sum(error**2), variance.sum()]) / len(row) ** 0.5
         unit = problem.layout.quantities[0].unit
         chance = f_tail(square / values, values, freedom)
@@ -185,7 +183,7 @@ class Fitted:
             return known, find(case, seek=False).others
         try:
             errors = model_errors.fitted_errors(model, self.rows)
-            held_out = check(model, self.rows, self.seed, validate=False)
+            held_out = check(model, self.rows, self.seed, parts=())
             examined = examine(model, self.seed, seek=seek)
             judgement = judge(model, errors, held_out, *examined)
         except CalibPinError as error:

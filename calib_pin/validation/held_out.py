@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
@@ -32,7 +31,7 @@ from calib_pin.estimation.problem import EXACT, Problem, known_count
 from calib_pin.estimation.robust import by_size, spectrum
 from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Observations, grouped
+from calib_pin.observations import Booleans, Indices, Observations, grouped
 from calib_pin.progress import Stages
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.validation.findings.moved_instrument import registered_if_moved
@@ -93,7 +92,7 @@ class Linear:
         return nominal, cls(problem, held.x, held.fun, F, held.jac @ F, fitted.unit)
 
 
-def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
+def press_check(fitted: Fit, labels: Indices) -> ModelErrors:
     """Errors of each of many small groups, as far as the problem is linear.
 
     Args:
@@ -118,7 +117,7 @@ def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
 
 
 @serial_blas
-def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
+def press(robot: Linear, labels: Indices) -> tuple[Floats, Floats]:
     """Errors of each group of measurements by the first step of a fit of the others.
 
     Args:
@@ -145,7 +144,7 @@ def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
 
 @serial_blas
 def left_out(
-    fit: Fit, masks: Sequence[NDArray[np.bool_]], seed: int = 0
+    fit: Fit, masks: Sequence[Booleans], seed: int = 0
 ) -> list[ModelErrors | None]:
     """Errors of each of some groups of measurements by what the others tell.
 
@@ -200,9 +199,7 @@ def unusable(fitted: Fit) -> str:
     return "" if fitted.result.status.success else "it did not converge"
 
 
-def solution_without(
-    robot: Linear, mask: NDArray[np.bool_]
-) -> tuple[Floats, Floats] | None:
+def solution_without(robot: Linear, mask: Booleans) -> tuple[Floats, Floats] | None:
     """A solution without a group of measurements.
 
     Args:
@@ -241,9 +238,7 @@ def solution_without(
     return (theta, inner) if inside else None
 
 
-def _deviations(
-    fit: Fit, robot: Linear, inner: Floats, mask: NDArray[np.bool_]
-) -> Posterior:
+def _deviations(fit: Fit, robot: Linear, inner: Floats, mask: Booleans) -> Posterior:
     """Deviations of a fit without a group of measurements, see `fitted.posterior`.
 
     Args:
@@ -272,7 +267,7 @@ def gains(
     method: str,
     problem: Problem,
     checks: Sequence[ModelErrors],
-    labels: NDArray[np.int64],
+    labels: Indices,
 ) -> tuple[Gain, ...]:
     """Test held-out errors before and after, of all quantities and of each.
 
@@ -318,7 +313,7 @@ def gains(
 
 
 def paired_test(
-    before: Floats, after: Floats, label: NDArray[np.int64]
+    before: Floats, after: Floats, label: Indices
 ) -> tuple[int, float, float, float, float]:
     """Number, mean and deviation of gains, and the chances that it is none, or no loss.
 
@@ -372,7 +367,6 @@ def check(
     *,
     validation: Observations | None = None,
     method: str = "set",
-    validate: bool = True,
     parts: Sequence[ModelErrors] | None = None,
     progress: Stages | None = None,
     workers: Workers = SERIAL,
@@ -385,17 +379,17 @@ def check(
         seed: Seed of the split and of further fits.
         validation: Validation measurements; None for a cross-validation.
         method: How the validation measurements were chosen; see `HeldOut.method`.
-        validate: Whether to validate; if not, only the hat matrix is used.
-        parts: Errors of a cross-validation with the same folds; None to run it.
+        parts: Errors of a cross-validation with the same folds; None to run it. With
+            none of them only the hat matrix is used.
         progress: Told the stage and the fraction done.
         workers: Who fits the folds of a cross-validation.
     """
     training = as_weighted(fitted, training)
     grouping = Grouping.of(training, fitted.problem.setup)
     problem, result = replace(fitted.problem, data=training), HeldOut(training)
-    if validate and validation is not None:
+    if validation is not None:
         result = _check_on(fitted, training, validation, method)
-    elif validate:
+    else:
         if parts is None:
             masks = folds(grouping, fitted, seed)
             parts = [*cross_validate(fitted, training, masks, seed, progress, workers)]
@@ -421,7 +415,7 @@ def check(
 def cross_validate(
     whole: Fit,
     measurements: Observations,
-    masks: Sequence[NDArray[np.bool_]],
+    masks: Sequence[Booleans],
     seed: int,
     progress: Stages | None = None,
     workers: Workers = SERIAL,
@@ -450,9 +444,7 @@ def cross_validate(
 
 
 @serial_blas
-def _refit_errors(
-    shared: tuple[Fit, Observations, int], mask: NDArray[np.bool_]
-) -> ModelErrors:
+def _refit_errors(shared: tuple[Fit, Observations, int], mask: Booleans) -> ModelErrors:
     """Errors of a part of the measurements, of shape (N,), by a fit of the others."""
     whole, measurements, seed = shared
     # Measurements that the fit of all has rejected stay rejected.

@@ -202,16 +202,12 @@ def examine(
         Errors of the tool to expect by chain, and what is wrong with the measurements
         or with the fit.
     """
-    data = fitted.problem.data
-    counting = data.rows(data.weight > 0.0)
     # What was not estimated errs elsewhere as well.
     missing = unplaced(fitted.problem.setup)
     expecting = with_effects(fitted, missing) if missing else fitted
+    chains = fitted.solved.problem.by_chain.items()
     accuracies = {
-        name: tool_accuracy(
-            fitted, expecting, term, counting, np.random.default_rng(seed)
-        )
-        for name, term in fitted.solved.problem.by_chain.items()
+        name: tool_accuracy(fitted, expecting, term, seed) for name, term in chains
     }
     case = Case.of(fitted, progress, others, accuracies)
     return accuracies, find(case, seek)

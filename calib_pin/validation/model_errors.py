@@ -161,15 +161,14 @@ def errors_of_registered(
         deviations: Those of the fit that predicts; default of the model's own.
         own: Whether they were fitted, so that it predicts nothing of them.
     """
-    problem, theta = after.problem, after.theta
+    problem = after.problem
     old, new = (error_table(at.problem, at.theta) for at in (before, after))
     spread, distances = np.full(new.shape, np.nan), problem.setup.distances
     located = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
     known = {name for _, name in fitted.problem.references} - located
     if not own:
         distances = tuple(d for d in distances if known.isdisjoint(d.between))
-        estimated = *after.refitted, *after.new
-        variance = predicted_variance(fitted, problem, theta, estimated, deviations)
+        variance = predicted_variance(fitted, after, deviations)
         spread = problem.layout.table(variance, len(problem.data))
     lengths = distance_checks(before, after, distances, own)
     return ModelErrors(positions, old, new, spread, lengths, after.located)
@@ -346,11 +345,7 @@ def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> 
 
 @serial_blas
 def predicted_variance(
-    fitted: Fit,
-    problem: Problem,
-    theta: Floats,
-    estimated: Sequence[int] = (),
-    deviations: Posterior | None = None,
+    fitted: Fit, there: Registered, deviations: Posterior | None = None
 ) -> Floats:
     """Variance of the errors of measurements that were not fitted, in their units.
 
@@ -361,52 +356,46 @@ def predicted_variance(
 
     Args:
         fitted: The fit that predicts.
-        problem: The problem of the N measurements.
-        theta: Parameter values, shape (P,).
-        estimated: Positions of parameters that were estimated from these.
+        there: Its problem of the N measurements.
         deviations: Those of its parameters; default of a fit of all.
 
     Returns:
         Variances of the residual components, shape (M,); infinite for measurements that
         are set aside, NaN where the fit knows no covariance.
     """
-    sigma, deviations = problem.sigma, deviations or fitted.posterior
+    sigma, deviations = there.problem.sigma, deviations or fitted.posterior
     if not np.isfinite(deviations.by_noise).all():
         return np.full(sigma.shape, np.nan)
-    parts = _predicted_parts(fitted, problem, theta, estimated, deviations)
+    parts = _predicted_parts(fitted, there, deviations)
     whitened = [noise + np.sum(uncertain**2, axis=1) for noise, uncertain in parts]
     return np.asarray(np.concatenate(whitened) * sigma**2)
 
 
 @serial_blas
-def mahalanobis(fitted: Fit, problem: Problem, theta: Floats) -> float:
+def mahalanobis(fitted: Fit, there: Registered) -> float:
     """Chi-square of the errors of measurements together, by their whole covariance.
 
     Args:
         fitted: The fit that predicts.
-        problem: The problem of a few measurements that were not fitted.
-        theta: Parameter values, shape (P,).
+        there: Its problem of a few measurements that were not fitted.
     """
-    parts = [*_predicted_parts(fitted, problem, theta, (), fitted.posterior)]
+    parts = [*_predicted_parts(fitted, there, fitted.posterior)]
     noise, uncertain = (np.concatenate(part) for part in zip(*parts, strict=True))
-    errors = problem.residual(theta)[: len(noise)]
+    errors = there.problem.residual(there.theta)[: len(noise)]
     C = np.diag(noise) + uncertain @ uncertain.T
     return float(errors @ np.linalg.lstsq(C, errors, rcond=None)[0])
 
 
 def _predicted_parts(
-    fitted: Fit,
-    problem: Problem,
-    theta: Floats,
-    estimated: Sequence[int],
-    deviations: Posterior,
+    fitted: Fit, there: Registered, deviations: Posterior
 ) -> Iterator[tuple[Floats, Floats]]:
     """Variances by noise and deviations by the fit, whitened, of some rows at a time.
 
     Shapes (M',) and (M', k); arguments as for `predicted_variance`.
     """
+    problem, theta, new = there.problem, there.theta, [*there.refitted, *there.new]
     names, scales = problem.parameters.names, problem.parameters.scales
-    of_fit, new = fitted.problem.parameters.names, list(estimated)
+    of_fit = fitted.problem.parameters.names
     # What is new there has no covariance: it was estimated from these.
     shared = [k for k, name in enumerate(names) if name in of_fit]
     moved = np.column_stack([deviations.by_noise, deviations.by_effects])

@@ -143,16 +143,16 @@ def select_model(
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
     candidates = _Candidates(chains, measurements, setup, seed, progress, workers, use)
     candidates.require_patterns((OFFSETS, *geometric, *beyond))
-    offset = candidates.add("joint offset", (OFFSETS,))
+    offset = candidates.add(Candidate("joint offset", (OFFSETS,), None))
     if not offset.sizes:
         raise OptionError(f"no model can be selected: {offset.candidate.reason}")
-    geometry = candidates.add("geometric", geometric, extends=(offset,))
+    geometry = candidates.add(Candidate("geometric", geometric, None), offset)
     candidates.combine(geometry if geometry.candidate.helps else offset, beyond)
     judged = candidates.judged
     # Learning makes up for what is left near; away, what it builds on decides.
     base = judged[simplest(judged, use if use == "near" else "away")]
     for name in learned:
-        candidates.add(f"+ {name}", base.candidate.parameters, name, extends=(base,))
+        candidates.add(Candidate(f"+ {name}", base.candidate.parameters, name), base)
     chosen, q = judged[simplest(judged, use)], measurements.q
     ends = np.column_stack([q.min(axis=0), q.max(axis=0)]).tolist()
     ranges = {
@@ -272,19 +272,11 @@ class _Candidates:
     done: float = 0.0
     judged: list[Judged] = field(default_factory=list)
 
-    def add(
-        self,
-        name: str,
-        parameters: tuple[str, ...],
-        learned: str | None = None,
-        *,
-        extends: Iterable[Judged] = (),
-    ) -> Judged:
+    def add(self, candidate: Candidate, *extends: Judged) -> Judged:
         """Judge a candidate, and compare it with those that it extends."""
-        share = (1.0 - self.done) * (QUICK if learned is None else SLOW)
-        tell = portion(named(self.progress, name), self.done, share)
+        share = (1.0 - self.done) * (QUICK if candidate.learned is None else SLOW)
+        tell = portion(named(self.progress, candidate.name), self.done, share)
         self.done += share
-        candidate = Candidate(name, parameters, learned)
         try:
             judged = self._judge(candidate, extends, tell)
         except InputError as error:
@@ -310,7 +302,8 @@ class _Candidates:
             fewer = (tried.get(added - {kind}) for kind in ordered)
             below = [base, *(c for c in fewer if c)]
             names = (*base.candidate.parameters, *ordered)
-            tried[added] = self.add(f"+ {' + '.join(ordered)}", names, extends=below)
+            candidate = Candidate(f"+ {' + '.join(ordered)}", names, None)
+            tried[added] = self.add(candidate, *below)
 
         current, best = None, frozenset[str]()
         while current != best:

@@ -40,13 +40,7 @@ an error by which a bound is found, for each size of errors."""
 
 
 @serial_blas
-def tool_accuracy(
-    fitted: Fit,
-    expecting: Fit,
-    term: Term,
-    data: Observations,
-    rng: np.random.Generator,
-) -> ToolAccuracy:
+def tool_accuracy(fitted: Fit, expecting: Fit, term: Term, seed: int) -> ToolAccuracy:
     """The accuracy to expect of a chain where it was measured and elsewhere.
 
     Args:
@@ -54,9 +48,9 @@ def tool_accuracy(
         expecting: It with all that is known to move the tool. What models of two
             calibrations both lack is no part of the noise that sets them apart.
         term: A term of the chain about the solution.
-        data: The measurements that count.
-        rng: Draws configurations, and errors.
+        seed: Seed of configurations and errors.
     """
+    rng, data = np.random.default_rng(seed), fitted.problem.data
     error = term.error.carrying(fitted.problem.setup.heaviest)
     term = replace(term, error=error)
     spread = error.chain.random_configurations(SAMPLES, rng)
@@ -66,7 +60,8 @@ def tool_accuracy(
     prior, known = expecting.problem.setup.prior, ((0.0, 0.0), (0.0, 0.0))
     if isinstance(prior, JointPrior):
         known = prior.unmodeled.get(term.key.chain, known)
-    if blocks := tuple(b for b in data.blocks if b.chain == term.key.chain):
+    counting = data.rows(data.weight > 0.0).blocks
+    if blocks := tuple(block for block in counting if block.chain == term.key.chain):
         # Of an image, whose rows follow one another, one stands for the configuration.
         rows = Observations(blocks)
         again = np.append(False, (rows.q[1:] == rows.q[:-1]).all(axis=1))

@@ -34,6 +34,7 @@ from calib_pin.validation.held_out import (
 )
 from calib_pin.validation.model_errors import (
     ModelErrors,
+    Registered,
     model_errors,
     predicted_variance,
 )
@@ -76,7 +77,7 @@ def without(fitted: Fit, mask: NDArray[np.bool_]) -> tuple[Floats, Floats, Float
     less = replace(fitted, problem=known, result=result)
     before = least_squares(known, fitted.before, nuisance_basis(known.parameters)).x
     there = replace(problem, data=data.rows(mask))
-    variance = predicted_variance(less, there, theta)
+    variance = predicted_variance(less, Registered(there, theta))
     tables = (there.errors(before), there.errors(theta), variance)
     first, second, third = (
         there.layout.table(flat, len(there.data)) for flat in tables
@@ -332,7 +333,7 @@ def test_predicted_variance_is_that_of_new_errors() -> None:
         )
         fitted = fit(replace(problem, data=train), np.random.default_rng(0))
         there = replace(fitted.problem, data=new)
-        variance = predicted_variance(fitted, there, fitted.theta)
+        variance = predicted_variance(fitted, Registered(there, fitted.theta))
         assert (variance > there.sigma**2).all()
         ratios.append(np.mean(there.errors(fitted.theta) ** 2) / np.mean(variance))
     # Errors of one fit share its 24 unknowns, so that a ratio scatters by 0.35.
@@ -392,7 +393,7 @@ def test_set_aside_rows_stay_out() -> None:
 def test_without_validation_there_is_the_hat_matrix() -> None:
     rows = rows_of(30)
     model = fitted_to(rows)
-    found = check(model, rows, 0, validate=False)
+    found = check(model, rows, 0, parts=())
     assert (found.parts, found.method) == ((), "none")
     assert [g.method for g in found.gains] == ["press", "press"]
     checked = check(model, rows, 0)

@@ -127,7 +127,7 @@ def _if_moved(
     if ratio <= MOVED or not _same_move(errors, there, here.problem):
         # Where the fit does not know the robot as well, it is that far off.
         sample = replace(after.problem, data=after.problem.data.sample(MEASUREMENTS))
-        square = mahalanobis(fitted, sample, after.theta)
+        square = mahalanobis(fitted, Registered(sample, after.theta))
         by_fit = chi_square_tail(square, measured_count(sample))
         chance = max(by_fit, by_chance(S, S_new, unknowns, dof))
         if left > SUSPICIOUS or chance > CHANCE:

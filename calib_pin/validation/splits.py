@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fitted import Fit
@@ -21,7 +20,7 @@ from calib_pin.estimation.terms import owner_of
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.observations import AT, Observations, fitted_and_held_out
-from calib_pin.observations.labels import firsts, numbered
+from calib_pin.observations.labels import Booleans, Indices, firsts, numbered
 from calib_pin.setup import Setup
 
 FOLDS = 5
@@ -77,10 +76,10 @@ class Grouping:
     """
 
     measurements: Observations
-    places: NDArray[np.int64]
+    places: Indices
     stretched: bool
-    groups: NDArray[np.int64]
-    clusters: NDArray[np.int64]
+    groups: Indices
+    clusters: Indices
 
     @classmethod
     def of(cls, measurements: Observations, setup: Setup) -> Grouping:
@@ -93,7 +92,7 @@ class Grouping:
         telling = len(np.unique(place[place >= 0])) >= FEWEST_HELD_OUT
         return cls(measurements, place, stretched, groups, groups if telling else other)
 
-    def shuffled(self, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def shuffled(self, seed: int) -> tuple[Indices, Indices]:
         """The G groups in random order, one stratum after the other.
 
         Groups of one stratum have measurements of the same blocks, so that whatever
@@ -110,7 +109,7 @@ class Grouping:
         order = order[np.argsort(strata[order], kind="stable")]
         return order, strata[order]
 
-    def spared(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def spared(self, mask: Booleans) -> Booleans:
         """A part to hold out without the groups that a frame cannot do without.
 
         Args:
@@ -145,7 +144,7 @@ class Grouping:
         return f"{count}-fold by place"
 
 
-def labels(*columns: object) -> NDArray[np.int64]:
+def labels(*columns: object) -> Indices:
     """Label of each row of some columns, equal for equal ones, from 0, shape (N,)."""
     result = np.zeros(1, np.int64)
     for column in columns:
@@ -156,7 +155,7 @@ def labels(*columns: object) -> NDArray[np.int64]:
     return np.asarray(result)
 
 
-def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
+def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[Booleans]:
     """Masks of the parts of a cross-validation; none where measurements do not suffice.
 
     Groups stay together. What is fitted without a part must still determine the robot
@@ -197,18 +196,18 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     return masks
 
 
-def _thinned(mask: NDArray[np.bool_], groups: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _thinned(mask: Booleans, groups: Indices) -> Booleans:
     """As many groups of a part as tell its errors, evenly spread, shape (N,)."""
     distinct, _ = numbered(groups[mask])
     return mask & np.isin(groups, distinct[:: max(1, int(mask.sum()) // MOST)])
 
 
-def _target_masks(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
+def _target_masks(fitted: Fit, rows: Observations) -> Iterator[Booleans]:
     """Masks of the N measurements of each target that has something to estimate, (N,).
 
     From another station it may be another thing, or the same one.
     """
-    masks: dict[tuple[str, ...], NDArray[np.bool_]] = {}
+    masks: dict[tuple[str, ...], Booleans] = {}
     for block, part in zip(rows.blocks, rows.slices, strict=True):
         term = fitted.problem.terms[block.key]
         references = term.measurement.references
@@ -221,7 +220,7 @@ def _target_masks(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]
     return iter(masks.values())
 
 
-def regions(grouping: Grouping, seed: int) -> list[NDArray[np.bool_]]:
+def regions(grouping: Grouping, seed: int) -> list[Booleans]:
     """Masks of regions of joint space, of shape (N,) each; they may overlap.
 
     Of each joint an outer part of its range, and clusters of configurations. Fitted on
@@ -251,7 +250,7 @@ def regions(grouping: Grouping, seed: int) -> list[NDArray[np.bool_]]:
     return [mask for mask in smaller if len(np.unique(configuration[mask])) >= FEWEST]
 
 
-def _clusters(points: Floats, seed: int) -> NDArray[np.int64]:
+def _clusters(points: Floats, seed: int) -> Indices:
     """Label of the cluster of each point, (N, k) -> (N,) (Lloyd 1982).
 
     The first centers are far from one another (Gonzalez 1985), which leaves nothing
@@ -271,7 +270,7 @@ def _clusters(points: Floats, seed: int) -> NDArray[np.int64]:
     return np.asarray(label)
 
 
-def stretches(rows: Observations) -> NDArray[np.int64]:
+def stretches(rows: Observations) -> Indices:
     """Label of the stretch of the file in which each row stands, shape (N,).
 
     It is a path if successive configurations z (joint positions in units of their
@@ -315,7 +314,7 @@ def stretches(rows: Observations) -> NDArray[np.int64]:
     return stretch[configuration]
 
 
-def _variogram(z: Floats, file: NDArray[np.int64], lag: int) -> float:
+def _variogram(z: Floats, file: Indices, lag: int) -> float:
     """Mean square distance at a distance in the file, by that of random pairs."""
     inside = file[lag:] == file[:-lag]
     if not inside.any():
@@ -326,7 +325,7 @@ def _variogram(z: Floats, file: NDArray[np.int64], lag: int) -> float:
     return float(squares.mean() / (2.0 * z.shape[1]))
 
 
-def _blocks(z: Floats, file: NDArray[np.int64], length: int) -> NDArray[np.int64]:
+def _blocks(z: Floats, file: Indices, length: int) -> Indices:
     """Label of blocks of about equal length that end with their file.
 
     A jump near the nominal end, between two clusters or lines, is where the next block
@@ -345,14 +344,14 @@ def _blocks(z: Floats, file: NDArray[np.int64], length: int) -> NDArray[np.int64
     return np.asarray(np.cumsum(begins) - 1)
 
 
-def places(measurements: Observations, setup: Setup) -> NDArray[np.int64]:
+def places(measurements: Observations, setup: Setup) -> Indices:
     """Label of the place at which each measurement has its ball in a socket, (N,).
 
     Sockets belong to one place that share their station and what stands before the last
     slash of their names, or a known distance. -1 for other measurements, and for all
     where there are fewer than three places.
     """
-    home, sockets = dict[str, str](), list[tuple[str, NDArray[np.int64]]]()
+    home, sockets = dict[str, str](), list[tuple[str, Indices]]()
     for block, part in zip(measurements.blocks, measurements.slices, strict=True):
         if declared(block.model).naming.configurations == 1:
             continue
@@ -438,7 +437,7 @@ def _require_fitted(
 
 def _held_out(
     measurements: Observations, setup: Setup, holdout: float, seed: int
-) -> NDArray[np.bool_]:
+) -> Booleans:
     """The mask of a holdout, which takes whole groups, shape (N,).
 
     Raises:
@@ -453,17 +452,14 @@ def _held_out(
     _, start, sizes = np.unique(stratum, return_index=True, return_counts=True)
     share = (np.arange(len(order)) - start[stratum] + 0.5) / sizes[stratum]
     order = order[np.argsort(share, kind="stable")]
-    count = max(1, round(holdout * len(measurements)))
     size = np.cumsum(np.bincount(labels)[order])
-    chosen = np.zeros(len(order), bool)
-    chosen[order[: int(np.searchsorted(size, count)) + 1]] = True
-    mask = grouping.spared(chosen[labels])
+    last = int(np.searchsorted(size, max(1, round(holdout * len(measurements)))))
+    mask = grouping.spared(np.isin(labels, order[: last + 1]))
     if mask.all():
         raise OptionError("holdout leaves no measurement to fit", value=holdout)
     held = measurements.rows(mask).configurations
     if held < FEWEST_HELD_OUT:
-        least = np.ceil(100.0 * FEWEST_HELD_OUT / measurements.configurations) / 100.0
         reason = f"the holdout is of {held} configurations, too few for a check"
-        allowed = f"at least {FEWEST_HELD_OUT} configurations, {least:.2g} here"
+        allowed = f"at least {FEWEST_HELD_OUT} configurations"
         raise OptionError(reason, value=holdout, allowed=allowed)
     return mask

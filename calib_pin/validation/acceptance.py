@@ -31,7 +31,6 @@ from itertools import combinations, repeat
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, counted, enumerated
@@ -47,7 +46,7 @@ from calib_pin.estimation.statistics.distributions import (
 from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Indices, Observations
+from calib_pin.observations import Booleans, Indices, Observations
 from calib_pin.setup import LimitSetup, Setup
 from calib_pin.validation import model_errors
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -669,7 +668,7 @@ def _pose_numbers(
 
 
 def _outliers(
-    attained: Floats, number: Indices, good: NDArray[np.bool_], places: Sequence[str]
+    attained: Floats, number: Indices, good: Booleans, places: Sequence[str]
 ) -> Iterator[str]:
     """Which visits are left out, and why, in sentences."""
     means = {p: attained[good & (number == p)].mean(axis=0) for p in set(number[good])}
@@ -727,7 +726,7 @@ def _derivatives(problem: Problem, theta: Floats) -> Floats:
 
 
 def _frame_fit(
-    problem: Problem, theta: Floats, free: NDArray[np.bool_], alone: bool
+    problem: Problem, theta: Floats, free: Booleans, alone: bool
 ) -> FrameFit:
     """Free parameters that were fitted to measurements, and how surely.
 

@@ -41,7 +41,7 @@ from calib_pin.estimation.statistics.variance_components import leverages
 from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import BlockKey, Indices
+from calib_pin.observations import BlockKey, Booleans, Indices
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameterizations.linearization import ordered_screws
 from calib_pin.parameters import ParameterSet
@@ -212,8 +212,8 @@ def _ranks(
     problem: Problem, structure: Structure, s: Floats, configurations: int
 ) -> results.Identifiability:
     """Ranks of a structure, with the singular values s of some configurations."""
-    ends = [(t.frames.station, t.frames.tool) for t in problem.terms.values()]
-    frames = {frame for pair in ends for frame in pair}
+    ends = (term.frames for term in problem.terms.values())
+    frames = {name for both in ends for name in (both.station, both.tool)}
     # Everett's count of a complete model measured by full poses; each of its frames
     # beyond a base and a tool has six more.
     turns = problem.chains.revolute
@@ -300,16 +300,10 @@ def _error(
     for least in (max(sigma or 0.0, float(SMALL * sizes[lead])), 0.5 * sizes[lead]):
         if main := tuple((k, c) for k, c in terms if abs(c) * sizes[k] >= least):
             break
-    return results.RobotError(
-        label.kind,
-        of,
-        unit,
-        value,
-        sigma,
-        status="identifiable" if known else "weak",
-        expression=Combination(main, unit).expression(parameters.names),
-        terms=tuple(results.Coefficient(parameters.names[k], c) for k, c in main),
-    )
+    expression = Combination(main, unit).expression(parameters.names)
+    parts = tuple(results.Coefficient(parameters.names[k], c) for k, c in main)
+    given = value, sigma, "identifiable" if known else "weak", (), expression, parts
+    return results.RobotError(label.kind, of, unit, *given)
 
 
 def _absorbed(
@@ -444,7 +438,7 @@ class _Parts:
         open_ = index[self._unknown(index, np.eye(len(index)))]
         return tuple(parameters.names[k] for k in open_)
 
-    def _unknown(self, index: Indices, rows: Floats) -> NDArray[np.bool_]:
+    def _unknown(self, index: Indices, rows: Floats) -> Booleans:
         """Which sums of some parameters, rows (k, len(index)), nobody knows, (k,)."""
         sizes = np.linalg.norm(rows @ self.open_directions[index], axis=1)
         return np.asarray(sizes > 1.0)

@@ -7,16 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+import calib_pin.estimation.formulation as formulation
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError
 from calib_pin.estimation.evidence import Finding, rms
-from calib_pin.estimation.formulation import (
-    Stated,
-    fitting,
-    make_problem,
-    require_conditions,
-    setup_of,
-)
 from calib_pin.estimation.problem import Problem, distinct_values, error_table
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
@@ -45,7 +39,7 @@ Other measurements of three real robots stay below the promise.
 def evaluate(
     robot: Robots | CalibratedModel,
     measurements: Measurements | Observations,
-    setup: Stated = None,
+    setup: formulation.Stated = None,
     *,
     registration: bool = False,
     others: Others = tuple,
@@ -68,10 +62,10 @@ def evaluate(
     if isinstance(robot, CalibratedModel):
         chains, plain = robot.chains, robot.setup
     else:
-        plain = setup_of(setup)
+        plain = formulation.setup_of(setup)
         chains = Chains.of(robot, plain)
     rows = as_stated(Observations.of(measurements), plain.reading)
-    chains, (rows,) = fitting(chains, plain, rows)
+    chains, (rows,) = formulation.fitting(chains, plain, rows)
     model = robot if isinstance(robot, CalibratedModel) else chains
     with explained(chains, rows, plain, others):
         ready = registered_robot(model, rows, plain, registration=registration)
@@ -206,8 +200,8 @@ def registered_robot(
     if len(rows) == 0:
         raise InputError("there are no measurements to evaluate")
     if isinstance(robot, CalibratedModel):
-        require_conditions(rows, robot.setup, of_robot=True)
+        formulation.require_conditions(rows, robot.setup, of_robot=True)
         return registered(robot.problem(rows), robot.theta, rows, registration)
     plain = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
-    problem = make_problem(robot, rows, plain)
+    problem = formulation.make_problem(robot, rows, plain)
     return registered(problem, np.zeros(len(problem.parameters)), rows, anew=True)

@@ -230,19 +230,13 @@ def judge(
         findings: What is wrong with the measurements or with the fit.
     """
     data, quantities = fitted.problem.data, fitted.problem.layout.quantities
-    counting = data.rows(data.weight > 0.0)
-    seen = counting.configurations / max(data.configurations, 1)
-    return Judgement(
-        fitted,
-        quantity_errors(
-            quantities, fitted_errors.counted(data.weight), *held_out.counted
-        ),
-        held_out.gains,
-        (*findings.causes, *held_out.findings, *findings.others),
-        accuracies,
-        max(1.0 - seen, fitted.robust.disagreement),
-        findings.causes,
-    )
+    counted = fitted_errors.counted(data.weight), *held_out.counted
+    errors = quantity_errors(quantities, *counted)
+    known = (*findings.causes, *held_out.findings, *findings.others)
+    seen = data.rows(data.weight > 0.0).configurations / max(data.configurations, 1)
+    aside = max(1.0 - seen, fitted.robust.disagreement)
+    given = errors, held_out.gains, known, accuracies, aside, findings.causes
+    return Judgement(fitted, *given)
 
 
 def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:

@@ -117,9 +117,8 @@ def no_longer_holds(result: CalibrationResult, check: Evaluation) -> Iterator[Fi
     times, name, unit, rms, known = max(beyond)
     text = f"{name} errors of {shown(rms, unit, 3)} rms are {times:.2g} times those "
     text += f"that the calibration promises, {shown(known, unit, 3)}: the robot, its "
-    text += "tool or the instrument is not as it was"
-    remedy = "measure ten configurations and calibrate with --start, which names what "
-    remedy += "has changed"
+    text += "tool or the instrument has changed"
+    remedy = "measure ten configurations and calibrate with --start"
     numbers = {"rms": rms, "promised": known}
     yield finding("old-calibration-no-longer-holds", text, numbers, remedy)
 

@@ -473,8 +473,8 @@ def _check_on(
     old, seen = np.split(grouped(q), [len(q) - len(validation)])
     new = ~np.isin(seen, old)
     if repeated := len(new) - int(new.sum()):
-        text = f"{repeated} of {len(new)} validation measurements repeat "
-        text += "configurations that were fitted and do not count"
+        text = f"{repeated} of {len(new)} validation measurements repeat fitted "
+        text += "configurations and do not count"
         remedy = "validate with configurations that were not fitted"
         numbers = {"repeated": repeated, "all": len(new)}
         findings.append(finding("repeated-validation", text, numbers, remedy))

@@ -323,15 +323,16 @@ def _rules(judgement: Judgement) -> Iterator[tuple[str, str]]:
         yield "good", f"{gain} on {held}"
         return
     nominal, calibrated = workspace.nominal.position, workspace.calibrated.position
-    bound, expected = workspace.bound.position, shown(calibrated, "m", 3)
+    bound, limited = workspace.bound.position, ""
     if bound > UNCERTAIN * calibrated:
-        expected += f" (95 %: below {shown(bound, 'm', 3)})"
-    expected += f" instead of {shown(nominal, 'm', 3)} are expected"
+        limited = f" (95 %: below {shown(bound, 'm', 3)})"
     expected = (
-        f"over the workspace{chain} {expected}{_if_learned(judgement, calibrated)}"
+        f"over the workspace{chain} {shown(calibrated, 'm', 3)}{limited} instead "
     )
-    unsure = f"the corrected robot is better where it was measured, but {expected}, "
-    unsure += f"better with a probability of only {100.0 * workspace.better:.0f} %; "
+    expected += f"of {shown(nominal, 'm', 3)} are expected"
+    expected += _if_learned(judgement, calibrated)
+    unsure = f"{expected}, better with a probability of only "
+    unsure += f"{100.0 * workspace.better:.0f} %; "
     unsure += _advice(judgement, "measure configurations that differ more")
     small = nominal <= min(bound, expected_size("m"))
     if better and workspace.better < LIKELY and small:

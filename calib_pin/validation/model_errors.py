@@ -26,7 +26,6 @@ from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Indices, Observations
-from calib_pin.setup import DistanceSetup
 from calib_pin.solvers import LeastSquaresResult
 from calib_pin.validation.result import Accuracy, DistanceCheck, QuantityErrors
 
@@ -73,9 +72,6 @@ class ModelErrors:
 
     def at(self, index: NDArray[np.generic]) -> ModelErrors:
         """Those of some of the measurements, a mask or positions within them."""
-        positions = np.arange(len(self.positions))
-        if np.array_equal(positions[index], positions):
-            return self
         return replace(self, **{name: getattr(self, name)[index] for name in ARRAYS})
 
     def accuracy(self, quantity: Quantity) -> tuple[Accuracy | None, Accuracy | None]:
@@ -164,14 +160,21 @@ def errors_of_registered(
     problem = after.problem
     old, new = (error_table(at.problem, at.theta) for at in (before, after))
     spread, distances = np.full(new.shape, np.nan), problem.setup.distances
-    located = {problem.parameters.names[k].rsplit(".", 2)[0] for k in after.new}
-    known = {name for _, name in fitted.problem.references} - located
+    known = {name for _, name in fitted.problem.references}
     if not own:
         distances = tuple(d for d in distances if known.isdisjoint(d.between))
         variance = predicted_variance(fitted, after, deviations)
         spread = problem.layout.table(variance, len(problem.data))
-    lengths = distance_checks(before, after, distances, own)
-    return ModelErrors(positions, old, new, spread, lengths, after.located)
+    nominal, calibrated = (
+        KnownDistances.of(distances, at.problem.references, at.problem.given.names)
+        for at in (before, after)
+    )
+    lengths = nominal.lengths(before.theta), calibrated.lengths(after.theta)
+    checks = tuple(
+        DistanceCheck(d.between, d.value, d.sigma, float(n), float(f), own)
+        for d, n, f in zip(calibrated.stated, *lengths, strict=True)
+    )
+    return ModelErrors(positions, old, new, spread, checks, after.located)
 
 
 def located_names(problem: Problem) -> tuple[str, ...]:
@@ -182,28 +185,6 @@ def located_names(problem: Problem) -> tuple[str, ...]:
     words = (" ".join(reversed(t.frames.station.rsplit(".", 1))) for t in estimated)
     objects = problem.references.items()
     return (*dict.fromkeys(words), *(name for (_, name), o in objects if o.parameters))
-
-
-def distance_checks(
-    before: Registered, after: Registered, known: Sequence[DistanceSetup], fitted: bool
-) -> tuple[DistanceCheck, ...]:
-    """Known distances beside those that the nominal and the fitted robot find.
-
-    Args:
-        before: The nominal robot.
-        after: The fitted one.
-        known: The distances; those that end elsewhere are left out.
-        fitted: Whether they were fitted.
-    """
-    nominal, calibrated = (
-        KnownDistances.of(known, at.problem.references, at.problem.given.names)
-        for at in (before, after)
-    )
-    lengths = nominal.lengths(before.theta), calibrated.lengths(after.theta)
-    return tuple(
-        DistanceCheck(d.between, d.value, d.sigma, float(n), float(f), fitted)
-        for d, n, f in zip(calibrated.stated, *lengths, strict=True)
-    )
 
 
 @dataclass(frozen=True)

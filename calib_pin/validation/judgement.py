@@ -323,13 +323,11 @@ def _rules(judgement: Judgement) -> Iterator[tuple[str, str]]:
         yield "good", f"{gain} on {held}"
         return
     nominal, calibrated = workspace.nominal.position, workspace.calibrated.position
-    bound, limited = workspace.bound.position, ""
+    bound, size = workspace.bound.position, shown(calibrated, "m", 3)
     if bound > UNCERTAIN * calibrated:
-        limited = f" (95 %: below {shown(bound, 'm', 3)})"
-    expected = (
-        f"over the workspace{chain} {shown(calibrated, 'm', 3)}{limited} instead "
-    )
-    expected += f"of {shown(nominal, 'm', 3)} are expected"
+        size += f" (95 %: below {shown(bound, 'm', 3)})"
+    size += f" instead of {shown(nominal, 'm', 3)}"
+    expected = f"over the workspace{chain} {size} are expected"
     expected += _if_learned(judgement, calibrated)
     unsure = f"{expected}, better with a probability of only "
     unsure += f"{100.0 * workspace.better:.0f} %; "
@@ -519,9 +517,8 @@ def _as_nominal(fitted: Fit) -> bool:
     plain = replace(fitted.problem, units=np.zeros(0))
     nuisances = int((plain.parameters.free & plain.parameters.nuisance).sum())
     dof = known_count(plain) - nuisances
-    if dof < REDUNDANT:
-        return False
-    return 2.0 * plain.cost(fitted.before) < chi_square_quantile(dof, LOSS_CHANCE)
+    square = 2.0 * plain.cost(fitted.before)
+    return dof >= REDUNDANT and square < chi_square_quantile(dof, LOSS_CHANCE)
 
 
 def _no_gain(judgement: Judgement) -> Iterator[tuple[str, str]]:
@@ -573,11 +570,10 @@ def _gain(judgement: Judgement, nothing: bool = False) -> tuple[str, str]:
         outweighed = _certain(judgement, quantity) is not after
     if held and not outweighed:
         old, new = (shown(sizes.rms, quantity.unit, 3) for sizes in (before, after))
-        text = f"{old} rms as it is, {new} corrected"
-        return (
-            f"{name} error {text if nothing else f'{new} rms instead of {old}'}",
-            where,
-        )
+        text = f"{new} rms instead of {old}"
+        if nothing:
+            text = f"{old} rms as it is, {new} corrected"
+        return f"{name} error {text}", where
     if not held:
         of_first = (g for g in judgement.gains if g.method == gain.method)
         gain = next((g for g in of_first if g.quantity == name), gain)

@@ -51,9 +51,8 @@ def tool_accuracy(fitted: Fit, expecting: Fit, term: Term, seed: int) -> ToolAcc
         seed: Seed of configurations and errors.
     """
     rng, data = np.random.default_rng(seed), fitted.problem.data
-    error = term.error.carrying(fitted.problem.setup.heaviest)
-    term = replace(term, error=error)
-    spread = error.chain.random_configurations(SAMPLES, rng)
+    term = replace(term, error=term.error.carrying(fitted.problem.setup.heaviest))
+    spread = term.error.chain.random_configurations(SAMPLES, rng)
     tip, measured = ToolErrors.of(fitted, term, spread).by_noise(), None
     if not expecting.noise:
         return ToolAccuracy(tip)
@@ -106,17 +105,12 @@ class ToolErrors:
         if not known or fit.directions.count == 0:
             return None
         twists = fit.posterior.twists(self.term, self.q, self.J)
-        position, orientation = _deviations(twists)
-        alone = map(rms, _deviations(without_frames(twists, self.J)))
+        position, orientation = errors = _deviations(twists)
+        alone = _deviations(without_frames(twists, self.J))
+        sizes = (PoseErrors(*map(rms, each)) for each in (errors, alone))
         to_base = self.term.error.base.inverse().homogeneous
-        return TipAccuracy(
-            q=self.q,
-            points=T[:, :3, 3] @ to_base[:3, :3].T + to_base[:3, 3],
-            position=position,
-            orientation=orientation,
-            rms=PoseErrors(rms(position), rms(orientation)),
-            of_robot=PoseErrors(*alone),
-        )
+        points = T[:, :3, 3] @ to_base[:3, :3].T + to_base[:3, 3]
+        return TipAccuracy(self.q, points, position, orientation, *sizes)
 
     def expected(
         self, rng: np.random.Generator, known: PoseSizes = (0.0, 0.0)
@@ -221,9 +215,9 @@ def _scatter(fitted: Fit, term: Term, unit: str) -> float:
     noise is neither stated nor repeated, so that nothing tells both apart.
     """
     of_keys = fitted.problem.layout.of_keys.items()
-    components = [of_key for key, of_key in of_keys if key.chain == term.key.chain]
-    for k, noise in enumerate(fitted.noise):
-        if noise.unit == unit and any(k in of_key for of_key in components):
+    own = np.concatenate([ks for key, ks in of_keys if key.chain == term.key.chain])
+    for k in np.unique(own).tolist():
+        if (noise := fitted.noise[k]).unit == unit:
             variance = (noise.unmodeled or 0.0) ** 2
             if fitted.effects is not None:
                 explained = max(1.0 - float(fitted.effects.noise[k]), 0.0)

@@ -154,10 +154,8 @@ def select_model(
     for name in learned:
         candidates.add(Candidate(f"+ {name}", base.candidate.parameters, name), base)
     chosen, q = judged[simplest(judged, use)], measurements.q
-    ends = np.column_stack([q.min(axis=0), q.max(axis=0)]).tolist()
-    ranges = {
-        joint: (*end,) for joint, end in zip(measurements.joints, ends, strict=True)
-    }
+    ends = zip(q.min(axis=0).tolist(), q.max(axis=0).tolist(), strict=True)
+    ranges = dict(zip(measurements.joints, ends, strict=True))
     all_candidates = tuple(entry.candidate for entry in judged)
     assert chosen.fit is not None
     selection = ModelSelection(chosen.candidate.name, use, ranges, all_candidates)
@@ -299,11 +297,11 @@ class _Candidates:
             if added in tried or not added:
                 return
             ordered = tuple(kind for kind in kinds if kind in added)
-            fewer = (tried.get(added - {kind}) for kind in ordered)
-            below = [base, *(c for c in fewer if c)]
+            fewer = (added - {kind} for kind in ordered)
+            below = [tried[less] for less in fewer if less in tried]
             names = (*base.candidate.parameters, *ordered)
             candidate = Candidate(f"+ {' + '.join(ordered)}", names, None)
-            tried[added] = self.add(candidate, *below)
+            tried[added] = self.add(candidate, base, *below)
 
         current, best = None, frozenset[str]()
         while current != best:

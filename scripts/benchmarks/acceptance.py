@@ -166,7 +166,7 @@ def run(number: int, *, stated: bool) -> Outcome:
         column: {("", int(line)): int(of[line - 2]) for line in lines}
         for column, of in columns.items()
     }
-    found = tested(chains, Observations.of(rows), setup, named=named)
+    tests, _ = tested(chains, Observations.of(rows), setup, named=named)
     if not stated:
         # The frames that endless other poses tell: those of a robot's own first and
         # last errors are no errors of it.
@@ -174,7 +174,7 @@ def run(number: int, *, stated: bool) -> Outcome:
         goal = registered(
             chain.random_configurations(MOST, rng), points, errors, guess
         )(q)
-    return outcome(number, fault, found.tests["robot"], truth(goal, mean, scatter))
+    return outcome(number, fault, tests["robot"], truth(goal, mean, scatter))
 
 
 def known(

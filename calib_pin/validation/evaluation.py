@@ -22,7 +22,12 @@ from calib_pin.validation.findings import explained, find
 from calib_pin.validation.findings.case import CHANCE, Case, Others, by_chance, subset
 from calib_pin.validation.findings.sentences import finding, shown
 from calib_pin.validation.judgement import CHECK, error_limit, summary, too_large
-from calib_pin.validation.model_errors import Registered, registered
+from calib_pin.validation.model_errors import (
+    Registered,
+    located_names,
+    registered,
+    registered_anew,
+)
 from calib_pin.validation.result import Accuracy, CalibrationResult, Evaluation
 
 MOVED = 0.5
@@ -203,4 +208,5 @@ def registered_robot(
         return registered(robot.problem(rows), robot.theta, rows, registration)
     plain = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
     problem = formulation.make_problem(robot, rows, plain)
-    return registered(problem, np.zeros(len(problem.parameters)), rows, anew=True)
+    none = np.zeros(len(problem.parameters))
+    return registered_anew(problem, none, located_names(problem))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -235,21 +235,33 @@ def registered(
     """
     known, located = set(problem.parameters.names), located_names(problem)
     problem, theta = extended(problem, theta, measurements)
-    new, reason, used_up = list[int](), "", 0
     if anew:
-        problem, result = register(problem, theta)
-        theta, used_up = result.x, _used_up(problem, result)
-        reason = registration_reason(problem, result)
-    else:
-        names = enumerate(problem.parameters.names)
-        new = [k for k, n in names if n not in known and problem.parameters.free[k]]
+        return registered_anew(problem, theta, located)
+    names, free = enumerate(problem.parameters.names), problem.parameters.free
+    new = [k for k, name in names if name not in known and free[k]]
     if new:
         plain = replace(problem, setup=replace(problem.setup, distances=()))
         _require_redundancy(plain, theta, new)
         basis = np.diag(problem.parameters.scales)[:, new]
         theta = least_squares(plain, theta, basis).x
     there = tuple(name for name in located_names(problem) if name not in located)
-    return Registered(problem, theta, tuple(new), (), anew, reason, there, used_up)
+    return Registered(problem, theta, tuple(new), located=there)
+
+
+def registered_anew(
+    problem: Problem, theta: Floats, located: Collection[str]
+) -> Registered:
+    """A problem with base, tool and instrument fitted to its measurements.
+
+    Args:
+        problem: The problem; where it is nominal, nothing of these has a place yet.
+        theta: Parameter values, shape (P,).
+        located: Names of what has been located before.
+    """
+    problem, result = register(problem, theta)
+    reason, used_up = registration_reason(problem, result), _used_up(problem, result)
+    there = tuple(name for name in located_names(problem) if name not in located)
+    return Registered(problem, result.x, (), (), True, reason, there, used_up)
 
 
 def _used_up(problem: Problem, result: LeastSquaresResult) -> int:

@@ -460,6 +460,7 @@ def _held_out(
     held = measurements.rows(mask).configurations
     if held < FEWEST_HELD_OUT:
         reason = f"the holdout is of {held} configurations, too few for a check"
-        allowed = f"at least {FEWEST_HELD_OUT} configurations"
+        least = np.ceil(100.0 * FEWEST_HELD_OUT / measurements.configurations) / 100.0
+        allowed = f"at least {FEWEST_HELD_OUT} configurations, {least:.2g} here"
         raise OptionError(reason, value=holdout, allowed=allowed)
     return mask

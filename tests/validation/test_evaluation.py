@@ -13,7 +13,7 @@ from calib_pin.estimation.formulation import make_problem
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.report.accuracy import evaluated
 from calib_pin.report.terminal import plain_text
-from calib_pin.setup import BoardSetup, CameraSetup, FrameSetup, Setup
+from calib_pin.setup import BoardSetup, CameraSetup, FrameSetup, Setup, SphereSetup
 from calib_pin.validation.model_errors import registered
 from tests.shared import simulated
 
@@ -135,3 +135,11 @@ def test_corners_that_a_board_states_are_not_placed_by_measurements() -> None:
     there = registered(problem, np.zeros(len(problem.parameters)), rows)
     assert len(there.problem.references) > len(problem.references)
     assert there.located == ()
+
+
+def test_a_nominal_chain_knows_no_place_of_a_sphere() -> None:
+    there = Setup(spheres={"ball": SphereSetup((0.5, -0.3, 0.4), 0.15)})
+    job, _ = simulated("sphere-contact", there, 40)
+    nowhere = Setup(spheres={"ball": SphereSetup()})
+    found = calib_pin.evaluate(job.chains, job.data, nowhere)
+    assert found.registered and found.errors[0][2].rms < 1e-9

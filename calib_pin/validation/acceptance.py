@@ -234,7 +234,7 @@ def acceptance(
             f"{counted(len(first), 'pose')}, at most {counted(most, 'visit')} of one"
         )
         reason = f"no pose was visited {LEAST} times: {found}"
-        raise InputError(reason, allowed="those of 'plan --accept --cycles N'")
+        raise InputError(reason, allowed="repeated poses, as of 'plan --accept'")
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
     for k in tested_poses:

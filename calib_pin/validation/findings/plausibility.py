@@ -583,9 +583,10 @@ def families(case: Case) -> tuple[Finding, ...]:
         covered = {JointOffset.name} if Placement.name in new else set()
         parameters = [n for n in case.setup.parameters if n not in covered] + new
         share = "most" if judged == "warning" else "a part"
+        text = f"{enumerated(new)}, not estimated here"
         missing = Alternative(
             "model-lacks",
-            f"{enumerated(new)}, not estimated here{learned}, can explain {share} of it",
+            f"{text}{learned}, can explain {share} of it",
             "the model",
             lines={"parameters": parameters},
             advice=f"estimate them: --parameters {','.join(parameters)}",

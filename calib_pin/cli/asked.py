@@ -8,7 +8,6 @@ its name, which is not loaded for help.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +15,6 @@ import calib_pin.cli.options as options
 from calib_pin.cli.options import SEED, Request, Spec, known
 
 
-@dataclass(frozen=True, kw_only=True)
 class Init(options.Answer, options.OfStations):
     """Draft a setup file from a robot and its measurements.
 
@@ -39,7 +37,6 @@ class Init(options.Answer, options.OfStations):
     board: Annotated[str | None, Spec("SPEC", "Robot")] = None
 
 
-@dataclass(frozen=True, kw_only=True)
 class Calibrate(
     options.QuietAnswer,
     options.Shown,
@@ -64,7 +61,6 @@ class Calibrate(
     output: Annotated[Path | None, options.Spec("DIR", "Output")] = None
 
 
-@dataclass(frozen=True, kw_only=True)
 class Watch(options.QuietAnswer, options.Shown, Request):
     """Follow measurements while they are taken.
 
@@ -98,7 +94,6 @@ class Watch(options.QuietAnswer, options.Shown, Request):
     once: Annotated[bool, Spec("", "Watch", excludes=("output", "type"))] = False
 
 
-@dataclass(frozen=True, kw_only=True)
 class Identify(
     options.Shown, options.Detailed, options.OfStations, options.OfParameters
 ):
@@ -117,7 +112,6 @@ class Identify(
     seed: Annotated[int, Spec("N", parse=SEED)] = 0
 
 
-@dataclass(frozen=True, kw_only=True)
 class Evaluate(
     options.Shown, options.OfStations, options.OfChain, options.OfCalibration
 ):
@@ -137,7 +131,6 @@ class Evaluate(
     register: Annotated[bool, Spec()] = False
 
 
-@dataclass(frozen=True, kw_only=True)
 class Accept(options.QuietAnswer, options.OfCalibration):
     """Test repeated poses in the terms of ISO 9283.
 
@@ -165,7 +158,6 @@ class Accept(options.QuietAnswer, options.OfCalibration):
 MANY = (1, 1e6)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Simulate(options.Answer, options.OfParameters):
     """Simulate measurements of a robot with known errors.
 
@@ -204,7 +196,6 @@ IMAGED = ("images", "output", "joints", "mount", "setup_output")
 """Fields that are for images of a board, not for the board itself."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class Detect(options.QuietAnswer):
     """Find the corners of boards and tags in images.
 
@@ -248,7 +239,6 @@ class Detect(options.QuietAnswer):
 SECONDS = (1e-3, 60)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Join(options.QuietAnswer):
     """Join two logs by time to a measurement file.
 
@@ -298,7 +288,6 @@ SOLID = ("srdf", "clearance")
 """Fields that are for collisions."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class Plan(
     options.QuietAnswer,
     options.InDegrees,
@@ -355,7 +344,6 @@ PROGRAM = known("format", "io.exchange.motions:PROGRAMS", "csv")
 FRAME, POINT = known("frame", "", *FRAMES), known("point", "", *POINTS)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Compensate(options.QuietAnswer, options.InDegrees, options.OfChain):
     """Find joint commands that reach targets on the real robot.
 
@@ -404,7 +392,6 @@ class Compensate(options.QuietAnswer, options.InDegrees, options.OfChain):
 FORMAT = known("format", "io.exchange:FORMATS")
 
 
-@dataclass(frozen=True, kw_only=True)
 class Export(options.QuietAnswer, options.OfChain):
     """Write a calibration as other software loads it.
 
@@ -425,7 +412,6 @@ class Export(options.QuietAnswer, options.OfChain):
     template: Annotated[Path | None, Spec("FILE", "Output")] = None
 
 
-@dataclass(frozen=True, kw_only=True)
 class Fleet(options.QuietAnswer, options.Shared):
     """Calibrate many robots, or simulate them before a purchase.
 
@@ -456,8 +442,7 @@ class Fleet(options.QuietAnswer, options.Shared):
     no_pages: Annotated[bool, Spec("", "Output")] = False
 
 
-@dataclass(frozen=True, kw_only=True)
-class Compare:
+class Compare(options.Asked):
     """Print the difference between two calibrations of a robot.
 
     Tool points are compared in the base link. Where base and tool were estimated, a
@@ -477,7 +462,6 @@ class Compare:
     seed: Annotated[int, Spec("N", "Workspace", SEED)] = 0
 
 
-@dataclass(frozen=True, kw_only=True)
 class Report(options.QuietAnswer, options.Pictured, options.OfPackages):
     """Write the page and figures of a calibration again.
 
@@ -499,8 +483,7 @@ class Report(options.QuietAnswer, options.Pictured, options.OfPackages):
     pdf: Annotated[Path | None, Spec("FILE", "Output")] = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Windowed:
+class Windowed(options.Asked):
     """A page as it is asked for.
 
     Attributes:
@@ -510,7 +493,6 @@ class Windowed:
     port: Annotated[int, Spec("N", "Window", (0, 65535))] = 8080
 
 
-@dataclass(frozen=True, kw_only=True)
 class View(Windowed, options.OfStations, options.OfChain, options.OfCalibration):
     """Show a robot, its errors and a plan in the browser.
 
@@ -528,7 +510,6 @@ class View(Windowed, options.OfStations, options.OfChain, options.OfCalibration)
     plan: Annotated[Path | None, Spec("CSV", "Window")] = None
 
 
-@dataclass(frozen=True, kw_only=True)
 class App(Windowed):
     """Calibrate in a page of the browser.
 
@@ -539,7 +520,6 @@ class App(Windowed):
     """
 
 
-@dataclass(frozen=True, kw_only=True)
 class Robots(options.Answer):
     """List the bundled robots, or copy one with example measurements.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from inspect import signature
 from itertools import groupby, pairwise
@@ -68,7 +68,6 @@ def _folder(text: str) -> str:
 ENTRY, DAY = partial(parse, "", hint=Entry), partial(parse, "", hint=Date)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Job(Request):
     """A calibration of a fleet. Its files are named from the folder of the table.
 

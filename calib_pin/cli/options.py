@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import typing
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
@@ -159,6 +160,15 @@ def same(asked: object, function: Callable[..., Any]) -> dict[str, Any]:
     return {name: getattr(asked, name) for name in names}
 
 
+@typing.dataclass_transform(frozen_default=True, kw_only_default=True)
+class Asked:
+    """Base of what is asked for: its classes are frozen dataclasses of keywords."""
+
+    def __init_subclass__(cls) -> None:
+        """Declare the fields of a class."""
+        dataclass(frozen=True, kw_only=True)(cls)
+
+
 # --- options that several commands share --------------------------------------------
 
 SEED = (0, math.inf)
@@ -172,8 +182,7 @@ PARAMETERS = known(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class OfPackages:
+class OfPackages(Asked):
     """The packages of a robot.
 
     Attributes:
@@ -184,7 +193,6 @@ class OfPackages:
     package_dir: Annotated[list[Path] | None, Spec("DIR", "Robot")] = None
 
 
-@dataclass(frozen=True, kw_only=True)
 class OfRobot(OfPackages):
     """The robot that a command is for, as it is asked for.
 
@@ -205,7 +213,6 @@ class OfRobot(OfPackages):
     tip: Annotated[str | None, Spec("LINK", "Robot")] = None
 
 
-@dataclass(frozen=True, kw_only=True)
 class OfStations(OfRobot):
     """A robot with its measurements, as they are asked for.
 
@@ -216,8 +223,7 @@ class OfStations(OfRobot):
     station_per_file: Annotated[bool, Spec("", "Robot")] = False
 
 
-@dataclass(frozen=True, kw_only=True)
-class OfChain:
+class OfChain(Asked):
     """The chain that a command is for.
 
     Attributes:
@@ -228,7 +234,6 @@ class OfChain:
     chain: Annotated[str | None, Spec("NAME", "Robot")] = None
 
 
-@dataclass(frozen=True, kw_only=True)
 class OfParameters(OfRobot):
     """The errors that a robot may have.
 
@@ -242,7 +247,6 @@ class OfParameters(OfRobot):
     parameters: Annotated[str | None, Spec("P,...", "Robot", PARAMETERS)] = None
 
 
-@dataclass(frozen=True, kw_only=True)
 class OfCalibration(OfRobot):
     """A robot or a calibration that a command is for.
 
@@ -254,7 +258,6 @@ class OfCalibration(OfRobot):
     robot: Annotated[str, Spec("ROBOT|calibration.json", "")]
 
 
-@dataclass(frozen=True, kw_only=True)
 class Request(OfStations, OfParameters):
     """A calibration as it is asked for.
 
@@ -315,8 +318,7 @@ class Request(OfStations, OfParameters):
         return ("calib-pin", *words, "-o", str(output))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shown:
+class Shown(Asked):
     """Whether a program reads what a command prints.
 
     Attributes:
@@ -337,8 +339,7 @@ class Shown:
             show(blocks)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Answer:
+class Answer(Asked):
     """How a command answers that writes files.
 
     Attributes:
@@ -374,7 +375,6 @@ class Answer:
             say_written(lines if written is None else written)
 
 
-@dataclass(frozen=True, kw_only=True)
 class QuietAnswer(Answer):
     """The same, of a command that may say nothing.
 
@@ -400,8 +400,7 @@ class QuietAnswer(Answer):
         return 2
 
 
-@dataclass(frozen=True, kw_only=True)
-class Detailed:
+class Detailed(Asked):
     """How much a command tells.
 
     Attributes:
@@ -411,8 +410,7 @@ class Detailed:
     details: Annotated[bool, Spec("", "Output")] = False
 
 
-@dataclass(frozen=True, kw_only=True)
-class InDegrees:
+class InDegrees(Asked):
     """The unit of what a command writes.
 
     Attributes:
@@ -422,8 +420,7 @@ class InDegrees:
     degrees: Annotated[bool, Spec("", "Output")] = False
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pictured:
+class Pictured(Asked):
     """The figures that a command draws.
 
     Attributes:
@@ -437,8 +434,7 @@ class Pictured:
     ] = "png"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shared:
+class Shared(Asked):
     """Who does the work of a command.
 
     Attributes:

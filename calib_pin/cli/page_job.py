@@ -58,7 +58,6 @@ LAST, STANDING = 6, ("waiting", "state", "next")
 """Lines on the latest rows of a file that is followed, and what stands above them."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class Chosen(Init):
     """The choices of a person: the robot is empty as long as there is none.
 

@@ -12,13 +12,11 @@ from calib_pin.cli.application import application
 
 ADDED = '''
 import sys
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 import calib_pin.calibration
 import calib_pin.cli.options as request
 
-@dataclass(frozen=True, kw_only=True)
 class More(request.Request):
     """One more field.
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import re
 from calendar import monthrange
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field
 from itertools import product
 from typing import Annotated, Any, Literal
 
@@ -29,6 +29,7 @@ from calib_pin.setup.values import (
     MOST,
     REST,
     SMALLEST,
+    Check,
     Family,
     OneOf,
     Pair,
@@ -39,25 +40,22 @@ from calib_pin.setup.values import (
     Written,
 )
 
-
-def distinct(names: tuple[Any, ...]) -> tuple[Any, ...]:
-    """A list with at least one entry, and each once."""
-    if not names or len(set(names)) < len(names):
-        raise ValueError("at least one entry, and each at most once")
-    return names
+Rules = Iterator[tuple[bool, str]]
+"""Whether keys fit together, and what is allowed instead."""
 
 
-def _not_zero(factor: float) -> float:
-    if abs(factor) < 1e-6:
-        raise ValueError("a number from 1e-6 to 1e6, or the negative of one")
-    return factor
-
-
-def _direction(vector: Triple) -> Triple:
-    if math.hypot(*vector) < 1e-6:
-        raise ValueError("three numbers that are not all 0, such as [0, 0, 1]")
-    return vector
-
+DISTINCT = Check(
+    lambda names: 0 < len(names) == len(set(names)),
+    "at least one entry, and each at most once",
+)
+NOT_ZERO = Check(
+    lambda factor: abs(factor) >= 1e-6,
+    "a number from 1e-6 to 1e6, or the negative of one",
+)
+DIRECTED = Check(
+    lambda vector: math.hypot(*vector) >= 1e-6,
+    "three numbers that are not all 0, such as [0, 0, 1]",
+)
 
 Length = Annotated[float, Value("m", SMALLEST, LARGEST_LENGTH)]
 Span = Annotated[float, Value("m", SMALLEST, 20.0)]
@@ -67,11 +65,11 @@ Error = Annotated[float, Value("m", SMALLEST, LARGEST_ERROR)]
 Turn = Annotated[float, Value("rad", SMALLEST, LARGEST_TURN)]
 Position = Annotated[Triple, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)]
 Angles = Annotated[Triple, Value("rad", -LARGEST_ANGLE, LARGEST_ANGLE)]
-Direction = Annotated[Triple, Value("", -1e6, 1e6), _direction]
+Direction = Annotated[Triple, Value("", -1e6, 1e6), DIRECTED]
 Range = Annotated[
     Pair, Value("m", 0.0, LARGEST_LENGTH, rising=True, shorter={1: lambda r: (0.0, r)})
 ]
-Factor = Annotated[float, Value("", -1e6, 1e6), _not_zero]
+Factor = Annotated[float, Value("", -1e6, 1e6), NOT_ZERO]
 Conversion = Annotated[float, Value("", 1e-6, 1e6)]
 Count = Annotated[int, Value("", 1, MOST)]
 Many = Annotated[int, Value("", 1, 10_000_000)]
@@ -111,7 +109,6 @@ def _more(*numbers: float) -> Sequence[float]:
     return (*numbers, 0.0, 0.0, 0.0)[:5]
 
 
-@dataclass(frozen=True)
 class FrameSetup(Section):
     """The frame of a station or of a tool.
 
@@ -128,7 +125,6 @@ class FrameSetup(Section):
     estimate: bool | None = None
 
 
-@dataclass(frozen=True)
 class ToolSetup(FrameSetup):
     """A tool: its pose in the tip frame, or its known pose on another tool.
 
@@ -139,12 +135,11 @@ class ToolSetup(FrameSetup):
 
     on: Text | None = None
 
-    def _check(self) -> None:
-        if self.on is not None and self.estimate:
-            raise ValueError("estimate: true only without on, whose pose is known")
+    def _rules(self) -> Rules:
+        fixed = self.on is None or not self.estimate
+        yield fixed, "estimate: true only without on, whose pose is known"
 
 
-@dataclass(frozen=True)
 class ChainSetup(Section):
     """A chain of the robot's tree.
 
@@ -156,12 +151,10 @@ class ChainSetup(Section):
     tip: Text
     base: Text | None = None
 
-    def _check(self) -> None:
-        if self.base == self.tip:
-            raise ValueError("two different links as base and tip")
+    def _rules(self) -> Rules:
+        yield self.base != self.tip, "two different links as base and tip"
 
 
-@dataclass(frozen=True)
 class PlaneSetup(Section):
     """A plane `normal . p + offset = 0` in the base frame.
 
@@ -176,19 +169,12 @@ class PlaneSetup(Section):
     estimate: bool = True
 
 
-class _Placed(Section):
-    """A section with a place that may be estimated."""
-
-    xyz: Triple | None
-    estimate: bool | None
-
-    def _check(self) -> None:
-        if self.estimate is False and self.xyz is None:
-            raise ValueError("estimate: false only together with xyz")
+def _placed(at: PointSetup | SphereSetup | AnchorSetup) -> Rules:
+    known = at.estimate is not False or at.xyz is not None
+    yield known, "estimate: false only together with xyz"
 
 
-@dataclass(frozen=True)
-class PointSetup(_Placed):
+class PointSetup(Section):
     """A reference point on the tool or of a board, or a socket that holds a ball.
 
     Attributes:
@@ -200,10 +186,10 @@ class PointSetup(_Placed):
 
     xyz: Position | None = None
     estimate: bool | None = None
+    _rules = _placed
 
 
-@dataclass(frozen=True)
-class SphereSetup(_Placed):
+class SphereSetup(Section):
     """A sphere in the measurement frame.
 
     Attributes:
@@ -219,14 +205,13 @@ class SphereSetup(_Placed):
     estimate: bool = True
     estimate_radius: bool | None = None
 
-    def _check(self) -> None:
-        super()._check()
-        if self.estimate_radius is False and self.radius is None:
-            raise ValueError("estimate_radius: false only together with radius")
+    def _rules(self) -> Rules:
+        yield from _placed(self)
+        known = self.estimate_radius is not False or self.radius is not None
+        yield known, "estimate_radius: false only together with radius"
 
 
-@dataclass(frozen=True)
-class AnchorSetup(_Placed):
+class AnchorSetup(Section):
     """A fixed point that distances are measured from, such as a draw-wire encoder.
 
     Attributes:
@@ -241,9 +226,9 @@ class AnchorSetup(_Placed):
     bias: Annotated[float, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)] = 0.0
     estimate: bool = True
     estimate_bias: bool = False
+    _rules = _placed
 
 
-@dataclass(frozen=True)
 class CameraSetup(Section):
     """A pinhole camera with Brown-Conrady distortion.
 
@@ -272,7 +257,6 @@ class CameraSetup(Section):
     file: Text | None = None
 
 
-@dataclass(frozen=True)
 class BoardSetup(Section):
     """A flat calibration board, printed as it is seen: x to the right, y down.
 
@@ -304,20 +288,21 @@ class BoardSetup(Section):
     first: Annotated[int, Value("", 0, 999)] = 0
     legacy: bool = False
 
-    def _check(self) -> None:
-        tags, several = self.type in TAGS, self.columns * self.rows > 1
-        if not tags and min(self.columns, self.rows) < 2:
-            raise ValueError("2 or more columns and rows, but for apriltag and marker")
-        if (self.gap is not None) != (tags and several):
-            raise ValueError("gap for several tags (apriltag, marker), and only there")
-        if self.marker is not None and self.type != "charuco":
-            raise ValueError("marker only for charuco; the edge of a tag is its square")
-        if self.marker is not None and self.marker >= self.square:
-            raise ValueError("a marker that is smaller than the square")
-        if self.legacy and self.type != "charuco":
-            raise ValueError("legacy only for charuco")
-        if self.dictionary is not None and self.type in ("chessboard", "circles"):
-            raise ValueError("dictionary only for charuco, apriltag and marker")
+    def _rules(self) -> Rules:
+        tags, charuco = self.type in TAGS, self.type == "charuco"
+        several, gap = self.columns * self.rows > 1, self.gap is not None
+        whole, bare = min(self.columns, self.rows) > 1, self.marker is None
+        yield whole or tags, "2 or more columns and rows, but for apriltag and marker"
+        yield gap == (tags and several), "gap for several tags (apriltag, marker) alone"
+        yield (
+            bare or charuco,
+            "marker only for charuco; the edge of a tag is its square",
+        )
+        smaller = (self.marker or 0.0) < self.square
+        yield smaller, "a marker that is smaller than the square"
+        yield charuco or not self.legacy, "legacy only for charuco"
+        named = tags or charuco or self.dictionary is None
+        yield named, "dictionary only for charuco, apriltag and marker"
 
     @property
     def points(self) -> dict[str, PointSetup]:
@@ -341,7 +326,6 @@ class BoardSetup(Section):
         }
 
 
-@dataclass(frozen=True)
 class DistanceSetup(Section):
     """A known distance between two points, which counts as a measurement.
 
@@ -352,7 +336,7 @@ class DistanceSetup(Section):
         sigma: Its standard deviation [m].
     """
 
-    between: Annotated[tuple[Text, Text], distinct]
+    between: Annotated[tuple[Text, Text], DISTINCT]
     value: Span
     sigma: Error = 1e-4
 
@@ -383,11 +367,10 @@ HELD = (
 """Orientations that such columns may hold instead."""
 
 
-def _axes(names: tuple[str, ...]) -> tuple[str, ...]:
-    if sorted(name.removeprefix("-") for name in names) != list(AXES):
-        raise ValueError("x, y and z in any order, each with or without a -")
-    return names
-
+PERMUTED = Check(
+    lambda names: sorted(name.removeprefix("-") for name in names) == [*AXES],
+    "x, y and z in any order, each with or without a -",
+)
 
 PLACE = re.compile(r"(.*:)?0*[1-9][0-9]{0,15}")
 
@@ -410,7 +393,6 @@ def _pairs(value: Any) -> tuple[tuple[str, ...], ...]:
 Places = Annotated[tuple[str, ...], Written(list[int | str], _places)]
 
 
-@dataclass(frozen=True)
 class ConvertedSetup(Section):
     """A part of the measurements that was written in another unit.
 
@@ -427,12 +409,11 @@ class ConvertedSetup(Section):
     each: bool = False
     joints: tuple[Text, ...] = ()
 
-    def _check(self) -> None:
-        if self.lines and not self.each and len(self.lines) != 2:
-            raise ValueError("lines: [first, last], or each: true")
+    def _rules(self) -> Rules:
+        fits = self.each or len(self.lines) in (0, 2)
+        yield fits, "lines: [first, last], or each: true"
 
 
-@dataclass(frozen=True)
 class OrientationSetup(Section):
     """How the columns of an orientation are to be read, where their names are wrong.
 
@@ -452,16 +433,15 @@ class OrientationSetup(Section):
     factor: Conversion = 1.0
     inverse: bool = False
 
-    def _check(self) -> None:
+    def _rules(self) -> Rules:
         fits = (self.hold == "wxyz") == (self.columns == "quaternion")
-        if self.hold is not None and (self.columns is None or not fits):
-            raise ValueError(
-                "with 'hold' also 'columns': quaternion for wxyz, rotation-vector or "
-                "roll-pitch-yaw for angles"
-            )
+        yield (
+            self.hold is None or (self.columns is not None and fits),
+            "with 'hold' also 'columns': quaternion for wxyz, rotation-vector or "
+            "roll-pitch-yaw for angles",
+        )
 
 
-@dataclass(frozen=True)
 class ReadingSetup(Section):
     """How measurement files are to be read where they are not as their columns say.
 
@@ -503,7 +483,7 @@ class ReadingSetup(Section):
     shift_configurations: Annotated[int, Value("", -1e6, 1e6)] = 0
     shift_from: Places = ()
     lag: Mapping[str, Annotated[float, Value("", -1.0, 1.0)]] = empty()
-    axes: Annotated[tuple[Annotated[str, OneOf(SIGNED)], ...], _axes] = AXES
+    axes: Annotated[tuple[Annotated[str, OneOf(SIGNED)], ...], PERMUTED] = AXES
     scale: Conversion = 1.0
     opposite: bool = False
     drift: Annotated[
@@ -527,25 +507,21 @@ LONGEST = 80
 DATE = re.compile(r"([12][0-9]{3})-([0-9]{2})-([0-9]{2})")
 
 
-def _entry(value: str) -> str:
-    if not value.isprintable() or len(value) > LONGEST:
-        raise ValueError(f"text of at most {LONGEST} printable letters")
-    return value.strip()
-
-
-def _date(value: str) -> str:
+def _is_date(value: str) -> bool:
     match = DATE.fullmatch(value)
     year, month, day = map(int, match.groups()) if match else (1, 0, 0)
-    if not (1 <= month <= 12 and 1 <= day <= monthrange(year, month)[1]):
-        raise ValueError("a date, such as 2026-11-23")
-    return value
+    return 1 <= month <= 12 and 1 <= day <= monthrange(year, month)[1]
 
 
-Entry = Annotated[str, _entry]
-Date = Annotated[str, _date]
+PRINTED = Check(
+    lambda value: value.isprintable() and len(value) <= LONGEST,
+    f"text of at most {LONGEST} printable letters",
+)
+DAY = Check(_is_date, "a date, such as 2026-11-23")
+Entry = Annotated[str, PRINTED]
+Date = Annotated[str, DAY]
 
 
-@dataclass(frozen=True)
 class Payload(Section):
     """A payload of the robot.
 
@@ -558,7 +534,6 @@ class Payload(Section):
     com: Annotated[Triple, Value("m", -10.0, 10.0)]
 
 
-@dataclass(frozen=True)
 class ThermalSetup(Section):
     """How links grow with the temperature: for the parameters `thermal`, `warm-up`.
 
@@ -576,7 +551,6 @@ class ThermalSetup(Section):
     warm_up_time: Annotated[float, Value("s", SMALLEST)] | None = None
 
 
-@dataclass(frozen=True)
 class DriftSetup(Section):
     """How instruments drift, for the parameters `instrument-drift`.
 
@@ -595,7 +569,6 @@ class DriftSetup(Section):
     turn: Annotated[float, Value("rad", 0.0, LARGEST_TURN)] | None = None
 
 
-@dataclass(frozen=True)
 class ReportSetup(Section):
     """Entries of a printed report; what is left out is filled in by hand.
 
@@ -623,19 +596,13 @@ class ReportSetup(Section):
 # --- where the robot may measure ----------------------------------------------------
 
 
-def _corners(box: tuple[Triple, Triple]) -> tuple[Triple, Triple]:
-    if not all(a < b for a, b in zip(*box, strict=True)):
-        raise ValueError("[lower, upper], two corners such as [[0, 0, 0], [1, 0.5, 1]]")
-    return box
+CORNERS = Check(
+    lambda box: all(a < b for a, b in zip(*box, strict=True)),
+    "[lower, upper], two corners such as [[0, 0, 0], [1, 0.5, 1]]",
+)
+ORDERED = Check(lambda limits: limits[0] <= limits[1], "[lower, upper] in rad or m")
 
 
-def _ordered(limits: Pair) -> Pair:
-    if limits[0] > limits[1]:
-        raise ValueError("[lower, upper] in rad or m")
-    return limits
-
-
-@dataclass(frozen=True)
 class Obstacle(Section):
     """Something solid that the robot must not touch: one of four shapes at a pose.
 
@@ -666,18 +633,17 @@ class Obstacle(Section):
         """The name of its shape."""
         return next(kind for kind in SHAPES if getattr(self, kind) is not None)
 
-    def _check(self) -> None:
-        if sum(getattr(self, kind) is not None for kind in SHAPES) != 1:
-            raise ValueError(f"exactly one of {', '.join(SHAPES)}")
-        if self.scale is not None and self.mesh is None:
-            raise ValueError("a scale only together with a mesh")
+    def _rules(self) -> Rules:
+        count = sum(getattr(self, kind) is not None for kind in SHAPES)
+        yield count == 1, f"exactly one of {', '.join(SHAPES)}"
+        scaled = self.scale is not None
+        yield bool(self.mesh) or not scaled, "a scale only together with a mesh"
 
 
 SHAPES = ("box", "sphere", "cylinder", "mesh")
 """Shapes of obstacles, each a key of one."""
 
 
-@dataclass(frozen=True)
 class Cone(Section):
     """Field of view of an instrument.
 
@@ -705,7 +671,6 @@ class Cone(Section):
         return np.asarray(seen & (near <= distance) & (distance <= far))
 
 
-@dataclass(frozen=True)
 class Ball(Section):
     """The inside of a sphere.
 
@@ -718,7 +683,6 @@ class Ball(Section):
     radius: Length
 
 
-@dataclass(frozen=True)
 class Region(Section):
     """Where the measured point may be, in the base frame.
 
@@ -730,7 +694,7 @@ class Region(Section):
         cone: Field of view.
     """
 
-    box: Annotated[tuple[Position, Position], _corners] | None = None
+    box: Annotated[tuple[Position, Position], CORNERS] | None = None
     sphere: Ball | None = None
     cone: Cone | None = None
 
@@ -760,12 +724,13 @@ class Region(Section):
             within &= self.cone.contains(points)
         return within
 
-    def _check(self) -> None:
-        if self.box is None and self.sphere is None and self.cone is None:
-            raise ValueError("at least one of box, sphere, cone")
+    def _rules(self) -> Rules:
+        yield (
+            any((self.box, self.sphere, self.cone)),
+            ("at least one of box, sphere, cone"),
+        )
 
 
-@dataclass(frozen=True)
 class RangerSetup(Section):
     """The window in which a laser distance sensor measures.
 
@@ -787,7 +752,6 @@ Bound = (
 """The largest absolute value, or the lower and the upper limit."""
 
 
-@dataclass(frozen=True)
 class MonteCarloSetup(Section):
     """A study of simulated robots, whose instruments stand where the setup says.
 
@@ -806,14 +770,13 @@ class MonteCarloSetup(Section):
 
     robot: Text | None = None
     robots: Many = 200
-    configurations: Annotated[tuple[Many, ...], distinct] = (12, 20, 30, 50)
+    configurations: Annotated[tuple[Many, ...], DISTINCT] = (12, 20, 30, 50)
     plan: Text | None = None
     parameters: Annotated[tuple[str, ...], Family("parameters")] = ()
     errors: Sigmas = field(default_factory=dict)
     repeats: Many = 1
 
 
-@dataclass(frozen=True)
 class JointMap(Section):
     """How a file column becomes a joint position of the URDF.
 
@@ -846,7 +809,6 @@ LOSSES = ("auto", "squared", "gnc")
 """Names of the losses."""
 
 
-@dataclass(frozen=True)
 class SolverSetup(Section):
     """The solver of the least-squares problem.
 
@@ -862,7 +824,6 @@ class SolverSetup(Section):
     evolution: Mapping[str, Annotated[float, Value(), _whole] | str] = empty(key=REST)
 
 
-@dataclass(frozen=True)
 class LimitSetup(Section):
     """Largest errors that the robot may have, for `accept`.
 
@@ -879,7 +840,6 @@ class LimitSetup(Section):
     distance: Error | None = None
 
 
-@dataclass(frozen=True)
 class RobotSetup(Section):
     """The chain, and the errors that it is thought to have.
 
@@ -901,7 +861,6 @@ class RobotSetup(Section):
     learned: Annotated[str, Family("learned")] | None = None
 
 
-@dataclass(frozen=True)
 class MeasurementSetup(RobotSetup):
     """The references of the measurements, and the columns of the joints.
 
@@ -952,7 +911,6 @@ class MeasurementSetup(RobotSetup):
     reading: ReadingSetup = ReadingSetup()
 
 
-@dataclass(frozen=True)
 class FitSetup(MeasurementSetup):
     """Prior knowledge of the robot and its parameters, and the solver.
 
@@ -998,7 +956,6 @@ class FitSetup(MeasurementSetup):
         return max(self.payloads, key=lambda name: self.payloads[name].mass, default="")
 
 
-@dataclass(frozen=True, repr=False)
 class Setup(FitSetup):
     """Everything a setup file can state; the defaults are those of an empty file.
 
@@ -1022,7 +979,7 @@ class Setup(FitSetup):
     obstacles: tuple[Obstacle, ...] = ()
     region: Region | None = None
     limits: Mapping[
-        str, Annotated[Pair, Value("rad, m", -LARGEST_ANGLE, LARGEST_ANGLE), _ordered]
+        str, Annotated[Pair, Value("rad, m", -LARGEST_ANGLE, LARGEST_ANGLE), ORDERED]
     ] = empty()
     ranger: RangerSetup = RangerSetup()
     gauge: Travel | None = None

@@ -395,8 +395,9 @@ class Parser:
             if name not in entries and key.default is MISSING:
                 raise Refused((*path, *key.path), None, "{} is missing")
         result = kind(**entries)
-        if isinstance(result, Section):
-            result._check()
+        for fits, allowed in result._rules() if isinstance(result, Section) else ():
+            if not fits:
+                raise ValueError(allowed)
         return result
 
     def _fill(

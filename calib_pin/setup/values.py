@@ -9,9 +9,9 @@ it otherwise. Where a value cannot be used, a `ValueError` says what is allowed 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, dataclass_transform, get_args
 
 from calib_pin.units import as_number
 
@@ -38,15 +38,17 @@ MOST = 100
 """Most rows or columns of a board."""
 
 
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
 class Section:
-    """Base of the dataclasses that are sections of a setup file, see `arguments`."""
+    """Base of the sections of a setup file, which are frozen dataclasses."""
 
-    def _check(self) -> None:
-        """Refuse keys that contradict each other.
+    def __init_subclass__(cls) -> None:
+        """Declare the fields of a section."""
+        dataclass(frozen=True)(cls)
 
-        Raises:
-            ValueError: If they do; the message is what is allowed.
-        """
+    def _rules(self) -> Iterator[tuple[bool, str]]:
+        """Whether keys fit together, and what is allowed instead."""
+        yield from ()
 
 
 REST = "*"
@@ -161,11 +163,24 @@ class Written:
     function: Callable[[Any], Any]
 
 
-def text(value: str) -> str:
-    """A text that is not blank."""
-    if not value.strip():
-        raise ValueError("text (in quotes if it looks like something else)")
-    return value
+@dataclass(frozen=True)
+class Check:
+    """A condition that a value fulfills.
+
+    Attributes:
+        fits: Whether a value does.
+        allowed: Values that do, in words.
+    """
+
+    fits: Callable[[Any], object]
+    allowed: str
+
+    def __call__(self, value: Any) -> Any:
+        """The value."""
+        if not self.fits(value):
+            raise ValueError(self.allowed)
+        return value
 
 
-Text = Annotated[str, text]
+WORDS = Check(str.strip, "text (in quotes if it looks like something else)")
+Text = Annotated[str, WORDS]

@@ -57,10 +57,10 @@ and are not listed here.
 
 
 CHECKS: Mapping[Any, Json] = {
-    values.text: {"minLength": 1},
-    declared.distinct: {"uniqueItems": True},
-    declared._entry: {"maxLength": declared.LONGEST},
-    declared._date: {"format": "date"},
+    values.WORDS: {"minLength": 1},
+    declared.DISTINCT: {"uniqueItems": True},
+    declared.PRINTED: {"maxLength": declared.LONGEST},
+    declared.DAY: {"format": "date"},
 }
 """What checks of texts and lists say in a schema."""
 

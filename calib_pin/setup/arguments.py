@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import re
 import typing
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from enum import Enum
@@ -52,6 +52,9 @@ _CLASSES = {
     int: int | np.integer,
     float: int | float | np.number,
 }
+
+_ARRAYS = {np.float64: ("fiu", "numbers"), np.bool_: ("b", "true and false")}
+"""Kinds of numbers that an array takes, and their name; of others whole numbers."""
 
 _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
 
@@ -187,19 +190,18 @@ def public(function: _Function) -> _Function:
     """
     inner = checked(function)
 
+    def argument(option: re.Match[str]) -> str:
+        return f"{option[1].replace('-', '_')}="
+
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:
         try:
             return inner(*args, **options)
         except CalibPinError as error:
-            error.args = tuple(_OPTION.sub(_argument, str(text)) for text in error.args)
+            error.args = tuple(_OPTION.sub(argument, str(text)) for text in error.args)
             raise
 
     return call  # type: ignore[return-value]
-
-
-def _argument(option: re.Match[str]) -> str:
-    return f"{option[1].replace('-', '_')}="
 
 
 @cache
@@ -238,15 +240,10 @@ def keys_of(kind: Any) -> dict[str, Key]:
 
 
 @cache
-def _subkeys(kind: Any, above: Path) -> dict[str | int, tuple[str, bool]]:
-    """The keys below some keys of a record: a field, and whether others are further."""
-    keys = dict[str | int, tuple[str, bool]]()
-    for name, key in keys_of(kind).items():
-        if key.path[: len(above)] == above and len(key.path) > len(above):
-            step, *more = key.path[len(above) :]
-            owner, further = keys.get(step, ("", False))
-            keys[step] = owner if more else name, further or bool(more)
-    return keys
+def _places(kind: Any) -> tuple[dict[Path, str], set[Path]]:
+    """The fields of a record by their keys, and the keys that lead to those."""
+    names = {key.path: name for name, key in keys_of(kind).items() if key.path}
+    return names, {path[:k] for path in names for k in range(1, len(path))}
 
 
 @dataclass(frozen=True)
@@ -352,11 +349,9 @@ class Parser:
         names = value if listed else value.split(mark.joined or None)
         wrong = [k for k, n in enumerate(names) if n not in known or n in names[:k]]
         if wrong or not names:
-            allowed = ", ".join(known)
-            if mark.joined:
-                allowed += f", or several of them with a {mark.joined} between"
-            if mark.joined or listed:
-                allowed += ", each at most once"
+            several = [f"or several of them with a {mark.joined} between"]
+            once = ["each at most once"] * (listed or bool(mark.joined))
+            allowed = ", ".join([*known, *several * bool(mark.joined), *once])
             raise Refused((*path, *wrong[: listed * 1]), allowed)
 
     def _one_of(self, value: Any, hints: Sequence[Any], path: Path) -> Any:
@@ -386,12 +381,21 @@ class Parser:
         Raises:
             Refused: If a key is missing, unknown, or not of its type.
         """
-        entries = dict(known)
-        for name, key in keys_of(kind).items():
+        entries, keys, hints = dict(known), keys_of(kind), _hints(kind)
+        for name, key in keys.items():
             if not key.path and name not in known:
-                entries[name] = self.parse(value, _hints(kind)[name], path)
-        self._fill(entries, value, kind, path, ())
-        for name, key in keys_of(kind).items():
+                entries[name] = self.parse(value, hints[name], path)
+        for name, here, item in self._items(value, kind, path):
+            key, hint = keys[name], hints[name]
+            if key.path[-1] == REST:
+                entry = self.parse(item, get_args(hint)[1], here)
+                entries.setdefault(name, {})[here[-1]] = entry
+            elif name not in entries:
+                if key.by:
+                    item = self.parse(item, Mapping[str, Mapping[str, Any]], here)
+                    item = [{key.by: n, **record} for n, record in item.items()]
+                entries[name] = self.parse(item, hint, here)
+        for name, key in keys.items():
             if name not in entries and key.default is MISSING:
                 raise Refused((*path, *key.path), None, "{} is missing")
         result = kind(**entries)
@@ -400,37 +404,34 @@ class Parser:
                 raise ValueError(allowed)
         return result
 
-    def _fill(
-        self, entries: Any, value: Mapping[str, Any], kind: Any, path: Path, above: Path
-    ) -> None:
-        """Take fields in the order of the file, of all those whose keys are `above`.
+    def _items(
+        self, value: Mapping[str, Any], kind: Any, path: Path, above: Path = ()
+    ) -> Iterator[tuple[str, Path, Any]]:
+        """The fields below some keys of a record, in the order of the file.
 
         A key of a setup without a value counts as not written.
+
+        Returns:
+            Their names, with the place and the value of each.
+
+        Raises:
+            Refused: If a key is unknown.
         """
-        hints, below = _hints(kind), _subkeys(kind, above)
+        names, groups = _places(kind)
         for key, item in value.items():
             place, here = (*above, key), (*path, key)
-            if key not in below and REST not in below:
-                if not self.document:
-                    raise unknown(here, below)
-                continue
-            if item is None and not self.document:
-                continue
-            name, further = below.get(key) or below[REST]
-            if key not in below:
-                entry = self.parse(item, get_args(hints[name])[1], here)
-                entries.setdefault(name, {})[key] = entry
-            elif name and name not in entries:
-                hint, by = hints[name], keys_of(kind)[name].by
-                if by:
-                    hint = Mapping[str, get_args(hint)[0]]  # type: ignore[misc]
-                    item = self.parse(item, Mapping[str, Mapping[str, Any]], here)
-                    item = {n: {by: n, **record} for n, record in item.items()}
-                entry = self.parse(item, hint, here)
-                entries[name] = tuple(entry.values()) if by else entry
-            if further:
-                item = self.parse(item, Mapping[str, Any], here)
-                self._fill(entries, item, kind, here, place)
+            name = names.get(place) or names.get((*above, REST))
+            group = place in groups
+            if self.document or item is not None:
+                if name is not None:
+                    yield name, here, item
+                if group:
+                    inner = self.parse(item, Mapping[str, Any], here)
+                    yield from self._items(inner, kind, here, place)
+            if name is None and not (group or self.document):
+                depth = len(above)
+                known = (p[depth] for p in names if p[:depth] == above)
+                raise unknown(here, dict.fromkeys(known))
 
     def _several(self, value: Any, kind: Any, inner: Sequence[Any], path: Path) -> Any:
         """A sequence; a single value counts as a sequence of one."""
@@ -444,16 +445,14 @@ class Parser:
         if kind is not tuple or inner[-1] is ...:
             hints = [inner[0]] * len(values)
         if len(values) != len(hints):
-            marks = getattr(hints[0], "__metadata__", ())
-            each = [m.allowed(get_args(hints[0])[0]) for m in marks if type(m) is Value]
-            raise ValueError(" of ".join([f"{len(hints)} values", *each]))
+            raise ValueError(f"{len(hints)} values")
         places = [path if one else (*path, k) for k in range(len(values))]
         result = tuple(map(self.parse, values, hints, places))
         return result if kind is tuple or one else values
 
 
 def _array(value: Any, kind: Any, document: bool) -> Any:
-    kinds = {np.float64: "fiu", np.bool_: "b"}.get(kind, "iu")
+    kinds, what = _ARRAYS.get(kind, ("iu", "whole numbers"))
     with suppress(
         ValueError, TypeError, OverflowError
     ):  # Its rows may be of several lengths.
@@ -464,5 +463,4 @@ def _array(value: Any, kind: Any, document: bool) -> Any:
         fits = array.dtype.kind in kinds or not array.size or whole
         if fits and not np.ma.is_masked(value):
             return array.astype(kind, copy=False)
-    what = {"b": "true and false", "iu": "whole numbers"}.get(kinds, "numbers")
     raise ValueError(f"an array of {what}, none of them masked or missing")

@@ -109,7 +109,7 @@ WRONG = [
     ("joints: {a: {joint: b, sign: %s}}", "joints.a.sign", "1, -1", "0|2|-3"),
     (
         *("region: {box: %s}", "region.box"),
-        "2 values of 3 finite numbers [m], at least -100, at most 100",
+        "2 values",
         "[[0, 0, 0]]|1",
     ),
     ("planes: %s", "planes", "a mapping of names to values", "12|[a]|true|one"),

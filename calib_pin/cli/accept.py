@@ -11,7 +11,7 @@ from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Accept
 from calib_pin.cli.results import dated
 from calib_pin.errors import OptionError, enumerated, in_file
-from calib_pin.io import json_text, measurements, results
+from calib_pin.io import json_text, measurements
 from calib_pin.io.json_text import Json, format_keys
 from calib_pin.io.table import read_table
 from calib_pin.report import acceptance_text, figures, html
@@ -29,23 +29,22 @@ NAMES = tuple(f"acceptance.{kind}" for kind in ("json", "csv", "html", "pdf"))
 
 def accept(asked: Accept) -> int:
     """Do what `Accept` asks for."""
-    paths, output = asked.measurements, asked.output
-    calibrated, chains, used = files.open_subject(asked, None, "limit", "report")
-    limit, entries = used.limit, used.report
-    if calibrated is not None and entries is calibrated.model.setup.report:
-        # These of the calibration are not those of the test.
-        entries = replace(entries, date=None, temperature=None, load="", speed="")
-    made = [output / name for name in NAMES] if output is not None else []
-    without, why = list[Path](), ""
-    try:
-        require_pdf()
-    except OptionError as error:
-        made, without, why = made[:-1], made[-1:], error.reason
-    file = files.calibration_file(asked)
-    doubts = [doubt] if (doubt := results.doubt_of(calibrated, file)) else []
-    files.check_outputs(made, [file or asked.robot, asked.setup, *paths], asked.force)
+    paths, subject = asked.measurements, files.open_subject(asked, "limit", "report")
+    calibrated, used = subject.calibration, subject.setup
+    limit, made, no_pdf = used.limit, list[Path](), ""
+    if asked.output is not None:
+        made = [asked.output / name for name in NAMES]
+        try:
+            require_pdf()
+        except OptionError as error:
+            pdf = made.pop()
+            stays = f"; {pdf} is not from this test" if files.exists(pdf) else ""
+            no_pdf = f"no {pdf.name} is written: {error.reason}{stays}"
+    inputs = [subject.file or asked.robot, asked.setup, *paths]
+    files.check_outputs(made, inputs, asked.force)
+    doubts = [subject.doubt] if subject.doubt else []
     with printing.progress_bar(quiet=asked.quiet) as bar:
-        measured, rows = files.open_rows(asked, paths, chains, used, bar=bar)
+        measured, rows = files.open_tested(asked, paths, subject, bar)
         with in_file(str(paths[0])):
             tests, about = acceptance.tested(
                 calibrated or measured,
@@ -55,24 +54,25 @@ def accept(asked: Accept) -> int:
                 named=_visit_numbers(paths, used.columns),
                 doubts=doubts,
             )
-    for doubt in doubts:
-        printing.notice(doubt)
     blocks = [*acceptance_text.acceptance_report(tests, limit, about)]
     contents = {}
     if made:
+        entries, robot = used.report, subject.chains.robot
+        if calibrated is not None and entries is calibrated.model.setup.report:
+            # These of the calibration are not those of the test.
+            entries = replace(entries, date=None, temperature=None, load="", speed="")
         figure = next(figures.drawn("acceptance", tests, limit))
-        stated = dated(entries), about
-        cover = acceptance_cover(tests, limit, chains.robot, *stated, figure=figure)
-        data = (
+        entries = dated(entries)
+        cover = acceptance_cover(tests, limit, robot, entries, about, figure=figure)
+        data = [
             json_text.encode(acceptance_document(tests, limit)),
             measurements.encode_table(acceptance.visits_table(tests), [about]),
             html.acceptance_page(cover, blocks),
-            *(pdf_report(cover, blocks) for _ in made[3:]),
-        )
+        ]
+        data += [] if no_pdf else [pdf_report(cover, blocks)]
         contents = dict(zip(made, data, strict=True))
-    for pdf in without:
-        stays = f"; {pdf} is not from this test" if files.exists(pdf) else ""
-        printing.notice(f"no {pdf.name} is written: {why}{stays}")
+    for remark in filter(None, (*doubts, no_pdf)):
+        printing.notice(remark)
     asked.give(contents, blocks)
     *_, last = tests.values()
     passed = all(status == "pass" for _, status, *_ in acceptance.judged(last, limit))
@@ -87,14 +87,14 @@ def _visit_numbers(
     They stand alone or behind one word, as `P5` or `pose 5`. Other names are numbered
     in their order, which is told.
     """
-    texts: dict[str, dict[tuple[str, int], str]] = {"pose": {}, "cycle": {}}
-    for table in (read_table(file, columns=columns) for file in files):
-        for column, labels in table.texts(texts).items():
-            for line, name in zip(table.lines.tolist(), labels, strict=True):
-                if name:
-                    texts[column][table.file, line] = name
+    tables = [read_table(file, columns=columns) for file in files]
     numbering = {}
-    for column, given in texts.items():
+    for column in ("pose", "cycle"):
+        given = dict[tuple[str, int], str]()
+        for table in tables:
+            names = table.texts([column]).get(column, ())
+            lines = zip(table.lines.tolist(), names, strict=False)
+            given |= {(table.file, line): name for line, name in lines if name}
         parts = {name: NUMBERED.fullmatch(name) for name in given.values()}
         words = {part and part[1].strip().casefold() for part in parts.values()}
         numbers = {name: int(part[2]) for name, part in parts.items() if part}

@@ -6,10 +6,10 @@ from dataclasses import replace
 from functools import partial
 
 from calib_pin.cli.asked import Evaluate
-from calib_pin.cli.files import calibration_file, open_rows, open_subject
+from calib_pin.cli.files import open_subject, open_tested
 from calib_pin.cli.printing import notice, progress_bar, stage
 from calib_pin.io.json_text import Json, format_keys, plain
-from calib_pin.io.results import doubt_of, used_files
+from calib_pin.io.results import used_files
 from calib_pin.io.urdf import other_robots
 from calib_pin.report.accuracy import evaluated
 from calib_pin.validation.evaluation import evaluate as run
@@ -19,27 +19,20 @@ from calib_pin.validation.result import Evaluation
 
 def evaluate(asked: Evaluate) -> int:
     """Do what `Evaluate` asks for."""
-    paths, sockets = asked.measurements, list[str]()
-    calibrated, chains, setup = open_subject(asked, asked.chain)
-    file = calibration_file(asked)
-    doubt = doubt_of(calibrated, file)
-    if calibrated is not None and file is not None:
-        references = calibrated.model.references.values()
-        sockets = [reference.name for reference in references]
-        for used in used_files(file, paths):
-            notice(f"{used}: the calibration has used it already, to fit or to check")
+    subject = open_subject(asked)
+    calibrated, setup = subject.calibration, subject.setup
+    for used in used_files(subject.file, asked.measurements) if subject.file else ():
+        notice(f"{used}: the calibration has used it already, to fit or to check")
     with progress_bar() as bar:
-        measured, rows = open_rows(
-            asked, paths, chains, setup, sockets=sockets, bar=bar
-        )
+        measured, rows = open_tested(asked, asked.measurements, subject, bar)
         stage(bar, "evaluate")
-        subject = measured if calibrated is None else calibrated.model
-        others = partial(other_robots, chains, setup)
-        result = run(subject, rows, setup, registration=asked.register, others=others)
+        model = measured if calibrated is None else calibrated.model
+        others = partial(other_robots, subject.chains, setup)
+        result = run(model, rows, setup, registration=asked.register, others=others)
     if calibrated is not None:
         changed = no_longer_holds(calibrated, result)
         result = replace(result, findings=(*result.findings, *changed))
-        if doubt:
+        if doubt := subject.doubt:
             result = replace(result, verdict=calibrated.verdict, reason=doubt)
     asked.show(lambda: evaluation_document(result), evaluated(result))
     return 0 if result.verdict == "good" else 2

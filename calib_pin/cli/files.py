@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
+from functools import partial
 from itertools import compress, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from calib_pin.cli.options import OfCalibration, OfRobot, same
+from calib_pin.cli.options import OfCalibration, OfRobot
 from calib_pin.cli.printing import Bar, notice, stage
 from calib_pin.errors import (
     InputError,
@@ -136,33 +137,43 @@ def tell_limits(chains: Chains) -> None:
         notice(f"{chains.robot.file}: {remark}, or {FREE_TRAVEL:g} m either way")
 
 
-def calibration_file(asked: OfCalibration) -> Path | None:
-    """The file of the calibration that a command is for; None for a robot."""
-    from calib_pin.io.results import DOCUMENT
+class Subject(NamedTuple):
+    """A robot, or a calibration of it, with the setup to read measurements by.
 
-    if exists(inside := Path(asked.robot, DOCUMENT)):
-        return inside
-    return Path(asked.robot) if asked.robot.endswith(".json") else None
+    Attributes:
+        calibration: The calibration; None for a robot.
+        chains: The chains of the calibration, or of the robot.
+        setup: The setup.
+        file: The file of the calibration; None for a robot.
+        doubt: Why the calibration must not be trusted; empty where it may be.
+    """
+
+    calibration: CalibrationResult | None
+    chains: Chains
+    setup: Setup
+    file: Path | None = None
+    doubt: str = ""
 
 
-def open_subject(
-    asked: OfCalibration, chain: str | None = None, *also: str
-) -> tuple[CalibrationResult | None, Chains, Setup]:
-    """The calibration, its chains or those of the robot, and the setup to read by.
+def open_subject(asked: OfCalibration, *also: str) -> Subject:
+    """What a command is for.
 
-    The calibration is without the errors of its own measurements, of which there may be
+    A calibration is without the errors of its own measurements, of which there may be
     many. Beside it the setup file may state the further keys `also`.
 
     Raises:
         InputError: If one of the files cannot be used.
         OptionError: If something is stated that a calibration has of its own.
     """
-    setup, path = setup_for(asked), calibration_file(asked)
-    if path is None:
-        return None, open_chains(asked, setup, chain), setup
-    from calib_pin.io.results import model_name, read_written
+    from calib_pin.io.results import DOCUMENT, doubt_of, model_name, read_written
 
-    calibration, _ = read_written(path, measured=False)
+    setup, chain = setup_for(asked), getattr(asked, "chain", None)
+    file = Path(asked.robot, DOCUMENT)
+    if not exists(file):
+        if not asked.robot.endswith(".json"):
+            return Subject(None, open_chains(asked, setup, chain), setup)
+        file = Path(asked.robot)
+    calibration, _ = read_written(file, measured=False)
     model = calibration.model
     first, models = model.of().chain, model_name(model)
     known = replace(model.setup, base=first.base, tip=first.tip, model=models)
@@ -175,7 +186,8 @@ def open_subject(
     given = {key: getattr(setup, key) for key in ("columns", "joints", *also)}
     changes = {key: value for key, value in given.items() if value != plain[key]}
     used = replace(model.setup, model=read, reading=setup.reading, **changes)
-    return calibration, model.chains, used
+    doubt = doubt_of(calibration, file)
+    return Subject(calibration, model.chains, used, file, doubt)
 
 
 def require_joints_only(setup: Setup, *also: str, known: Setup | None = None) -> None:
@@ -250,33 +262,42 @@ def open_older(
     return older, replace(setup, **changes)
 
 
-def open_measurements(
+def open_rows(
+    asked: OfRobot,
     files: Sequence[Path],
     chains: Chains,
     setup: Setup,
     *,
-    chain: str | None = None,
-    station_per_file: bool = False,
-    quiet: bool = False,
     sockets: Iterable[str] = (),
+    quiet: bool = False,
     bar: Bar | None = None,
 ) -> tuple[Chains, Observations]:
     """Measurement files and the chains that they name.
 
-    A remark tells of columns that mean nothing. The places of some sockets may be known
-    beside those of the setup. Where a chain is asked for, only its measurements count.
+    A remark tells of columns that mean nothing. Where a chain is asked for, only its
+    measurements count.
+
+    Args:
+        asked: The options of a command.
+        files: The files.
+        chains: The chains of the robot.
+        setup: The setup to read by.
+        sockets: Sockets whose places are known beside those of the setup.
+        quiet: Whether there are no remarks.
+        bar: Told the progress.
 
     Raises:
         InputError: If a file cannot be used.
     """
     require_distinct(files)
+    chain = getattr(asked, "chain", None)
     known = (name for name, s in setup.sockets.items() if s.estimate is False)
     with in_file(setup.file):
         rows = read_measurements(
             files,
             chains,
             model=setup.model,
-            station_per_file=station_per_file,
+            station_per_file=getattr(asked, "station_per_file", False),
             unnamed=chain,
             columns=setup.columns,
             joints=setup.joints,
@@ -288,27 +309,28 @@ def open_measurements(
     names = tuple(key.chain for key in rows.keys)
     if chain is not None:
         require_known("measured chain", chain, names)
-        blocks = (block for block in rows.blocks if block.chain == chain)
-        rows = Observations(tuple(blocks))
+        rows = Observations(tuple(b for b in rows.blocks if b.chain == chain))
     return chains.named(names), rows
 
 
-def open_rows(
-    asked: OfRobot, files: Sequence[Path], chains: Chains, setup: Setup, **more: Any
+def open_tested(
+    asked: OfCalibration, files: Sequence[Path], subject: Subject, bar: Bar | None
 ) -> tuple[Chains, Observations]:
-    """Measurements by the options of a command, see `open_measurements`.
+    """Measurements of a robot or a calibration, see `open_rows`.
 
     A remark tells which payload of a calibration those carry that name none.
     """
-    given = {**same(asked, open_measurements), "setup": setup, **more}
-    measured, rows = open_measurements(files, chains, **given)
-    calibrated = isinstance(asked, OfCalibration) and calibration_file(asked)
+    setup, known = subject.setup, list[str]()
+    if subject.calibration is not None:
+        known = [r.name for r in subject.calibration.model.references.values()]
+    opened = partial(open_rows, asked, files, subject.chains, setup)
+    chains, rows = opened(sockets=known, bar=bar)
     unnamed = any("" in block.payload.distinct for block in rows.blocks)
     loaded = "payloads" in required_keys(setup.parameters) and len(setup.payloads) == 1
-    if calibrated and unnamed and loaded:
+    if subject.calibration and unnamed and loaded:
         carried = f"'{setup.heaviest}'; a column 'payload' says another one, or 'none'"
         notice(f"measurements without a payload carry {carried}")
-    return measured, rows
+    return chains, rows
 
 
 def beside(file: Path, robot: str) -> str:
@@ -359,21 +381,20 @@ def check_outputs(
     for k, path in enumerate(written):
         whole, others = path.absolute(), [other.absolute() for other in written]
         place = next(filter(exists, path.parents))
-        if not place.is_dir():
-            raise OptionError("is a file, not a folder", file=place)
+        require_folders([place])
         if not (exists(path) or os.access(place, os.W_OK)):
             reason = "is a folder in which nothing can be written"
             raise OptionError(reason, file=place)
-        reason, allowed = "", None
-        if any(same_file(path, file) for file in read):
-            reason = "is an input of this run, and inputs are never changed"
-            allowed = "another file"
-        elif whole in others[:k]:
-            reason = "two outputs would go to this file"
-        elif any(whole in other.parents for other in others):
-            reason = "is an output of this run, and cannot be a folder for others"
-        elif exists(path):
-            reason = "" if force else "exists already; --force replaces it"
-            reason = "is a folder, not a file" if path.is_dir() else reason
-        if reason:
-            raise OptionError(reason, file=path, allowed=allowed)
+        faults = {
+            "is an input of this run, and inputs are never changed": any(
+                same_file(path, file) for file in read
+            ),
+            "two outputs would go to this file": whole in others[:k],
+            "is an output of this run, and cannot be a folder for others": any(
+                whole in other.parents for other in others
+            ),
+            "is a folder, not a file": path.is_dir(),
+            "exists already; --force replaces it": exists(path) and not force,
+        }
+        for reason in (reason for reason, wrong in faults.items() if wrong):
+            raise OptionError(reason, file=path)

@@ -18,28 +18,24 @@ if TYPE_CHECKING:
 def view(asked: View) -> int:
     """Do what `View` asks for."""
     require_viser()
-    from calib_pin.io.results import doubt_of
     from calib_pin.viewer.scene import make_scene
     from calib_pin.viewer.server import Window
 
     folders = asked.package_dir or []
     files.require_folders(folders)
-    calibrated, chains, setup = files.open_subject(asked, asked.chain)
-    if doubt := doubt_of(calibrated, files.calibration_file(asked)):
-        printing.notice(doubt)
+    subject = files.open_subject(asked)
+    calibrated, chains = subject.calibration, subject.chains
+    if subject.doubt:
+        printing.notice(subject.doubt)
     with printing.progress_bar() as bar:
         model, rows = None if calibrated is None else calibrated.model, None
         if asked.measurements:
-            known = {} if model is None else model.references
-            sockets = [reference.name for reference in known.values()]
-            measured, rows = files.open_rows(
-                asked, asked.measurements, chains, setup, sockets=sockets, bar=bar
-            )
-            chains = measured if model is None else chains
+            measured, rows = files.open_tested(asked, asked.measurements, subject, bar)
+            chains = chains if model else measured
         scene = make_scene(
             chains,
             model,
-            setup,
+            subject.setup,
             rows,
             asked.plan,
             folders,

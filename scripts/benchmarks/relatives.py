@@ -32,7 +32,7 @@ import numpy as np
 import calib_pin
 from benchmarks.layouts import WRITERS, Files, Job, job, table
 from calib_pin.cli import main as command
-from calib_pin.cli.files import open_chains, open_measurements
+from calib_pin.cli.files import open_chains, open_rows
 from calib_pin.cli.options import OfRobot
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED
@@ -396,8 +396,9 @@ def calibrated(files: Mapping[str, bytes], of: Job) -> tuple[str, str, float]:
             rows = Path(tables[0])
         _said(["init", of.robot, str(rows), "-o", "s.yaml"])
         setup = calib_pin.read_setup("s.yaml")
-        chains = open_chains(OfRobot(robot=of.robot), setup)
-        chains, data = open_measurements([rows], chains, setup, quiet=True)
+        asked = OfRobot(robot=of.robot)
+        chains = open_chains(asked, setup)
+        chains, data = open_rows(asked, [rows], chains, setup, quiet=True)
         result = calib_pin.calibrate(chains, data, setup)
         if result.verdict not in TRUSTED:
             return result.verdict, result.reason, np.nan

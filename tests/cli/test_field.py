@@ -15,7 +15,7 @@ import pytest
 
 import calib_pin
 from calib_pin.cli import main
-from calib_pin.cli.files import open_chains, open_measurements
+from calib_pin.cli.files import open_chains, open_rows
 from calib_pin.cli.options import OfRobot
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.setup import FrameSetup, Setup
@@ -140,8 +140,9 @@ def test_a_file_is_read_as_it_is(name, job):
     written(READ[name](job))
     assert main(["init", ROBOT, "rows.csv", "-o", "s.yaml"]) == 0
     setup = calib_pin.read_setup("s.yaml")
-    chains = open_chains(OfRobot(robot=ROBOT), setup)
-    _, found = open_measurements([Path("rows.csv")], chains, setup, quiet=True)
+    asked = OfRobot(robot=ROBOT)
+    chains = open_chains(asked, setup)
+    _, found = open_rows(asked, [Path("rows.csv")], chains, setup, quiet=True)
     rows = found.only
     measured = rows.lines - rows.lines[0]
     assert len(rows) == (34 if "missing" in name else 40)

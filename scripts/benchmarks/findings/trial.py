@@ -17,7 +17,7 @@ from benchmarks.findings.defect import MEASURED, NOISE, Defect, Input, given, jo
 from benchmarks.verdict.jobs import Job, stream
 from benchmarks.verdict.truth import Outcome as Judged
 from benchmarks.verdict.truth import judged
-from calib_pin.cli.files import open_chains, open_measurements
+from calib_pin.cli.files import open_chains, open_rows
 from calib_pin.cli.options import OfRobot
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED, Finding
@@ -88,13 +88,14 @@ def criterion(number: int, defect: Defect) -> Criterion[Outcome]:
 def calibrated(of: Input) -> CalibrationResult:
     """The result of an input that goes through files."""
     with TemporaryDirectory() as folder:
-        chains = open_chains(OfRobot(robot=of.robot), of.setup)
+        asked = OfRobot(robot=of.robot)
+        chains = open_chains(asked, of.setup)
         files = written(Path(folder), of.files)
-        chains, rows = open_measurements(files, chains, of.setup, quiet=True)
+        chains, rows = open_rows(asked, files, chains, of.setup, quiet=True)
         validation = None
         if of.validation:
             paths = written(Path(folder), of.validation)
-            _, validation = open_measurements(paths, chains, of.setup, quiet=True)
+            _, validation = open_rows(asked, paths, chains, of.setup, quiet=True)
         return calib_pin.calibrate(
             chains,
             rows,

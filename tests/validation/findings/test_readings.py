@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import calib_pin
 from benchmarks.verdict.jobs import draw, stream
-from calib_pin.cli.files import open_chains, open_measurements
+from calib_pin.cli.files import open_chains, open_rows
 from calib_pin.cli.options import OfRobot
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding
@@ -569,8 +569,9 @@ def of_file(rows_of_ur10, tmp_path):
             lines = [[*line, c] for line, c in zip(lines, cells, strict=True)]
         with path.open("w") as file:
             csv.writer(file).writerows(lines)
-        chains = open_chains(OfRobot(robot="example:ur10_robot"), setup)
-        chains, rows = open_measurements([path], chains, setup, quiet=True)
+        asked = OfRobot(robot="example:ur10_robot")
+        chains = open_chains(asked, setup)
+        chains, rows = open_rows(asked, [path], chains, setup, quiet=True)
         result = calib_pin.calibrate(chains, rows, setup, validate=False)
         return {f.code: f for f in result.findings}
 

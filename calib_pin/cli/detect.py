@@ -15,11 +15,11 @@ import calib_pin.io.logs as logs
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Detect, Join
 from calib_pin.errors import InputError, OptionError, enumerated
-from calib_pin.io import boards, measurements
-from calib_pin.io.boards import Detector, Start, View, encode_png
+from calib_pin.io import boards
+from calib_pin.io.boards import Detector, View
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.setup import setup_document, yaml_text
-from calib_pin.io.table import Notice, Table, read_table
+from calib_pin.io.table import Table, read_table
 from calib_pin.setup import Setup
 
 OURS = ("u", "v", "target", "sigma_u", "sigma_v")
@@ -45,8 +45,7 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
     if asked.draw is not None:
         return _draw_board(asked, asked.draw, detector)
     output, extra = asked.output, asked.setup_output
-    every_path = asked.images or []
-    images = [image for path in every_path for image in (images_in(path) or [path])]
+    images = [i for path in asked.images or [] for i in (images_in(path) or [path])]
     if not images or output is None:
         raise OptionError("give the images, and -o, the measurement file to write")
     files.require_distinct(images)
@@ -59,49 +58,56 @@ def detect(asked: Detect, words: Sequence[str]) -> int:
         asked.tell("no image shows enough of the board to check how it is stated")
     by_name = {path.name: view for path, view in zip(images, views, strict=True)}
     start = boards.start_camera(asked.mount, detector, size, by_name)
-    if (camera := given.camera) is not None:
-        if camera.size not in (None, size):
-            value, allowed = (f"{a:g} x {b:g}" for a, b in (size, camera.size or size))
+    fit = "not checked: too few corners"
+    fit = fit if start.rms is None else f"rms {start.rms:.3f} px"
+    if (stated := given.camera) is not None:
+        if stated.size not in (None, size):
+            value, allowed = (f"{a:g} x {b:g}" for a, b in (size, stated.size or size))
             reason = "these images are not of the size of the camera that is stated"
             raise InputError(reason, file=images[0], value=value, allowed=allowed)
-        start = replace(start, camera=replace(camera, size=size), assumed=False)
-    columns = corner_columns(images, views, rows)
+        start, fit = boards.Start(replace(stated, size=size), False, None), "as stated"
     comment = f"found by: {printing.command_line(words)}"
-    contents = {output: measurements.encode_table(columns, [comment])}
+    table = encode_table(corner_columns(images, views, rows), [comment])
+    contents = {output: table}
     if extra is not None:
         setup = setup_document(Setup(model="camera", board=board, camera=start.camera))
-        remark = f"# {ASSUMED}\n" if start.assumed else ""
         text = yaml_text({key: setup[key] for key in ("model", "board", "camera")})
-        contents[extra] = f"# {comment}\n{remark}{text}\n".encode()
-    _remarks(by_name, start, asked.tell)
+        remarks = [comment, *[ASSUMED] * start.assumed]
+        head = "".join(f"# {remark}\n" for remark in remarks)
+        contents[extra] = f"{head}{text}\n".encode()
+    medians = {n: np.median(view.sigma) for n, view in by_name.items() if view.names}
+    median = float(np.median(np.concatenate([view.sigma for view in views])))
+    most, shown = BLURRED * np.median([*medians.values()]), len(medians)
+    for remark, names in (
+        (f"no board in {len(images) - shown} images", by_name.keys() - medians),
+        ("blurred or noisy", {n for n, sigma in medians.items() if sigma > most}),
+    ):
+        if names:
+            asked.tell(f"{remark}: {enumerated(n for n in by_name if n in names)}")
+    if start.assumed:
+        asked.tell(ASSUMED)
     if boards.ambiguous(board):
         asked.tell(
             "the board looks the same when it is turned: corner 0 is the one nearest "
             "to the upper left of each image, so the camera must not roll"
         )
-    median = float(np.median(np.concatenate([view.sigma for view in views])))
-    shown = sum(bool(view.names) for view in views)
     corners = sum(len(view.names) for view in views)
-    ends = start.camera.focal, start.camera.center
-    focal, center = (f"({a:.1f}, {b:.1f})" for a, b in ends)
-    checked = start.rms is not None
-    rms = f"rms {start.rms:.3f} px" if checked else "not checked: too few corners"
-    rms += ", with a camera of their own" * (checked and given.camera is not None)
-    summary = (
+    focal, center = start.camera.focal, start.camera.center
+    asked.give(
+        contents,
         f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px\n"
         f"{corners} of {shown * len(detector.points)} corners in them, sigma "
         f"{median:.3f} px (median)\n"
-        f"{'start of the camera' if given.camera is None else 'camera as stated'}: "
-        f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
+        f"camera: {'assumed ' * start.assumed}focal ({focal[0]:.1f}, {focal[1]:.1f}), "
+        f"center ({center[0]:.1f}, {center[1]:.1f}) px\n  ({fit})\n",
     )
-    asked.give(contents, summary)
     return 0
 
 
 def _draw_board(asked: Detect, file: Path, detector: Detector) -> int:
     """Write the board to print."""
     files.check_outputs([file], [asked.setup], asked.force)
-    picture = encode_png(detector.drawn(SHEET), SHEET / detector.board.square)
+    picture = boards.encode_png(detector.drawn(SHEET), SHEET / detector.board.square)
     width, height = 1e3 * detector.extent
     note = f"print it at 100 %: {width:g} x {height:g} mm\n"
     asked.give({file: picture}, note)
@@ -179,18 +185,6 @@ def numbers_in(image: Path) -> list[int]:
     return [int(word or 0) for word in re.split(r"\D+", str(image))]
 
 
-def _remarks(views: dict[str, View], start: Start, tell: Notice) -> None:
-    """Name the images without a board, and the blurred ones."""
-    if without := [name for name, view in views.items() if not view.names]:
-        tell(f"no board in {len(without)} images: {enumerated(without)}")
-    medians = {n: np.median(view.sigma) for n, view in views.items() if view.names}
-    most = BLURRED * np.median([*medians.values()])
-    if blurred := [name for name, median in medians.items() if median > most]:
-        tell(f"blurred or noisy: {enumerated(blurred)}")
-    if start.assumed:
-        tell(ASSUMED)
-
-
 def unmeasured(
     asked: Detect, images: list[Path]
 ) -> tuple[list[Path], dict[str, list[Any]]]:
@@ -211,21 +205,23 @@ def unmeasured(
         stand = Join.settle, Join.tolerance
         summary, data = logs.join_logs(table, times, (), *stand, asked.tell, True)
         if summary.clock is None:
-            reason = "there is no column 'time' here, or in the log of the joints"
-            raise times.error(reason)
+            raise times.error("no column 'time' here, or in the log of the joints")
         table = read_table(data)
         stood, names = _names(table, images)
         images = [p for p, name in zip(images, names, strict=True) if name in stood]
-    count = len(table.lines)
-    if "image" not in table and count == len(images):
+    if "image" in table:
+        order: Sequence[int] = _rows(table, images)
+    else:
+        order = range(len(table.lines))
+        if len(order) != len(images):
+            reason = (
+                f"has {len(order)} rows for {len(images)} images; a column 'image' "
+            )
+            reason += "or, for a log, --times tells which belong together"
+            raise InputError(reason, file=file)
         ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
         pairs = " to ".join(ends)
         asked.tell(f"images and rows of {file} are paired in order: {pairs}")
-    elif "image" not in table:
-        reason = f"has {count} rows for {len(images)} images; a column 'image' or, for "
-        reason += "a log, --times tells which belong together"
-        raise InputError(reason, file=file)
-    order = _rows(table, images) if "image" in table else range(count)
     cells = {n: c.texts() for n, c in table.columns.items() if n != "image"}
     headers = {name: table.columns[name].header for name in cells}
     return images, {headers[n]: [c[row] for row in order] for n, c in cells.items()}
@@ -244,9 +240,8 @@ def _rows(table: Table, images: list[Path]) -> list[int]:
     for row, cell in enumerate(cells):
         if rows.setdefault(cell, row) != row:
             raise table.error("this image has a row already", "image", row=row)
-    for path, name in zip(images, names, strict=True):
-        if name not in rows:
-            raise InputError(f"has no row for the image {path.name}", file=table.file)
+    if lost := [p for p, name in zip(images, names, strict=True) if name not in rows]:
+        raise InputError(f"has no row for the image {lost[0].name}", file=table.file)
     return [rows[name] for name in names]
 
 

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import calib_pin.calibration as calibration
 import calib_pin.cli.files as files_of
+import calib_pin.io.results as documents
 from calib_pin.cli import options, printing, results
 from calib_pin.cli.asked import Calibrate
 from calib_pin.cli.results import draw_calibration
-from calib_pin.io.files import write_files
 from calib_pin.io.json_text import encode
 from calib_pin.io.measured_columns import place_of
-from calib_pin.io.results import DOCUMENT, REPORT, calibration_document, document_file
-from calib_pin.io.urdf import other_robots
+from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT
+from calib_pin.io.urdf import is_source, other_robots
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.planning.suggestions import with_suggestions
@@ -41,16 +41,12 @@ def calibrate(asked: Calibrate, words: Sequence[str]) -> int:
         with options.asked_workers(asked.workers, asked.cluster) as several:
             words = ("calib-pin", *words)
             result, contents = calibrated(inputs, words, bar=bar, workers=several)
-    if folder is None:
-        writing = write_files(contents, force=asked.force)
-    else:
-        writing = results.write_results(result, folder, contents, force=asked.force)
     verbose = not (asked.quiet or asked.json)
     # Nothing is written if nothing can be said, as to a full disk.
-    with writing:
+    with results.write_results(result, folder, contents, force=asked.force):
         if asked.json:
-            written = None if folder is None else contents[folder / DOCUMENT]
-            document = written or encode(calibration_document(result))
+            written = folder and contents[folder / DOCUMENT]
+            document = written or encode(documents.calibration_document(result))
             printing.say(document.decode())
         elif verbose:
             report = [*text.report(result, details=asked.details)]
@@ -79,7 +75,7 @@ class Inputs:
         validation: Those of the validation file; None without one.
         output: Folder for the results; None where they are only printed.
         pictures: Files of the figures.
-        older: The older calibration to go on from; None without one.
+        start: The older calibration to go on from; None without one.
     """
 
     request: options.Request
@@ -89,7 +85,7 @@ class Inputs:
     validation: Observations | None
     output: Path | None
     pictures: Sequence[Path]
-    older: CalibrationResult | None
+    start: CalibrationResult | None
 
 
 def open_inputs(
@@ -113,9 +109,17 @@ def open_inputs(
     )
     chains = files_of.open_chains(request, setup)
     # None of them may be written.
-    started = [] if request.start is None else [document_file(request.start)]
+    started = [] if request.start is None else [documents.document_file(request.start)]
     inputs = [request.robot, request.setup, *started, *paths, *further]
-    results.check_results(output, pictures, chains.robot, inputs, force)
+    outputs = dict.fromkeys(pictures)
+    if output is not None:
+        # Files of an earlier run go; its nominal robot may be calibrated again.
+        nominal = output / NOMINAL
+        sources = [nominal] * is_source(nominal, chains.robot)
+        written = documents.written_before(output / DOCUMENT)
+        written = [*result_files(output, chains.robot), *written]
+        outputs |= dict.fromkeys(path for path in written if path not in sources)
+    files_of.check_outputs(outputs, inputs, force)
     files_of.require_distinct([*paths, *further])
     chains, rows = files_of.open_rows(request, paths, chains, setup, bar=bar)
     validation = None
@@ -149,19 +153,14 @@ def calibrated(
         bar: Told the progress.
         workers: Who fits the folds and candidates.
     """
-    request, folder, setup = inputs.request, inputs.output, inputs.setup
+    request, folder = inputs.request, inputs.output
     start = time.perf_counter()
-    given = options.same(request, calibration.calibrate) | {
-        "setup": setup,
-        "validation": inputs.validation,
-        "measurements": inputs.measurements,
-        "start": inputs.older,
-        "ladder": request.model_ladder or request.use is not None,
-        "use": request.use or USES[0],
-        "workers": workers,
-    }
-    others = partial(other_robots, inputs.chains, setup)
-    result = calibration.calibrate(inputs.chains, **given, progress=bar, others=others)
+    fit = calibration.calibrate
+    given = options.same(request, fit) | options.same(inputs, fit)
+    given["ladder"] = request.model_ladder or request.use is not None
+    given |= {"use": request.use or USES[0], "workers": workers}
+    given["others"] = partial(other_robots, inputs.chains, inputs.setup)
+    result = fit(**given, progress=bar)
     seconds = time.perf_counter() - start
     result = with_suggestions(result)
     drawn = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +17,9 @@ from calib_pin.control.compensation import Compensation
 from calib_pin.errors import OptionError
 from calib_pin.io.exchange.motions import PROGRAMS, moving_times, paced, speed_limits
 from calib_pin.io.targets import Targets, encode_commands, read_target_file, read_times
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
-from calib_pin.observations import BlockKey, Indices
+from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import NOTHING
 from calib_pin.report import blocks, trust
 from calib_pin.report.blocks import Block
@@ -52,27 +51,6 @@ CONDITIONS = {
 states them."""
 
 
-class Commanded(NamedTuple):
-    """Commands for the targets of a file.
-
-    Attributes:
-        chain: The nominal chain.
-        targets: The targets.
-        commands: Their commands.
-        rows: The targets that are commanded, shape (K,).
-        times: When each of them is reached, shape (K,) [s]; None where the file has no
-            times.
-        faults: Lines of the file by their fault.
-    """
-
-    chain: Chain
-    targets: Targets
-    commands: Compensation
-    rows: Indices
-    times: Floats | None
-    faults: Mapping[str, list[int]]
-
-
 def compensate(asked: Compensate, words: Sequence[str]) -> int:
     """Do what `Compensate` asks for."""
     if asked.format != "csv" and asked.degrees:
@@ -88,46 +66,55 @@ def compensate(asked: Compensate, words: Sequence[str]) -> int:
     sources = robot, str(file.parent / robot), *map(str, results.written_before(file))
     inputs = [*sources, file, asked.targets, asked.setup]
     files.check_outputs([output], inputs, asked.force)
-    targets, timed = read(asked, model, setup)
+    targets, times = read(asked, model, setup)
+    report = list[Block]()
     carried = asked.payload or ("" if model.geometric else model.setup.heaviest)
     _require_meant(targets, result, {**key._asdict(), "payload": carried})
     if carried and asked.payload is None:
         asked.tell(f"commands are for payload '{carried}'; --payload says another one")
     for remark in _remarks(asked, result, key, targets):
         asked.tell(remark)
-    done = commanded(asked, model, targets, timed)
-    missed = {fault: lines for fault, lines in done.faults.items() if lines}
-    apart = targets.T is not None and missed.keys() <= {UNREACHED}
+    chain, motion, lines = model.chain, targets.T is None, targets.table.lines
+    commands = commanded(asked, model, targets)
+    (rows,) = np.nonzero(commands.reached)
+    hasty = rows[:0]
+    if times is not None and len(rows):
+        times, hasty = paced(chain, commands.q[rows], rows, times)
+    torn = commands.jumps & (motion and commands.complete)
+    faults = zip(FAULTS, (~commands.reached, hasty, torn), strict=True)
+    named = {fault: lines[of].tolist() for fault, of in faults}
+    missed = {fault: at for fault, at in named.items() if at}
     contents, wrote = {}, "nothing"
-    if not doubt and (not missed or (apart and done.commands.reached.any())):
-        comments = [f"commands of: {printing.command_line(words)}"]
-        contents[output] = encoded(asked, done, comments)
-        wrote = str(output)
-    elif not doubt and targets.T is None:
-        wrote += ": a motion is written whole"
-    asked.give(
-        contents,
-        _report(asked, done, result, doubt),
-        [f"wrote {wrote}"],
-    )
-    if asked.quiet:
-        where = [(f, f"{asked.targets}, {line_list(n)}") for f, n in missed.items()]
-        for cause, detail in [(result.verdict, doubt)] if doubt else where:
-            printing.notice(f"{cause}: {detail}")
-    return 2 if doubt or missed else 0
-
-
-def _report(
-    asked: Compensate, done: Commanded, result: CalibrationResult, doubt: str
-) -> Iterator[Block]:
-    """The report that is printed."""
-    lines, motion = done.targets.table.lines.tolist(), done.targets.T is None
     if doubt:
-        yield from (trust.judged(doubt, result.verdict), blocks.Line(""))
-    about = {"motion": motion, "file": str(asked.targets), "lines": lines}
-    yield from texts.compensation_report(done.commands, done.chain, **about)
-    yield from texts.hasty_lines(done.faults[HASTY])
-    yield from texts.accuracy_lines(calibrated.model_errors(result))
+        report += [trust.judged(doubt, result.verdict), blocks.Line("")]
+    elif not missed or (len(rows) and not motion and missed.keys() <= {UNREACHED}):
+        comments = [f"commands of: {printing.command_line(words)}"]
+        q, part = commands.q[rows], SPEED if asked.speed is None else asked.speed
+        if asked.format == "csv" and asked.speed is not None:
+            times = moving_times(q, speed_limits(chain, part))
+        elif asked.format == "csv" and motion:
+            times = None  # The motion keeps its own.
+        if asked.format == "csv":
+            data = encode_commands(
+                targets, q, rows, degrees=asked.degrees, times=times, comments=comments
+            )
+        else:
+            program = PROGRAMS[asked.format]
+            data = program(chain, targets.columns, q, part, comments, times)
+        contents[output], wrote = data, str(output)
+    elif motion:
+        wrote += ": a motion is written whole"
+    about = {"motion": motion, "file": str(asked.targets), "lines": lines.tolist()}
+    report += texts.compensation_report(commands, chain, **about)
+    report += texts.hasty_lines(named[HASTY])
+    report += texts.accuracy_lines(calibrated.model_errors(result))
+    asked.give(contents, report, [f"wrote {wrote}"])
+    if asked.quiet and doubt:
+        printing.notice(f"{result.verdict}: {doubt}")
+    elif asked.quiet:
+        for fault, at in missed.items():
+            printing.notice(f"{fault}: {asked.targets}, {line_list(at)}")
+    return 2 if doubt or missed else 0
 
 
 def _remarks(
@@ -195,12 +182,11 @@ def read(
         timed=asked.format != "csv" and asked.speed is None,
         notice=asked.tell,
     )
-    motion, csv, times = targets.T is None, asked.format == "csv", None
+    motion, csv = targets.T is None, asked.format == "csv"
     if motion and (asked.frame or asked.point) is not None:
         reason = "the file holds joint positions only, and --frame and --point are "
         raise OptionError(f"{reason}for targets", file=file)
-    if motion or not csv:
-        times = read_times(targets)
+    times = read_times(targets) if motion or not csv else None
     if times is not None and asked.speed is not None:
         if csv:
             raise OptionError("--speed: the motion has times of its own", file=file)
@@ -209,46 +195,16 @@ def read(
 
 
 def commanded(
-    asked: Compensate,
-    model: CalibratedChain,
-    targets: Targets,
-    timed: Floats | None,
-) -> Commanded:
-    """Commands for targets that are reached by times (N,) [s], and what is wrong."""
-    motion, lines = targets.T is None, targets.table.lines
+    asked: Compensate, model: CalibratedChain, targets: Targets
+) -> Compensation:
+    """Commands for targets."""
     with printing.progress_bar(quiet=asked.quiet) as bar:
         about: dict[str, Any] = {"progress": printing.stage(bar, "compensate")}
-        if targets.T is not None:
-            about["orientation"] = targets.oriented and not asked.position
-            about["frame"] = asked.frame or FRAMES[0]
-            about["point"] = asked.point or POINTS[0]
-            commands = compensation.compensate(model, targets.T, targets.q, **about)
-        else:
+        if targets.T is None:
             assert targets.q is not None
             poses = not asked.position and len(targets.columns.tells) >= 6
-            commands = compensation.follow(model, targets.q, orientation=poses, **about)
-    (rows,) = np.nonzero(commands.reached)
-    times, hasty = None, rows[:0]
-    if timed is not None and len(rows):
-        times, hasty = paced(model.chain, commands.q[rows], rows, timed)
-    torn = commands.jumps & (motion and commands.complete)
-    faults = zip(FAULTS, (~commands.reached, hasty, torn), strict=True)
-    named = {fault: lines[of].tolist() for fault, of in faults}
-    return Commanded(model.chain, targets, commands, rows, times, named)
-
-
-def encoded(asked: Compensate, done: Commanded, comments: Sequence[str]) -> bytes:
-    """The file of commands."""
-    chain, targets, times = done.chain, done.targets, done.times
-    q = done.commands.q[done.rows]
-    part = SPEED if asked.speed is None else asked.speed
-    if asked.format != "csv":
-        program = PROGRAMS[asked.format]
-        return program(chain, targets.columns, q, part, comments, times)
-    if asked.speed is not None:
-        times = moving_times(q, speed_limits(chain, part))
-    elif targets.T is None:
-        times = None  # The motion keeps its own.
-    return encode_commands(
-        targets, q, done.rows, degrees=asked.degrees, times=times, comments=comments
-    )
+            return compensation.follow(model, targets.q, orientation=poses, **about)
+        about["orientation"] = targets.oriented and not asked.position
+        about["frame"] = asked.frame or FRAMES[0]
+        about["point"] = asked.point or POINTS[0]
+        return compensation.compensate(model, targets.T, targets.q, **about)

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from itertools import compress, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from calib_pin.cli.options import OfCalibration, OfRobot
+import calib_pin.errors as errors
+from calib_pin.cli.options import OfCalibration, OfRobot, same
 from calib_pin.cli.printing import Bar, notice, stage
-from calib_pin.errors import (
-    InputError,
-    OptionError,
-    RobotError,
-    enumerated,
-    in_file,
-    require_known,
-)
+from calib_pin.errors import InputError, OptionError, RobotError, enumerated
 from calib_pin.io.files import same_file
 from calib_pin.io.measured_columns import asked_models
 from calib_pin.io.measurements import read_measurements
@@ -30,6 +24,7 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameterizations import required_keys
 from calib_pin.setup import WORLD, Setup
+from calib_pin.setup.arguments import keys_of
 
 if TYPE_CHECKING:
     from calib_pin.validation.result import CalibrationResult
@@ -179,7 +174,7 @@ def open_subject(asked: OfCalibration, *also: str) -> Subject:
     known = replace(model.setup, base=first.base, tip=first.tip, model=models)
     require_joints_only(setup, *also, known=known)
     if chain is not None:
-        require_known("chain", chain, model.measured_chains)
+        errors.require_known("chain", chain, model.measured_chains)
     # Of poses, positions alone may be measured now.
     read = f"{models}+position" if models == "pose" else models
     plain = vars(type(setup)())
@@ -201,13 +196,11 @@ def require_joints_only(setup: Setup, *also: str, known: Setup | None = None) ->
     Raises:
         OptionError: If it does.
     """
-    keys, plain = sorted(("columns", "joints", "reading", *also)), type(setup)()
-    other = dict.fromkeys(
-        "frames" if key.endswith("_frame") else key
-        for key in (field.name for field in fields(setup) if field.compare)
-        if key not in keys
-        and getattr(setup, key) not in [getattr(s, key) for s in (plain, known) if s]
-    )
+    keys, other = sorted(("columns", "joints", "reading", *also)), dict[str, None]()
+    for name, key in keys_of(Setup).items():
+        expected = key.default, getattr(known, name, key.default)
+        if name not in keys and getattr(setup, name) not in expected:
+            other[str(key.path[0])] = None
     if other:
         reason = f"a calibration has its own {enumerated(other)}"
         raise OptionError(reason, file=setup.file or None, allowed=", ".join(keys))
@@ -292,23 +285,15 @@ def open_rows(
     require_distinct(files)
     chain = getattr(asked, "chain", None)
     known = (name for name, s in setup.sockets.items() if s.estimate is False)
-    with in_file(setup.file):
-        rows = read_measurements(
-            files,
-            chains,
-            model=setup.model,
-            station_per_file=getattr(asked, "station_per_file", False),
-            unnamed=chain,
-            columns=setup.columns,
-            joints=setup.joints,
-            reading=setup.reading,
-            notice=None if quiet else notice,
-            progress=stage(bar, "read"),
-            sockets=[*sockets, *known],
-        )
+    quiet = quiet or getattr(asked, "quiet", False)
+    given = same(setup, read_measurements) | {"sockets": [*sockets, *known]}
+    given |= {"station_per_file": getattr(asked, "station_per_file", False)}
+    given |= {"notice": None if quiet else notice, "progress": stage(bar, "read")}
+    with errors.in_file(setup.file):
+        rows = read_measurements(files, chains, unnamed=chain, **given)
     names = tuple(key.chain for key in rows.keys)
     if chain is not None:
-        require_known("measured chain", chain, names)
+        errors.require_known("measured chain", chain, names)
         rows = Observations(tuple(b for b in rows.blocks if b.chain == chain))
     return chains.named(names), rows
 

@@ -56,7 +56,12 @@ def fleet(asked: Fleet) -> int:
 def _calibrate(asked: Fleet, table: Path) -> int:
     """Calibrate the robots of a table."""
     output, every = asked.output, jobs.read_jobs(table, notice)
-    _check(table, every, output, asked.force or asked.resume)
+    force, tables = asked.force or asked.resume, [output / name for name in FILES]
+    for job in every:
+        if not force and files.exists(folder := output / job.name):
+            reason = "exists; --resume goes on, --force begins again"
+            raise OptionError(reason, file=folder)
+    files.check_outputs(tables, [table], force)
     done = dict[str, Outcome]()
     with (
         # A job may end the process that does it, so none is done here.
@@ -101,19 +106,6 @@ def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
         remaining = waiting
 
 
-def _check(table: Path, jobs: Sequence[Job], output: Path, force: bool) -> None:
-    """Refuse to replace what is there, and to write into what is read.
-
-    Raises:
-        OptionError: If something is there.
-    """
-    for job in jobs:
-        if not force and files.exists(folder := output / job.name):
-            reason = "exists; --resume goes on, --force begins again"
-            raise OptionError(reason, file=folder)
-    files.check_outputs([output / name for name in FILES], [table], force)
-
-
 def types_of(jobs: Sequence[Job], done: Mapping[str, Outcome]) -> list[PopulationPrior]:
     """The priors of a fleet's types; of a serial number its last calibration counts.
 
@@ -125,23 +117,19 @@ def types_of(jobs: Sequence[Job], done: Mapping[str, Outcome]) -> list[Populatio
         Those of types with robots enough, the largest first.
     """
     earlier = {job.before for job in jobs}
-    groups: list[dict[str, RobotEvidence]] = []
-    for job in jobs:
-        entry = done[job.name].evidence
-        if entry is None or job.name in earlier:
-            continue
-        for members in groups:
-            first = next(iter(members.values()))
-            if first.names == entry.names and not first.robot.difference(entry.robot):
-                members[job.name] = entry
+    last = (done[job.name].evidence for job in jobs if job.name not in earlier)
+    groups: list[list[RobotEvidence]] = []
+    for entry in filter(None, last):
+        for group in groups:
+            of_type = not group[0].robot.difference(entry.robot)
+            if of_type and group[0].names == entry.names:
+                group.append(entry)
                 break
         else:
-            groups.append({job.name: entry})
-    populations = []
-    for members in sorted(groups, key=len, reverse=True):
-        if len(members) >= population_prior.LEAST:
-            populations.append(population_prior.prior_of_type([*members.values()]))
-    return populations
+            groups.append([entry])
+    large = [group for group in groups if len(group) >= population_prior.LEAST]
+    large.sort(key=len, reverse=True)
+    return [population_prior.prior_of_type(group) for group in large]
 
 
 def priors(folder: Path, populations: Sequence[PopulationPrior]) -> dict[Path, bytes]:

@@ -13,7 +13,7 @@ from calib_pin.cli.options import as_option
 from calib_pin.errors import OptionError, counted
 from calib_pin.io import logs, table
 from calib_pin.io.table import Table
-from calib_pin.observations.joining import HALF_HOUR, Joined
+from calib_pin.observations.joining import Joined
 
 
 def join(asked: Join) -> int:
@@ -54,19 +54,14 @@ def _lines(summary: Joined, measurements: Path) -> Iterator[str]:
     if clock is None:
         yield f"{counted(summary.stands, 'sample')} with {readings}"
         return
-    empty = f", {summary.empty} without" * (summary.empty > 0)
-    yield f"{counted(summary.stands, 'standstill')} with {readings}{empty}"
-    far = f", {summary.scattered} far from their standstill's others"
-    far *= summary.scattered > 0
-    moving = counted(summary.moving, "reading")
-    yield f"dropped: {moving} in motion or beside a standstill{far}"
-    ahead, sigma = f"the clock of {measurements} is", f"{1e3 * clock.sigma:.1f} ms"
-    if clock.motions:
-        ahead += f" {clock.ahead:+.4f} s ahead, known to {sigma}"
-        yield f"{ahead} from {counted(clock.motions, 'motion')}"
-    else:
-        zone = ", in another time zone" * (abs(clock.ahead) > 0.5 * HALF_HOUR)
-        yield (
-            f"{ahead} taken to be {clock.ahead:+.2f} s ahead{zone}: nothing was "
-            f"measured in motion, and the standstills tell it to {sigma}"
-        )
+    yield f"{counted(summary.stands, 'standstill')} with {readings}"
+    for count, remark in (
+        (summary.empty, "standstills without readings"),
+        (summary.moving, "readings dropped: in motion or beside a standstill"),
+        (summary.scattered, "readings dropped: far from others of their standstill"),
+    ):
+        if count:
+            yield f"{count} {remark}"
+    known = f"{clock.ahead:+.4f} s ahead, known to {1e3 * clock.sigma:.1f} ms"
+    source = f"{counted(clock.motions, 'motion')}" if clock.motions else "standstills"
+    yield f"the clock of {measurements} is {known} from {source}"

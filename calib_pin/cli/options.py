@@ -123,19 +123,16 @@ def known(
     """
 
     def parse(text: str) -> str:
+        module, _, family = where.partition(":")
+        loaded = vars(import_module(f"calib_pin.{module}"))[family] if where else ()
         names = [name.strip() for name in text.split(between)] if between else [text]
         for name in names:
-            require_known(kind, name, [*more, *_loaded(where)])
+            require_known(kind, name, [*more, *loaded])
         if len(set(names)) != len(names):
             raise OptionError(f"a {kind} is named twice", value=text)
         return text
 
     return parse
-
-
-def _loaded(where: str) -> Iterable[str]:
-    module, _, name = where.partition(":")
-    return getattr(import_module(f"calib_pin.{module}"), name) if where else ()
 
 
 def meanings(cls: type) -> dict[str, str]:

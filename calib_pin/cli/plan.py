@@ -43,15 +43,10 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
     chains, keys, rows, setup = _open_inputs(asked, setup, older)
     collisions, command, poses = None, printing.command_line(words), None
     if not asked.ignore_collisions:
-        collisions = load_collisions(
-            chains,
-            setup.obstacles,
-            srdf=asked.srdf,
-            package_dirs=asked.package_dir or [],
-            clearance=asked.clearance,
-            notice=asked.tell,
-            file=setup.file,
-        )
+        given = options.same(asked, load_collisions)
+        given |= {"package_dirs": asked.package_dir or [], "notice": asked.tell}
+        given |= {"chain": chains, "obstacles": setup.obstacles, "file": setup.file}
+        collisions = load_collisions(**given)
     if asked.accept:
         return _acceptance(asked, chains, keys, setup, collisions, command)
     if asked.tests is not None:
@@ -61,7 +56,6 @@ def plan(asked: Plan, words: Sequence[str]) -> int:
         given = options.same(asked, planning.plan) | {
             "chain": chains,
             "model": keys,
-            "count": asked.count,
             "setup": setup,
             "measured": rows,
             "collisions": collisions,
@@ -87,17 +81,16 @@ def _open_inputs(
     asked: Plan, setup: Setup, older: CalibrationResult | None
 ) -> tuple[Chains, Sequence[BlockKey], Observations | None, Setup]:
     """The chains, what is measured there, what was measured before, and the setup."""
-    rows: Observations | None = None
     keys: Sequence[BlockKey]
     if asked.to:
         chains = files.open_chains(asked, setup, asked.chain)
         with printing.progress_bar(quiet=asked.quiet) as bar:
             chains, rows = files.open_rows(asked, asked.to, chains, setup, bar=bar)
-        rows = fitted_and_held_out(rows)[0]
+        rows, _ = fitted_and_held_out(rows)
         keys = rows.keys
     else:
         keys = files.block_keys(setup, *filter(None, [asked.chain]))
-        chains = files.open_chains(asked, setup, keys)
+        chains, rows = files.open_chains(asked, setup, keys), None
     if older is not None:
         setup = expected_setup(chains, setup, older)
     if not asked.quiet:
@@ -170,9 +163,6 @@ def _acceptance(
     columns |= {"cycle": each, "pose": [f"P{number}" for number in numbers]}
     columns |= {f"{axis} [mm]": [""] * len(q) for axis in "xyz"}  # To be filled in.
     text = encode_table(columns, [f"planned by: {command}", "", *schedule.splitlines()])
-    asked.give(
-        {asked.output: text},
-        schedule,
-        [f"wrote {len(poses.q) * cycles} visits to {asked.output}"],
-    )
+    written = [f"wrote {len(poses.q) * cycles} visits to {asked.output}"]
+    asked.give({asked.output: text}, schedule, written)
     return 0

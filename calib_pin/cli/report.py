@@ -46,9 +46,6 @@ def report(asked: Report) -> int:
             contents[pdf] = pdf_report(cover, [*annex, *provenance_blocks(document)])
         made = [f"wrote {file}" for file in contents]
         contents |= results.figure_contents(drawn, pictures)
-    replace(asked, force=asked.force or renews).give(
-        contents,
-        blocks(result),
-        [*made, *results.figure_notes(contents, pictures)],
-    )
+    made += results.figure_notes(contents, pictures)
+    replace(asked, force=asked.force or renews).give(contents, blocks(result), made)
     return asked.ended(result.verdict, result.reason, reported=not asked.quiet)

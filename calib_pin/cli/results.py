@@ -9,14 +9,11 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib_pin.cli.files import check_outputs, exists
+from calib_pin.cli.files import exists
 from calib_pin.cli.options import Pictured
 from calib_pin.cli.printing import Bar, notice, stage
 from calib_pin.errors import counted
-from calib_pin.io import urdf
 from calib_pin.io.files import write_files
-from calib_pin.io.results import DOCUMENT, NOMINAL, written_before
-from calib_pin.kinematics.robot import Robot
 from calib_pin.report.folder import outdated, result_files
 from calib_pin.setup import ReportSetup
 from calib_pin.validation.result import CalibrationResult
@@ -25,33 +22,10 @@ if TYPE_CHECKING:  # Drawing loads slowly, and is not always asked for.
     from calib_pin.report.figures import Drawn
 
 
-def check_results(
-    folder: Path | None,
-    pictures: Sequence[Path],
-    robot: Robot,
-    inputs: Sequence[str | Path | None],
-    force: bool,
-) -> None:
-    """Complain about results that must not be written, before the work is done.
-
-    Files of an earlier run in the folder are removed, so none of them may be an input.
-
-    Raises:
-        OptionError: See `cli.files.check_outputs`.
-    """
-    outputs = dict.fromkeys(pictures)
-    if folder is not None:
-        paths = [*result_files(folder, robot), *written_before(folder / DOCUMENT)]
-        # The nominal robot of a folder may be calibrated again: it stays as it is.
-        sources = [folder / NOMINAL] * urdf.is_source(folder / NOMINAL, robot)
-        outputs |= dict.fromkeys(path for path in paths if path not in sources)
-    check_outputs(outputs, inputs, force)
-
-
 @contextmanager
 def write_results(
     result: CalibrationResult,
-    folder: Path,
+    folder: Path | None,
     contents: Mapping[Path, bytes],
     *,
     force: bool,
@@ -61,12 +35,14 @@ def write_results(
     Files of an earlier run that are not rewritten would pass for a result of this
     one, so they are removed.
     """
-    corrected, *_, page = result_files(folder, result.model.chains.robot)
-    old = outdated(folder, contents)
+    old = [] if folder is None else outdated(folder, contents)
     with write_files(contents, force=force, folder=folder, removed=old):
         yield
+    if folder is None:
+        return
     for path in old:
         notice(f"removed {path} of an earlier run")
+    corrected, *_, page = result_files(folder, result.model.chains.robot)
     _tell_others((corrected, page), contents, "file")
     if (geometry := result.geometry) is None:
         return

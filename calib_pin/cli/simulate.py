@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 import calib_pin.cli.files as files
 from calib_pin.cli.asked import Simulate
+from calib_pin.cli.options import same
 from calib_pin.cli.printing import command_line, notice, progress_bar, stage
 from calib_pin.errors import OptionError, counted, in_file
 from calib_pin.estimation.formulation import nominal_problem
@@ -48,28 +48,20 @@ def simulate(asked: Simulate, words: Sequence[str]) -> int:
     else:
         errors = read_true_errors(asked.errors, problem.parameters.names)
         theta = problem.parameters.vector(errors)
-    measure = partial(
-        run,
-        problem,
-        theta,
-        rng,
-        noise=asked.noise,
-        repeats=asked.repeats,
-        # An image shows all corners of a board.
-        per_configuration=setup.board is not None,
-    )
+    given = same(asked, run)
+    given["per_configuration"] = setup.board is not None  # All corners in an image.
     with progress_bar() as bar:
         stage(bar, "measure")
         if file is None:
             files.tell_limits(chains)
-            rows = measure(count=asked.count)
+            rows = run(problem, theta, rng, **given)
         else:
             read = measurements.read_configurations
             q = read(file, chains, setup.joints, setup.columns)
             held = measurements.read_held(table, chains.joints, q)
-            target = named.pop("target", ())
+            given |= {"q": q, "target": named.pop("target", ()), "places": named}
             with in_file(str(file)):
-                rows = measure(q=q, target=target, places=named, conditions=held)
+                rows = run(problem, theta, rng, conditions=held, **given)
         comment = f"simulated by: {command_line(words)}"
         columns = measurements.measurement_columns(rows, layout)
         data = measurements.encode_table(columns, [comment], stage(bar, "write"))

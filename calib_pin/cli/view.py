@@ -32,16 +32,9 @@ def view(asked: View) -> int:
         if asked.measurements:
             measured, rows = files.open_tested(asked, asked.measurements, subject, bar)
             chains = chains if model else measured
-        scene = make_scene(
-            chains,
-            model,
-            subject.setup,
-            rows,
-            asked.plan,
-            folders,
-            tell=printing.notice,
-            stage=partial(printing.stage, bar),
-        )
+        tell, stage = printing.notice, partial(printing.stage, bar)
+        about = chains, model, subject.setup, rows, asked.plan, folders
+        scene = make_scene(*about, tell=tell, stage=stage)
     window = Window(scene.title, asked.port)
     window.show(scene)
     serve(asked, window)

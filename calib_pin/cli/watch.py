@@ -61,7 +61,7 @@ def watched(asked: Watch) -> guidance.Watch:
 
 def _setup_so_far(inputs: Inputs) -> Setup:
     """The setup, with what an older calibration tells of the rows so far."""
-    older, noise = inputs.older, inputs.request.process_noise
+    older, noise = inputs.start, inputs.request.process_noise
     if older is None:
         return inputs.setup
     rows = fitted_and_held_out(inputs.measurements)[0]

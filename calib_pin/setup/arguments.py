@@ -324,14 +324,12 @@ class Parser:
 
     def _limited(self, value: Any, kind: Any, marks: Iterable[Any], path: Path) -> Any:
         """A value within the limits of its annotation, see `values`."""
-        limits = None
         for mark in marks:
             if isinstance(mark, Written):
                 value = mark.function(value)
-            elif isinstance(mark, Value):
-                limits = mark
-        if limits is not None and not self.document:
-            result = limits.parse(value, kind)
+        limits = [mark for mark in marks if isinstance(mark, Value)]
+        if limits and not self.document:
+            result = limits[0].parse(value, kind)
         else:
             result = self.parse(value, kind, path)
         for mark in marks:

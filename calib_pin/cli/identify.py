@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 
 from calib_pin.calibration import calibrate as run
 from calib_pin.cli import files, printing
 from calib_pin.cli.asked import Identify
+from calib_pin.cli.options import same
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.json_text import Json, format_keys, merged, plain
 from calib_pin.io.urdf import other_robots
@@ -49,12 +50,9 @@ def identify(asked: Identify) -> int:
 
     def document() -> Json:
         # A fit has found more than this.
-        values = {f.name: getattr(result, f.name) for f in fields(Identification)}
-        return merged(
-            format_keys("calib-pin/identification"),
-            plain(Identification(**values)),
-            {"verdict": {"status": verdict, "reason": reason}, "findings": faults},
-        )
+        found = plain(Identification(**same(result, Identification)))
+        stated = {"verdict": {"status": verdict, "reason": reason}, "findings": faults}
+        return merged(format_keys("calib-pin/identification"), found, stated)
 
     asked.show(document, chain(doubts, findings(faults, reason), blocks))
     return 2 if doubts else 0

@@ -95,11 +95,8 @@ class Job(Request):
     before: str = ""
 
 
-KEYS = {
-    name: hint
-    for name, hint in get_type_hints(Job, include_extras=True).items()
-    if hasattr(hint, "__metadata__")
-}
+HINTS = get_type_hints(Job, include_extras=True)
+KEYS = {name: hint for name, hint in HINTS.items() if hasattr(hint, "__metadata__")}
 """Columns and keys of a job."""
 
 

@@ -381,5 +381,5 @@ def check_outputs(
             "is a folder, not a file": path.is_dir(),
             "exists already; --force replaces it": exists(path) and not force,
         }
-        for reason in (reason for reason, wrong in faults.items() if wrong):
-            raise OptionError(reason, file=path)
+        if wrong := [reason for reason, found in faults.items() if found]:
+            raise OptionError(wrong[0], file=path)

@@ -37,10 +37,10 @@ def write_files(
     """Write all files if the block succeeds, and none of them otherwise.
 
     Args:
-        contents: Content by file; missing folders are made.
+        contents: Content by file, never empty; missing folders are made.
         force: Replace existing files.
         folder: Folder whose files belong together: of these there are all or none even
-            if the process is killed meanwhile.
+            if the process is killed meanwhile, as there are of files side by side.
         removed: Files of that folder that go.
 
     Raises:
@@ -68,12 +68,8 @@ def write_files(
         for home, new in staged.items():
             with _writing(home), settled(home):
                 try:
-                    if home == folder:
-                        new.replace(home / COMMIT)
-                        complete(home)
-                    else:
-                        for name in homes[home]:
-                            (new / name).replace(home / name)
+                    new.replace(home / COMMIT)
+                    complete(home)
                 finally:  # Also where a signal comes in between.
                     complete(home)
 

@@ -51,16 +51,14 @@ def read_trials(path: Path, study: str, each: int) -> list[tuple[Trial, ...]]:
     if not (data.startswith(begin) or begin.startswith(data)):
         raise InputError("holds trials of another study; use --force", file=path)
     whole = data[len(begin) : data.rfind(b"\n") + 1].decode("utf-8", "replace")
-    trials, reader = list[Trial](), TypeAdapter(Trial)
-    for line, cells in enumerate(csv.reader(io.StringIO(whole, newline="")), 3):
-        with suppress(ValueError):
-            trial = reader.validate_python(dict(zip(COLUMNS, cells, strict=True)))
-            if trial.robot == len(trials) // each:
-                trials.append(trial)
-                continue
-        raise InputError("damaged; use --force", file=path, line=line)
-    ends = range(each, len(trials) + 1, each)
-    return [tuple(trials[end - each : end]) for end in ends]
+    with suppress(ValueError):
+        lines = csv.reader(io.StringIO(whole, newline=""))
+        cells = [dict(zip(COLUMNS, line, strict=True)) for line in lines]
+        trials = TypeAdapter(list[Trial]).validate_python(cells)
+        if all(trial.robot == k // each for k, trial in enumerate(trials)):
+            ends = range(each, len(trials) + 1, each)
+            return [tuple(trials[end - each : end]) for end in ends]
+    raise InputError("damaged; use --force", file=path)
 
 
 def written_trials(

@@ -126,8 +126,9 @@ def counted(numbers: Floats) -> str:
     return next((unit for top, unit in COUNTERS.items() if numbers.max() <= top), "")
 
 
-HUGE = 1e9
-"""Numbers from here on are none of a length or an angle, in any unit."""
+HUGE, BEYOND = 1e9, 1e20
+"""Numbers from here on are none of a length or an angle, in any unit; and are none at
+all, as trackers write them."""
 
 NO_READING = "the reading is missing"
 
@@ -157,8 +158,8 @@ class Column:
         unit: Unit in square brackets, or None.
         numbers: Number in each row, shape (N,); not finite where there is none.
         words: Untrimmed texts of cells, each once; some may not occur.
-        codes: Position among these of the text of each cell, shape (N,); -1 for one
-            of many numbers, and for a blank; of shape (0,) where all are such.
+        codes: Position among these of the text of each cell, shape (N,); -1 for a
+            number in a column of no names; of shape (0,) where all are such.
         theirs: Its name in the file; empty where the file has no such column.
     """
 
@@ -213,13 +214,15 @@ class Column:
     def sentinel(self) -> float:
         """A number that stands for no reading, or else one that is not a number.
 
-        It is of nines, or huge, in several rows, and far larger than all others.
+        It is of nines, or huge, far larger than all others, and in several rows; in one
+        it is beyond all that can be measured.
         """
         size = np.where(np.isfinite(self.numbers), np.abs(self.numbers), -1.0)
         largest = size.max(initial=0.0)
         rows = np.flatnonzero(size == largest)
         others = np.delete(size, rows).max(initial=-1.0)
-        far = len(rows) > 1 and 0.0 <= 2.0 * others < largest
+        several = len(rows) > 1 or largest >= BEYOND
+        far = several and 0.0 <= 2.0 * others < largest
         nines = {*f"{largest:.6f}".rstrip("0").replace(".", "")} == {"9"}
         return self.numbers[rows[0]] if far and (nines or largest >= HUGE) else np.nan
 

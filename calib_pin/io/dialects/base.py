@@ -70,14 +70,12 @@ class Dialect:
         ours: Patterns of columns, our names for them, and the units of those that
             state none. Of several columns the first pattern decides, then the order.
         other: Columns that are neither joints nor measured, as a pattern.
-        lost: Numbers from here on say that there is no reading.
         remark: What was recognized.
     """
 
     signs: ClassVar[Sequence[str]] = ()
     ours: ClassVar[Sequence[tuple[str, str, str | None]]] = ()
     other: ClassVar[str] = ""
-    lost: ClassVar[float] = np.inf
     remark: ClassVar[str] = ""
 
     def heading(self, lines: Lines) -> Heading | None:
@@ -106,14 +104,14 @@ class Dialect:
             for match in filter(None, (re.fullmatch(pattern, n) for n in columns)):
                 # A joint of the same name in a second topic keeps theirs.
                 sources.setdefault(match.expand(ours), (match[0], unit))
-        names = {theirs: (ours, unit) for ours, (theirs, unit) in sources.items()}
-        return {
-            name: named(column, name, unit, self.lost)
-            for theirs, column in columns.items()
-            for name, unit in [names.get(theirs, (theirs, None))]
-            if theirs in names
-            or not (name in sources or re.fullmatch(self.other, theirs))
-        }
+        read, names = dict[str, Column](), {n: ours for ours, (n, _) in sources.items()}
+        for theirs, column in columns.items():
+            if theirs in names:
+                name = names[theirs]
+                read[name] = named(column, name, sources[name][1])
+            elif not (theirs in sources or re.fullmatch(self.other, theirs)):
+                read[theirs] = named(column, theirs)
+        return read
 
 
 def cells_of(line: str, separator: str) -> list[str]:
@@ -152,16 +150,9 @@ def header(name: str, unit: str | None) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def named(
-    column: Column, name: str, unit: str | None = None, lost: float = np.inf
-) -> Column:
-    """A column with another name, and a unit where it states none.
-
-    Numbers as large as `lost` say that there is no reading.
-    """
-    unit, far = column.unit or unit, np.abs(column.numbers) >= lost
-    if far.any():
-        return computed(name, np.where(far, np.nan, column.numbers), unit)
+def named(column: Column, name: str, unit: str | None = None) -> Column:
+    """A column with another name, and a unit where it states none."""
+    unit = column.unit or unit
     return replace(column, header=header(name, unit), unit=unit)
 
 
@@ -174,10 +165,10 @@ def oriented(numbers: Floats, read: Callable[[Floats], Floats]) -> dict[str, Col
     """The columns of quaternions, blank where a number is missing.
 
     Args:
-        numbers: Numbers of orientations, shape (N, k).
-        read: The quaternions that they mean, (M, k) -> (M, 4).
+        numbers: Numbers of orientations, shape (N, ...).
+        read: The quaternions that they mean, (M, ...) -> (M, 4).
     """
-    seen = np.flatnonzero(np.isfinite(numbers).all(axis=1))
+    seen = np.flatnonzero(np.isfinite(numbers.reshape(len(numbers), -1)).all(axis=1))
     quaternions = np.full((len(numbers), 4), np.nan)
     quaternions[seen] = read(numbers[seen])
     return {n: computed(n, c) for n, c in zip(QUATERNION, quaternions.T, strict=True)}

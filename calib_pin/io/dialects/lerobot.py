@@ -54,19 +54,18 @@ class LeRobot(base.Dialect):
             for joint, column in joints.items()
         }
         positions = np.concatenate([*numbers.values()])
-        largest = float(np.abs(np.nan_to_num(positions)).max())
+        largest = float(np.nanmax(np.abs(positions), initial=0.0))
         unit = counted(positions) or ("deg" if largest > TURNED else None)
-        words = {None: "rad", "deg": "degrees"}
-        remark = words.get(unit, "steps of its motors")
-        if unit and largest <= 100.0 and (ranges := _ranges(file, joints)):
-            name, half = ranges
+        remark, half = unit or "rad", dict[str, float]()
+        if unit and largest <= 100.0:
+            name, half = _ranges(file, joints)
+            remark += f"; are they in -100 to 100 of a range, {BESIDE}"
+        if half:
             remark = f"parts of the ranges in {name}; are they degrees, move it away"
             joints = {n: base.computed(n, numbers[n] * half[n]) for n in joints}
         elif largest == 100.0:
             reason = f"the joints are in -100 to 100 of their ranges: {BESIDE}"
             raise InputError(reason, file=file)
-        elif unit and largest < 100.0:
-            remark += f"; are they in -100 to 100 of a range, {BESIDE}"
         read = self.converted({n: c for n, c in columns.items() if n not in motors})
         read |= {n: base.named(column, n, unit) for n, column in joints.items()}
         return base.Reading(read, f"joints of LeRobot in {remark}")
@@ -88,7 +87,7 @@ def read_motors(template: Path) -> dict[str, dict[str, Any]]:
     return motors
 
 
-def _ranges(file: Path, joints: Collection[str]) -> tuple[str, dict[str, float]] | None:
+def _ranges(file: Path, joints: Collection[str]) -> tuple[str, dict[str, float]]:
     """The calibration file beside a file, and a hundredth of half the ranges [deg].
 
     Raises:
@@ -106,4 +105,4 @@ def _ranges(file: Path, joints: Collection[str]) -> tuple[str, dict[str, float]]
     if len(ranges) > 1:
         reason = f"there are several calibration files beside it: {', '.join(ranges)}"
         raise InputError(reason, file=file)
-    return next(iter(ranges.items()), None)
+    return next(iter(ranges.items()), ("", {}))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +26,9 @@ ELEMENT = re.compile(r"(.*?)[ _\[(]*([0-4])[ _,]*([0-4])[\])]*")
 PLACE = re.compile(r"(.*?)[ _\[(]*\d+[\])]*")
 """Names of the elements of a pose, one after the other by rows or by columns."""
 
+Grid = list[list[str]]
+"""Columns of the elements of a matrix, row by row."""
+
 ROUNDED = 1e-2
 """Largest error of an orthonormal matrix that rounding explains."""
 
@@ -35,75 +38,56 @@ class Matrices(base.Dialect):
 
     def read(self, columns: base.Columns, file: Path) -> base.Reading | None:
         """The columns with a position and a quaternion in the place of each matrix."""
-        matrices = dict[str, tuple[dict[tuple[int, int], str], Floats]]()
-        for name, elements in _elements(columns):
-            if (R := _rotations(columns, elements)) is not None:
-                matrices.setdefault(name, (elements, R))
+        matrices = dict[str, tuple[Grid, Floats]]()
+        for name, grid in _grids(columns):
+            cells = [[columns[one].numbers for one in row[:3]] for row in grid]
+            if [len(row) for row in cells[:3]] == [3, 3, 3]:
+                R = np.moveaxis(np.array(cells[:3]), 2, 0)
+                below = np.abs([numbers for row in cells[3:] for numbers in row])
+                if _orthonormal(R) and not np.nanmax(below, initial=0.0):
+                    matrices.setdefault(name, (grid, R))
         if not matrices:
             return None
         used, read = set[str](), dict[str, Column]()
-        for name, (elements, R) in matrices.items():
+        for name, (grid, R) in matrices.items():
             stem = f"{name}_" if len(matrices) > 1 else ""
-            ends = range(first := min(elements)[0], first + 3)
             for axis, column in base.oriented(R, _quaternions).items():
                 read[stem + axis] = replace(column, header=stem + axis)
-            used |= {elements[i, j] for i in ends for j in ends}
-            for axis, i in zip("xyz", ends, strict=True):
-                if (
-                    moved := elements.get((i, first + 3))
-                ) and stem + axis not in columns:
-                    read[stem + axis] = base.named(columns[moved], stem + axis)
-                    used.add(moved)
+            for axis, row in zip("xyz", grid, strict=False):
+                used |= {*row[:3]}
+                if len(row) > 3 and stem + axis not in columns:
+                    read[stem + axis] = base.named(columns[row[3]], stem + axis)
+                    used.add(row[3])
         rest = {name: column for name, column in columns.items() if name not in used}
         names = enumerated(name or "r" for name in matrices)
         return base.Reading(rest | read, f"matrices {names}")
 
 
-def _rotations(
-    columns: base.Columns, elements: dict[tuple[int, int], str]
-) -> Floats | None:
-    """The rotations that elements are, row by row, shape (N, 9).
-
-    None where they are no rotations, or their last row, if any, is not of zeros.
-    """
-    ends = range(first := min(elements)[0], first + 3)
-    turned = [elements.get((i, j), "") for i in ends for j in ends]
-    below = [elements.get((first + 3, j), "") for j in ends]
-    if not all(turned):
-        return None
-    R = np.array([columns[name].numbers for name in turned]).T
-    last = np.array([columns[name].numbers for name in below if name])
-    whole = _orthonormal(R) and not np.nanmax(abs(last), initial=0)
-    return R if whole else None
-
-
-def _elements(
-    columns: base.Columns,
-) -> Iterator[tuple[str, dict[tuple[int, int], str]]]:
-    """Columns that may be a matrix, by row and column: by name, or by order."""
-    matrices = defaultdict[str, dict[tuple[int, int], str]](dict)
+def _grids(columns: Iterable[str]) -> Iterator[tuple[str, Grid]]:
+    """Columns that may be a matrix, row by row: by their numbers, or by order."""
+    numbered = defaultdict[str, dict[str, list[str]]](dict)
     ordered = defaultdict[str, list[str]](list)
     for name in columns:
         if match := ELEMENT.fullmatch(name):
-            matrices[match[1]][int(match[2]), int(match[3])] = name
+            numbered[match[1]].setdefault(match[2], []).append(name)
         if match := PLACE.fullmatch(name):
             ordered[match[1]].append(name)
-    yield from matrices.items()
+    for stem, rows in numbered.items():
+        yield stem, [sorted(rows[k]) for k in sorted(rows)]
     for stem, names in ordered.items():
-        if len(names) == 9:
-            yield stem, {(k // 3, k % 3): name for k, name in enumerate(names)}
-        elif len(names) in (12, 16):
-            yield stem, {(k // 4, k % 4): name for k, name in enumerate(names)}
-            rows = len(names) // 4
-            yield stem, {(k % rows, k // rows): name for k, name in enumerate(names)}
+        if len(names) in (9, 12, 16):
+            width = 3 if len(names) == 9 else 4
+            yield stem, np.reshape(names, (-1, width)).tolist()
+            if width == 4:
+                yield stem, np.reshape(names, (width, -1)).T.tolist()
 
 
 def _quaternions(R: Floats) -> Floats:
-    return to_quaternion(nearest_rotation(R.reshape(-1, 3, 3)))
+    return to_quaternion(nearest_rotation(R))
 
 
 def _orthonormal(R: Floats) -> bool:
-    """Whether most of the matrices are orthonormal, row by row, shape (N, 9)."""
-    R = R[np.isfinite(R).all(axis=1)].reshape(-1, 3, 3)
+    """Whether most of the matrices are orthonormal, shape (N, 3, 3)."""
+    R = R[np.isfinite(R).all(axis=(1, 2))]
     errors = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
     return bool(len(R)) and bool(np.quantile(errors, 0.9) < ROUNDED)

@@ -25,7 +25,6 @@ class Ndi(Dialect):
         ("Tool ID", "tool", None),
         ("Time(?:stamp)?", "time", None),
     )
-    lost = 1e20
     remark = "a log of an NDI tracker"
 
     def heading(self, lines: Lines) -> Heading | None:

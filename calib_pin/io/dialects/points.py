@@ -32,31 +32,30 @@ class Points(base.Dialect):
 
     def heading(self, lines: base.Lines) -> base.Heading | None:
         """No header: every line begins with names, and three numbers follow."""
-        plain = [one for one in lines if not one[1].lstrip().startswith("//")]
-        for mark in "\t;, " if plain else "":
-            first = base.cells_of(plain[0][1], mark)
-            width = len(first)
-            lead = min(width - 3, len(NAMES))
-            if lead <= 0 or not _is_point(first, lead, width):
-                continue
-            rows = [base.cells_of(line, mark) for _, line in plain]
-            fits = all(_is_point(row, lead, width) for row in rows)
-            if not (fits and any(map(FRACTION.fullmatch, chain(*rows)))):
-                continue
-            text = " ".join(line for _, line in lines if line.startswith("//"))
-            units = (u for u, word in UNITS.items() if re.search(word, text, re.I))
-            unit = next(units, "")
-            axes = [base.header(axis, unit) for axis in "xyz"]
-            names = [*NAMES[-lead:], *axes, *[""] * (width - lead - 3)]
-            remark = f"points with their names ({unit or 'no unit is stated'})"
-            return base.Heading(mark, names, 0, remark)
-        return None
+        plain = [line for _, line in lines if not line.lstrip().startswith("//")]
+        marks = (m for m in "\t;, " if plain and _is_point(base.cells_of(plain[0], m)))
+        if not (mark := next(marks, "")):
+            return None
+        rows = [base.cells_of(line, mark) for line in plain]
+        width = len(rows[0])
+        if {*map(len, rows)} != {width} or not all(map(_is_point, rows)):
+            return None
+        if not any(map(FRACTION.fullmatch, chain(*rows))):
+            return None
+        text = " ".join(line for _, line in lines if line.startswith("//"))
+        units = (u for u, word in UNITS.items() if re.search(word, text, re.I))
+        unit, lead = next(units, ""), min(width - 3, len(NAMES))
+        axes = [base.header(axis, unit) for axis in "xyz"]
+        names = [*NAMES[-lead:], *axes, *[""] * (width - lead - 3)]
+        remark = f"points with their names ({unit or 'no unit is stated'})"
+        return base.Heading(mark, names, 0, remark)
 
 
-def _is_point(row: Sequence[str], lead: int, width: int) -> bool:
+def _is_point(row: Sequence[str]) -> bool:
     """Whether a row begins with names, the first with a letter, and then numbers."""
+    lead = min(len(row) - 3, len(NAMES))
     return (
-        len(row) == width
+        lead > 0
         and re.match(r"[^\W\d]", row[0]) is not None
         and not any(map(FRACTION.fullmatch, row[:lead]))
         and all(map(NUMBER.fullmatch, row[lead : lead + 3]))

@@ -30,6 +30,4 @@ class Tum(base.Dialect):
         if np.abs(norms - 1.0).max() > UNIT or (np.diff(numbers[:, 0]) <= 0.0).any():
             return None
         names = ["time [s]", *(f"{axis} [m]" for axis in "xyz"), *QUATERNION]
-        return base.Heading(
-            " ", names, 0, "a trajectory of TUM: time, position, qx to qw"
-        )
+        return base.Heading(" ", names, 0, "a trajectory of TUM (times and poses)")

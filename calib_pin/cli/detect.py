@@ -195,7 +195,7 @@ def unmeasured(
     """
     if (file := asked.joints) is None:
         return images, {}
-    table = read_table(file)
+    table = read_table(file, names=None)
     if clash := [name for name in OURS if name in table]:
         raise table.error("is a column that detect writes itself", clash[0])
     if asked.times is not None:
@@ -206,7 +206,7 @@ def unmeasured(
         summary, data = logs.join_logs(table, times, (), *stand, asked.tell, True)
         if summary.clock is None:
             raise times.error("no column 'time' here, or in the log of the joints")
-        table = read_table(data)
+        table = read_table(data, names=None)
         stood, names = _names(table, images)
         images = [p for p, name in zip(images, names, strict=True) if name in stood]
     if "image" in table:

@@ -128,7 +128,7 @@ def orientation_columns(table: Table) -> str:
         text = " and ".join(first.values()) or "none"
         reason = f"model 'pose' needs one orientation, the file has {text}"
         ways = " or ".join(",".join(names) for names in STATED.values())
-        raise table.error(reason, [None, *first.values()][-1], ways)
+        raise table.error(reason, ["", *first.values()][-1], ways)
     (way,) = first
     table.require(STATED[way], f"the orientation {', '.join(STATED[way])} lacks")
     return way
@@ -155,17 +155,13 @@ def read_quaternions(
 
 
 def read_values(
-    table: Table,
-    model: str,
-    spare: Sequence[str],
-    orientation: OrientationSetup | None = None,
+    table: Table, model: str, orientation: OrientationSetup | None = None
 ) -> tuple[tuple[str, ...], Floats]:
     """The measured values of a model.
 
     Args:
         table: The file.
         model: Name of the model.
-        spare: Columns that are no joints, for a hint at a missing one.
         orientation: How columns of an orientation are to be read.
 
     Returns:
@@ -177,7 +173,7 @@ def read_values(
             contacts, if only some components have one, or one has two.
     """
     about, kinds = declared(model), needed(model)
-    unknown = {*spare} - reserved()
+    unknown = table.columns.keys() - reserved()
     table.require(kinds, f"model '{model}' needs the missing", unknown)
     given = {*optional()} & table.columns.keys() if about.contact else set()
     if given:
@@ -212,20 +208,18 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
         InputError: If only some components have one, its meaning would have to be
             guessed, or a value cannot be.
     """
-    declaration, ways = declared(model), sigmas(model)
-    # Beside its own column that of a contact is of something that is not read either.
-    odd = {n for n in measured() if n not in table} if declaration.contact else set()
-    odd = {f"sigma_{name}" for name in odd | {*measured(model)}} - read_by(model)
-    odd |= {"sigma"} if len({*declaration.units.values()}) > 1 else set()
-    for name in (name for name in table.columns if name in odd):
-        reason = f"model '{model}' has no component of this standard deviation"
-        raise table.error(reason, name, ", ".join(f"sigma_{of}" for of in ways))
+    units, ways = declared(model).units, sigmas(model)
+    if "sigma" in table and len({*units.values()}) > 1:
+        reason = (
+            f"model '{model}' has components of several units, which need their own"
+        )
+        raise table.error(reason, "sigma", ", ".join(f"sigma_{of}" for of in ways))
     columns = {of: n for of, names in ways.items() for n in names if n in table}
     if not columns:
         return {}, None
     reason = "a sigma is needed for every component or for none; missing:"
     table.require([f"sigma_{name}" for name in ways if name not in columns], reason)
-    kinds = map(SIGMAS.__getitem__, declaration.units.values())
+    kinds = map(SIGMAS.__getitem__, units.values())
     return columns, table.values(zip(columns.values(), kinds, strict=True))
 
 
@@ -284,14 +278,11 @@ def check_spread(
     center = np.median(positions, axis=0) if base is None else base
     # One meter for a tool, and a factor for a URDF that is far off.
     kind = replace(LENGTH, largest=4.0 * (reach + 1.0))
-    for name, values, away in zip(POSITION, positions.T, center, strict=True):
-        why = f"the robot reaches {reach:.3g} m"
-        table.check(name, values, kind, why, abs(values - away))
+    for name, values in zip(POSITION, (positions - center).T, strict=True):
+        table.check(name, values, kind)
 
 
-def read_conditions(
-    table: Table, joints: Sequence[str]
-) -> tuple[Conditions, frozenset[str]]:
+def read_conditions(table: Table, joints: Sequence[str]) -> tuple[Conditions, set[str]]:
     """The conditions that a file states, but for the payload.
 
     A temperature or a time that is not a number in each row, such as a date, is none.
@@ -309,18 +300,18 @@ def read_conditions(
     pairs = ((n, table.numbers_if_any(n, kind)) for n, kind in CONDITIONS.items())
     conditions: dict[str, Any] = {n: c for n, c in pairs if c is not None}
     directions = np.zeros((len(table.lines), len(joints)), np.int8)
-    ends = {joint + DIRECTION: k for k, joint in enumerate(joints)}
-    used = [name for name in ends if name in table]
-    for name in used:
-        column = table.columns[name]
-        signs = np.where(column.missing(), 0.0, column.numbers)
-        wrong = ~np.isin(signs, (-1, 0, 1))
-        allowed = "1, -1, or 0 where it is not known"
-        table.refuse(wrong, "not the sign of a joint's last motion", name, allowed)
-        directions[:, ends[name]] = signs
-    read = frozenset({*used, *conditions})
-    conditions |= {"direction": directions, "source": "columns"} if used else {}
-    return Conditions(**conditions), read
+    used = {*conditions}
+    for k, name in enumerate(joint + DIRECTION for joint in joints):
+        if name in table:
+            column = table.columns[name]
+            signs = np.where(column.missing(), 0.0, column.numbers)
+            wrong = ~np.isin(signs, (-1, 0, 1))
+            allowed = "1, -1, or 0 where it is not known"
+            table.refuse(wrong, "not the sign of a joint's last motion", name, allowed)
+            directions[:, k] = signs
+            conditions |= {"direction": directions, "source": "columns"}
+            used.add(name)
+    return Conditions(**conditions), used
 
 
 def asked_models(model: str | None) -> tuple[str, ...]:
@@ -362,9 +353,9 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     columns = {n: [*needed(n), *["orientation"] * about[n].oriented] for n in names}
     needs = {name: {*columns[name]} for name in names}
     partly = [name for name in names if needs[name] & present]
-    named = {n for n in names if about[n].naming.required == "every"}
-    lacking = set() if "target" in present else named
-    idle = {n for n in names if about[n].contact and (partly or n in lacking)}
+    lacks = "target" not in present
+    named = {n for n in names if about[n].naming.required == "every" and lacks}
+    idle = {n for n in names if about[n].contact and (partly or n in named)}
     fitting = {n for n in names if needs[n] <= present} - idle
     # What is there in part is told as missing; `u` alone may mean something else.
     for name in () if asked else partly:
@@ -377,9 +368,7 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     if fitting:
         ways = " and ".join(name for name in names if name in fitting)
         raise table.error(f"the columns allow {ways}; say --model, or a column 'model'")
-    for name in named:
-        columns[name].append("target")
-    models = [f"{n} ({', '.join(columns[n]) or 'nothing'})" for n in names]
+    models = [f"{n} ({', '.join(columns[n]) or 'target'})" for n in names]
     reason = f"no measured columns for {', '.join(models)}; contacts need --model"
     raise table.error(reason + ELSEWHERE)
 
@@ -450,7 +439,8 @@ def read_positions(
         raise table.error("these are errors that a calibration left, no measurements")
     known = {*columns.names, *reserved(), *chains.robot.model.names}
     table.require(columns.names, "no joint column", present - known, hint or ELSEWHERE)
-    q, masks = np.zeros((len(table.lines), len(chains.joints))), {}
+    q = np.zeros((len(table.lines), len(chains.joints)))
+    stated = np.zeros(q.shape, bool)
     for i, joint in enumerate(chains.joints):
         names = kinds_of(columns, joint).keys()
         if not names <= present:
@@ -460,22 +450,19 @@ def read_positions(
             needs = [joint in drives_of(chains[name]) for name in chain_of.names]
             blank = [table.columns[name].missing() for name in names]
             rows = np.array(needs)[chain_of.codes] | ~np.any(blank, axis=0)
-        masks[joint] = rows
+        stated[:, i] = rows
         if rows.any():
             part = table if rows.all() else table.rows(np.flatnonzero(rows))
             q[rows, i] = _positions(part, chains, columns, i)
     followed = chains.follow(q)
-    for joint in chains.mimics.keys() & masks.keys():
+    off = stated & (abs(followed - q) > MIMICRY)
+    for joint in chains.mimics if off.any() else ():
         i, leader = chains.joints.index(joint), chains.mimics[joint].leader
-        apart, unit = abs(followed - q)[:, i], "rad" if chains.revolute[i] else "m"
-        if chains.revolute[i]:  # A controller may report it within one turn.
-            apart = abs(apart - 2.0 * np.pi * np.round(apart / (2.0 * np.pi)))
-        # One that leads nothing may lack.
-        far = masks[joint] & masks.get(leader, True) & (apart > MIMICRY)
-        place = f"{followed[np.argmax(far), i]:.6g} {unit}"
+        unit = "rad" if chains.revolute[i] else "m"
+        place = f"{followed[np.argmax(off[:, i]), i]:.6g} {unit}"
         reason = f"joint '{joint}' mimics '{leader}', which puts it at {place}"
         allowed = f"less than {MIMICRY:g} {unit} away; the column may be left out"
-        table.refuse(far, reason, columns.maps[joint][0], allowed)
+        table.refuse(off[:, i], reason, columns.maps[joint][0], allowed)
     return followed[:, : len(chain.joints)]
 
 
@@ -488,36 +475,31 @@ def _positions(table: Table, chains: Chains, columns: JointColumns, i: int) -> F
     joint, lower, upper = chains.joints[i], chains.lower[i], chains.upper[i]
     kinds, (column, given) = kinds_of(columns, joint), columns.maps[joint]
     parts = {name: table.numbers(name, kind) for name, kind in kinds.items()}
-    q, kind, why = parts[column], kinds[column], ""
+    q, kind = parts[column], kinds[column]
     if given != JointMap(joint):
         # What overflows is told with its line.
         with np.errstate(over="ignore", invalid="ignore"):
             q = q + sum(factor * parts[name] for name, factor in given.coupled.items())
             q = given.sign * given.gear * q + given.offset
-        why = f"as mapped to joint '{joint}', offset {given.offset:g} {kind.si}"
-    angle = kind is ANGLE
-    most, free = (ANGLE.largest, np.pi) if angle else (LONGEST_TRAVEL, FREE_TRAVEL)
+    most, free = LONGEST_TRAVEL, FREE_TRAVEL
+    if kind is ANGLE:
+        most, free = ANGLE.largest, np.pi
     # A turntable may be allowed more turns than any threshold would guess.
-    most = max(most, 2.0 * abs(lower), 2.0 * abs(upper))
-    travel = upper - lower
-    if not angle and 0.5 * travel < np.radians(np.ptp(q)) <= travel:
+    limit, travel = max(abs(lower), abs(upper)), upper - lower
+    most = max(most, 2.0 * limit)
+    if kind is LENGTH and 0.5 * travel < np.radians(np.ptp(q)) <= travel:
         gear = f"{{joint: {joint}, gear: {np.radians(1.0):.9g}}}"
         reason = f"looks converted as an angle; state 'joints: {{{column}: {gear}}}'"
         table.refuse(np.abs(q) > most, reason, column)
-    table.check(column, q, replace(kind, largest=most), why)
-    unit = table.columns[column].unit or kind.si
+    unit, farthest = table.columns[column].unit or kind.si, q[np.argmax(np.abs(q))]
     # The chain gives free limits to joints without any, which may go further.
-    if (lower, upper) != (-free, free) and (smaller := kind.smaller(unit)):
-        excess = np.maximum(lower - q, q - upper)
-        if angle:  # Few joints stay within six degrees; an angle is none in degrees.
-            excess[np.abs(q) < 2.0 * np.pi] = 0.0
-        ratio = kind.units[smaller[0]] / kind.units[unit]
-        if lower <= ratio * q[np.argmax(excess)] <= upper:
+    for smaller in kind.smaller(unit)[:1] if (lower, upper) != (-free, free) else ():
+        if lower <= kind.units[smaller] / kind.units[unit] * farthest <= upper:
             # A meter or radian of grace: limits are often narrower than the robot's.
-            grace = replace(kind, largest=max(travel, 1.0))
-            why = f"the limits are {lower:.6g} to {upper:.6g}"
-            table.check(column, q, grace, why, excess)
-    return q
+            # Few joints stay within six degrees; an angle is none in degrees.
+            limit += max(travel, 1.0)
+            most = min(most, max(limit, 2.0 * np.pi) if kind is ANGLE else limit)
+    return table.check(column, q, replace(kind, largest=most))
 
 
 def shown_columns(

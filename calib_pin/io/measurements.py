@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -119,16 +120,15 @@ def read_measurements(
     asked, chains = measured_columns.asked_models(model), Chains.of(chain)
     if unnamed is None:
         unnamed = chains.names[0] if len(chains.names) == 1 else ""
-    notice = notice or (lambda remark: None)
-    orientation = None if reading is None else reading.orientation
-    reader = _Reader(chains, asked, joints, orientation, unnamed, notice)
+    notice, reading = notice or (lambda remark: None), reading or ReadingSetup()
+    reader = _Reader(chains, asked, joints, reading.orientation, unnamed, notice)
     parts, tables, stations = list[Measurements](), list[Table](), [""]
     for k, file in enumerate(files):
         tell = portion(progress, k / len(files), 1.0 / len(files))
         table = read_table(file, tell, columns=columns)
         for remark in table.remarks:
             notice(f"{file}: {remark}")
-        if reading is not None:
+        if reading.without:
             table, reading = _without_lines(table, reading, alone=len(files) == 1)
         tables.append(table.rows(slice(0)))
         if k + 1 == len(files):
@@ -145,9 +145,7 @@ def read_measurements(
     names = () if chains.names == ("",) else chains.names
     chains = chains.named((*names, *(part.chain for part in parts)))
     data = Observations.of(*(_with_joints(part, chains) for part in parts))
-    if reading is not None:
-        data = read_otherwise(data, reading)
-    data = with_directions(data)
+    data = with_directions(read_otherwise(data, reading))
     _check_names(data, sockets)
     return data
 
@@ -167,18 +165,18 @@ def _without_lines(
     Returns:
         The rows that remain, and what remains to be done.
     """
-    lines = {}
+    lines = dict[str, int]()
     late = reading.shift or reading.reversed or reading.lag
     for place in () if late else reading.without:
         file, _, line = place.rpartition(":")
         mine = f"/{table.file}".endswith(f"/{file}") if file else alone
         if mine and int(line) in table.lines:
             lines[place] = int(line)
-    rows = np.flatnonzero(~np.isin(table.lines, [*lines.values()]))
-    if not len(rows):
+    table = table.rows(np.flatnonzero(~np.isin(table.lines, [*lines.values()])))
+    if not len(table.lines):
         raise InputError("'reading' leaves out all measurements", file=table.file)
     others = tuple(place for place in reading.without if place not in lines)
-    return table.rows(rows), replace(reading, without=others)
+    return table, replace(reading, without=others)
 
 
 def _with_joints(part: Measurements, chains: Chains) -> Measurements:
@@ -231,7 +229,7 @@ class _Reader:
                 self.chains.named((name,))
             except RobotError as error:
                 wrong = chain_of.where(name)
-                table.refuse(wrong, error.reason, "chain", error.allowed)
+                table.refuse(wrong, error.reason, "chain", error.allowed or "")
         chains = self.chains.named(chain_of.distinct)
         table, columns = measured_columns.joints_in(table, chains, self.joints)
         table = self._of_sheet(table)
@@ -260,9 +258,7 @@ class _Reader:
                 filled = ~block.columns[name].missing()
                 reason = f"the row measures '{key.model}', which has no {name}"
                 block.refuse(filled, reason, name, "a blank cell")
-            part, names = self._block(
-                block, chains, key, q[rows], held.rows(rows), spare
-            )
+            part, names = self._block(block, chains, key, q[rows], held.rows(rows))
             parts.append(part)
             unread -= names
         ignored = [name for name in table.columns if name in unread]
@@ -304,21 +300,15 @@ class _Reader:
         return dict(zip(keys, rows if len(keys) > 1 else [slice(None)], strict=True))
 
     def _block(
-        self,
-        table: Table,
-        chains: Chains,
-        key: BlockKey,
-        q: Floats,
-        held: Conditions,
-        spare: Sequence[str],
+        self, table: Table, chains: Chains, key: BlockKey, q: Floats, held: Conditions
     ) -> tuple[Measurements, set[str]]:
         """Measurements of one block, and the columns that hold them."""
         needed = {*NAMES, *measured_columns.needed(key.model)}
         items = table.columns.items()
         columns = {n: c for n, c in items if n in needed or not c.missing().all()}
         table = replace(table, columns=columns)
-        arguments = key.model, spare, self.orientation
-        read, values = measured_columns.read_values(table, *arguments)
+        orientation = self.orientation
+        read, values = measured_columns.read_values(table, key.model, orientation)
         # How far apart points stand that stand still has nothing to do with the robot.
         if "x" in read and key.chain != WORLD:
             measured_columns.check_spread(table, chains[key.chain], values[:, :3])
@@ -355,23 +345,18 @@ def _missing(
     table: Table, chains: Chains, columns: JointColumns, keys: Keys
 ) -> dict[str, Booleans]:
     """Whether each row lacks what its model and its joints read, shape (N,) each."""
-    result = dict[str, Booleans]()
+    result = defaultdict[str, Booleans](lambda: np.zeros(len(table.lines), bool))
     for key, rows in keys.items():
-        optional = measured_columns.optional(key.model)
-        read = {*measured_columns.measured(key.model)}
-        drives = set[str]()
-        for joint in drives_of(chains[key.chain]):
-            drives |= measured_columns.kinds_of(columns, joint).keys()
-        read |= drives
+        block, optional = table.rows(rows), measured_columns.optional(key.model)
+        joints = drives_of(chains[key.chain])
+        drives = {n for j in joints for n in measured_columns.kinds_of(columns, j)}
+        read = drives | measured_columns.measured(key.model).keys()
         for name in (name for name in table.columns if name in read):
             missing = table.columns[name].missing()[rows]
             if missing.any() and not (missing.all() and name in optional):
-                lost = result.setdefault(name, np.zeros(len(table.lines), bool))
-                lost[rows] = missing
-        if {*POSITION} <= read & table.columns.keys():
-            signs = _lost_targets(table.rows(rows), drives & table.columns.keys())
-            lost = result.setdefault("x", np.zeros(len(table.lines), bool))
-            lost[rows] |= signs
+                result[name][rows] = missing
+        if {*POSITION} <= read & block.columns.keys():
+            result["x"][rows] |= _lost_targets(block, drives & block.columns.keys())
     return result
 
 
@@ -384,12 +369,11 @@ def _lost_targets(table: Table, drives: Collection[str]) -> Booleans:
     x, y, z = (table.columns[axis].numbers for axis in POSITION)
     lost: Booleans = (x == y) & (y == z) & (table.columns["z"].theirs != "")
     for number in np.unique(x[lost]):
-        rows = np.flatnonzero(lost & (x == number))
-        still = all(np.ptp(table.columns[name].numbers[rows]) == 0.0 for name in drives)
-        lost[rows] = not still
+        rows = lost & (x == number)
+        joints = [table.columns[name].numbers[rows] for name in drives]
+        lost[rows] = any(np.ptp(positions) != 0.0 for positions in joints)
     if {*QUATERNION} <= table.columns.keys():
-        quaternion = [table.columns[name].numbers for name in QUATERNION]
-        lost |= ~np.any(quaternion, axis=0)
+        lost |= ~np.any([table.columns[name].numbers for name in QUATERNION], axis=0)
     return lost
 
 
@@ -589,15 +573,16 @@ def measurement_columns(
         if len(of_block.distinct) > 1 or (field != "model" and any(of_block)):
             columns[field] = _writable(field, of_block[data.block_of])
     columns |= _value_columns(data)
-    for field in ("target", "payload"):
-        if any((labels := getattr(data, field)).distinct):
+    for field, labels in (("target", data.target), ("payload", data.payload)):
+        if any(labels.distinct):
             columns[field] = _writable(field, labels)
     # Directions that follow from the order of rows, or from their time, do so again.
     if held.source == "columns":
         ends = (joint + DIRECTION for joint in data.joints)
         columns |= zip(ends, held.direction.T, strict=True)
-    values = {name: getattr(held, name) for name in ("temperature", "time")}
-    columns |= {name: column for name, column in values.items() if len(column)}
+    for name in ("temperature", "time"):
+        if len(column := getattr(held, name)):
+            columns[name] = column
     if data.validate.any():
         columns["set"] = Labels(("train", "validate"), data.validate.astype(int))
     return {name: column[data.in_order] for name, column in columns.items()}
@@ -605,20 +590,18 @@ def measurement_columns(
 
 def _value_columns(data: Observations) -> dict[str, Floats]:
     """The columns of all blocks, NaN where a block has no such column."""
-    result: dict[str, Floats] = {}
-    # All values stand before all standard deviations.
-    for sigmas in (False, True):
-        for block, rows in zip(data.blocks, data.slices, strict=True):
-            model = declared(block.model)
-            names = model.values or tuple(name for name, _ in model.readings)
-            if sigmas:
-                names = tuple(f"sigma_{name}" for name in model.components)
-            table = block.sigma if sigmas else block.values
-            columns = () if table is None else table.T
-            for name, column in zip(names, columns, strict=False):
-                cells = result.setdefault(name, np.full(len(data), np.nan))
-                cells[rows] = column
-    return result
+    values, sigmas = (
+        defaultdict[str, Floats](lambda: np.full(len(data), np.nan)) for _ in range(2)
+    )
+    for block, rows in zip(data.blocks, data.slices, strict=True):
+        model = declared(block.model)
+        names = model.values or tuple(name for name, _ in model.readings)
+        for name, column in zip(names, block.values.T, strict=False):
+            values[name][rows] = column
+        if block.sigma is not None:
+            for name, column in zip(model.components, block.sigma.T, strict=True):
+                sigmas[f"sigma_{name}"][rows] = column
+    return values | sigmas
 
 
 def _with_starts(data: Observations) -> Observations:
@@ -641,16 +624,13 @@ def _with_start_rows(data: Measurements) -> Measurements:
     start = data.start if data.start.size else data.q * np.nan
     _, firsts, which = np.unique(data.target.codes, True, True)
     load, first = data.payload.codes, firsts[which]
-    another = (start != start[first]).any(axis=1) | (load != load[first])
-    for wrong, reason in (
-        (np.isnan(start).any(axis=1), "has no start"),
-        ((data.q == start).all(axis=1), "is taken at its start"),
-        (data.values[:, 0] <= 0.0, "is not more than 0"),
-        (another, "has another start than its target"),
-    ):
-        if wrong.any():
-            text = f"the relative distance {reason} and would not read back"
-            raise OutputError(f"{data.source(int(np.argmax(wrong)))}: {text}")
+    # Without a start, at it, not away from it, or from another than their target's.
+    wrong = np.isnan(start).any(axis=1) | (data.q == start).all(axis=1)
+    wrong |= (data.values[:, 0] <= 0.0) | (load != load[first])
+    wrong |= (start != start[first]).any(axis=1)
+    if wrong.any():
+        place = data.source(int(np.argmax(wrong)))
+        raise OutputError(f"{place}: the relative distance would not read back")
     index = np.sort(np.append(np.arange(len(data)), firsts))
     begin = np.append(np.diff(index) == 0, False)
     rows = data.rows(index)

@@ -10,10 +10,9 @@ import re
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.io.columns import Column
-from calib_pin.observations import Booleans
+from calib_pin.observations import Indices
 
 TAIL = 12
 """Last rows of a file among which statistics of the others may stand."""
@@ -26,14 +25,10 @@ SUMMARY = re.compile(
 )
 """Names of statistics; those in the group mean nothing else."""
 
-FLAG = re.compile(
-    r"(?:.*[\W_])?(?:(valid|tracked|visible)|(status)|occluded|lost)", re.IGNORECASE
-)
+FLAG = re.compile(r"(?i)(?:.*[\W_])?(?:(valid|tracked|visible)|(status)|occluded|lost)")
 """Columns that say whether each row was measured; the last two, that it was not."""
 
-YES = re.compile(
-    r"1|true|y|yes|ok|good|valid|tracked|visible|pass|passed|i\.?o\.?", re.IGNORECASE
-)
+YES = re.compile(r"(?i)1|true|y|yes|ok|good|valid|tracked|visible|pass|passed|i\.?o\.?")
 NO = re.compile(
     r"0|false|n|no|nok|ng|bad|lost|invalid|occluded|fail|failed|error|n\.?i\.?o\.?",
     re.IGNORECASE,
@@ -41,9 +36,7 @@ NO = re.compile(
 """Their cells; numbers of a status may mean anything."""
 
 
-def first_statistic(
-    columns: Mapping[str, Column], lines: NDArray[np.int64]
-) -> int | None:
+def first_statistic(columns: Mapping[str, Column], lines: Indices) -> int | None:
     """The row with which statistics begin that end a file of some lines; None if none.
 
     Payloads may be called `max` and tools `std`, so that one of them has to be a mean
@@ -60,14 +53,20 @@ def first_statistic(
     return min(statistics) if any(name[1] for name in statistics.values()) else None
 
 
-def out_of_sight(name: str, column: Column) -> Booleans | None:
-    """Which rows were not measured as a flag says, shape (N,); None if it is none."""
-    if (flag := FLAG.fullmatch(name)) is None:
-        return None
-    texts = column.texts().map(str.strip)
-    good, bad = ({t for t in texts.names if way.fullmatch(t)} for way in (YES, NO))
-    if not {*texts.distinct} <= (good | bad) - {*("01" if flag[2] else "")}:
-        return None
-    gone = bad if flag[1] or flag[2] else good
-    lost = np.isin(texts.codes, [k for k, t in enumerate(texts.names) if t in gone])
-    return lost if lost.any() and not lost.all() else None
+def out_of_sight(columns: Mapping[str, Column]) -> tuple[str, Indices] | None:
+    """A flag that says of some rows that they were not measured, and the others.
+
+    None where there is none. Of several the first counts.
+    """
+    for name, column in columns.items():
+        if (flag := FLAG.fullmatch(name)) is None:
+            continue
+        texts = column.texts().map(str.strip)
+        good, bad = ({t for t in texts.names if way.fullmatch(t)} for way in (YES, NO))
+        if {*texts.distinct} <= (good | bad) - {*("01" if flag[2] else "")}:
+            gone = bad if flag[1] or flag[2] else good
+            known = [k for k, text in enumerate(texts.names) if text not in gone]
+            seen = np.flatnonzero(np.isin(texts.codes, known))
+            if 0 < len(seen) < len(texts):
+                return name, seen
+    return None

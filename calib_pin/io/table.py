@@ -2,8 +2,7 @@
 
 A column holds the number of every cell that is one, and the text of the others, so
 columns that mean nothing may hold anything, and a bad number is blamed on its own line.
-One of names holds the text of its numbers as well, and so does any with few different
-cells.
+One of names holds the text of its numbers as well.
 """
 
 from __future__ import annotations
@@ -32,7 +31,6 @@ from calib_pin.io.columns import (
     NAMES,
     NO_READING,
     OURS,
-    PURE,
     THOUSANDS,
     Column,
     Floats,
@@ -76,36 +74,35 @@ START = 1 << 12
 PARQUET = b"PAR1"
 """First bytes of a Parquet file."""
 
-BINARY: Sequence[tuple[bytes, bytes, str]] = (
-    (b"PK", b"[Content_Types].xml", "an Excel workbook: save the sheet as CSV"),
-    (b"PK", b"opendocument", "an OpenDocument spreadsheet: save the sheet as CSV"),
-    (b"PK", b".npy", "NumPy arrays: write them with numpy.savetxt, and a header"),
-    (b"PK\x03\x04", b"", "an archive (zip): unpack it"),
-    (b"\xd0\xcf\x11\xe0", b"", "an Excel workbook (xls): save the sheet as CSV"),
-    (b"MATLAB 5.0", b"", "a MATLAB file: write it with writetable"),
-    (b"\x89HDF", b"", "an HDF5 file (or MATLAB 7.3): write it as CSV"),
-    (b"\x93NUMPY", b"", "a NumPy array: write it with numpy.savetxt, and a header"),
-    (b"\x1f\x8b", b"", "compressed (gzip): unpack it"),
-    (b"SQLite format 3", b"", "an SQLite database or a bag of ROS 2: see 'join'"),
-    (b"\x89MCAP", b"", "a bag of ROS 2 (mcap): see 'join'"),
-)
-"""First bytes of files that hold no lines, others in them, and what they are."""
+OTHERS: Mapping[bytes, str] = {
+    rb"PK.*\[Content_Types\]\.xml": "an Excel workbook: save the sheet as CSV",
+    rb"PK.*opendocument": "an OpenDocument spreadsheet: save the sheet as CSV",
+    rb"PK.*\.npy": "NumPy arrays: write them with numpy.savetxt, and a header",
+    rb"PK\x03\x04": "an archive (zip): unpack it",
+    rb"\xd0\xcf\x11\xe0": "an Excel workbook (xls): save the sheet as CSV",
+    rb"MATLAB 5\.0": "a MATLAB file: write it with writetable",
+    rb"\x89HDF": "an HDF5 file (or MATLAB 7.3): write it as CSV",
+    rb"\x93NUMPY": "a NumPy array: write it with numpy.savetxt, and a header",
+    rb"\x1f\x8b": "compressed (gzip): unpack it",
+    rb"SQLite format 3": "an SQLite database or a bag of ROS 2: see 'join'",
+    rb"\x89MCAP": "a bag of ROS 2 (mcap): see 'join'",
+    rb"\s*(?:\{|\[\s*[\[{\"\d-])": "JSON or YAML: write its rows as CSV",
+    # Of KUKA, ABB (`%%%` before it) and FANUC.
+    rb"\s*(?:&ACCESS|DEFDAT\s|%%%\s|MODULE\s|/PROG\s)": "a program of a controller: "
+    "write the joints of its points as CSV",
+}
+"""Patterns for the start of files that hold no table, and what they are."""
 
-DOCUMENTS, DOCUMENT = (".yaml", ".yml", ".samples"), rb"\s*(\{|\[\s*[\[{\"\d-])"
-"""Endings of files of YAML, and a pattern for the start of one of JSON."""
+DOCUMENTS = (".yaml", ".yml", ".samples")
+"""Endings of files of YAML."""
 
-PROGRAM = rb"\s*(?:&ACCESS|DEFDAT\s|%%%\s|MODULE\s|/PROG\s)"
-"""A pattern for the start of a program of KUKA, ABB (`%%%` before it) or FANUC."""
 
 BROKEN = re.compile(r'(?<![^\n\t;,])"[^"\n]*\n[^"]{,200}"(?=[\n\t;,])')
 """A cell in quotes that has line ends in it, as those of a header in a sheet."""
 
+
 LIST = re.compile(r"\w*\W*[\[({].*\d[\s,;].*\d.*[\])}]", re.DOTALL)
 """Cells that hold several numbers."""
-
-TEXTS = 1 << 8
-"""Different cells of a column up to which the texts of its numbers are kept, of one
-that may hold names, as 01 and 1.10, or be told in messages."""
 
 
 @dataclass(frozen=True)
@@ -138,28 +135,22 @@ class Table:
         return replace(self, columns=columns, lines=self.lines[index])
 
     def error(
-        self,
-        reason: str,
-        column: str | None = None,
-        allowed: str | None = None,
-        row: int | None = None,
+        self, reason: str, column: str = "", allowed: str = "", row: int | None = None
     ) -> InputError:
         """An error about the header, or about a cell of a row."""
-        source = self.columns.get(column or "")
+        source = self.columns.get(column)
+        line = self.header_line if row is None else int(self.lines[row])
+        value = source.text(row) if source and row is not None else None
         if source and source.theirs not in ("", column):
             # The setup says which column of the file means ours.
             column = f"{source.theirs} ({column})"
-        line = self.header_line if row is None else int(self.lines[row])
-        value = source.text(row) if source and row is not None else None
-        about: dict[str, Any] = {"line": line, "column": column, "value": value}
-        return InputError(reason, file=self.file, allowed=allowed, **about)
+        about: dict[str, Any] = {"column": column or None, "allowed": allowed or None}
+        return InputError(reason, file=self.file, line=line, value=value, **about)
 
-    def refuse(
-        self, wrong: Booleans, reason: str, name: str, allowed: str | None = None
-    ) -> None:
+    def refuse(self, rows: Booleans, reason: str, name: str, allowed: str = "") -> None:
         """Refuse rows, shape (N,), if there are any; blames the cell of the first."""
-        if wrong.any():
-            raise self.error(reason, name, allowed, int(np.argmax(wrong)))
+        if rows.any():
+            raise self.error(reason, name, allowed, int(np.argmax(rows)))
 
     def require(
         self,
@@ -207,8 +198,7 @@ class Table:
         """The table in which names among these that end in brackets are not split."""
         columns = dict[str, Column]()
         for name, column in self.columns.items():
-            ends = column.header.endswith("]") and column.header in names
-            if column.unit and ends:
+            if column.header.endswith("]") and column.header in names:
                 name = column.header
                 column = replace(column, unit=None, theirs=name)
             columns[name] = column
@@ -236,7 +226,7 @@ class Table:
                 raise self.error(f"'columns' in the setup takes {both} from it", name)
             native = self.columns[name].unit
             # A unit that the file writes in its own way may be stated in ours.
-            if kind_of_unit(native) is not PURE and unit not in (None, native):
+            if kind_of_unit(native).si and unit not in (None, native):
                 reason = f"the header says [{native}], 'columns' in the setup [{unit}]"
                 raise self.error(reason, name)
             meanings[name] = ours
@@ -279,23 +269,13 @@ class Table:
         numbers = numbers - zero if zero else numbers
         return numbers if factor == 1.0 else numbers * factor
 
-    def check(
-        self,
-        name: str,
-        values: Floats,
-        kind: Kind,
-        why: str = "",
-        sizes: Floats | None = None,
-    ) -> Floats:
+    def check(self, name: str, values: Floats, kind: Kind) -> Floats:
         """The values, of which none may be so that another unit must be meant.
 
         Args:
             name: Name of the column.
             values: Its values in SI units, shape (N,).
             kind: Quantity in the column, and its bounds.
-            why: How it shows, where that is not the value alone.
-            sizes: Numbers, shape (N,), of which none may exceed the upper bound, where
-                these are not the absolute values.
 
         Raises:
             InputError: If a value is too large or too small; blames the largest, and
@@ -303,28 +283,20 @@ class Table:
         """
         allowed = f"{kind.least:g} {kind.si} or more"
         self.refuse(values < kind.least, "the value is too small", name, allowed)
-        sizes = np.abs(values) if sizes is None else sizes
-        row, column = int(np.argmax(sizes)), self.columns[name]
+        sizes, column = np.abs(values), self.columns[name]
+        row, unit = int(np.argmax(sizes)), column.unit or kind.si
         if sizes[row] <= kind.largest:
             return values
-        looks = f"{values[row]:.6g} {kind.si} looks like the wrong unit"
-        reason = ", ".join(filter(None, [looks, why]))
-        number = abs(values[row]) / kind.units[unit := column.unit or kind.si]
-        fits = (u for u in kind.smaller(unit) if number * kind.units[u] <= kind.largest)
+        number, units = sizes[row] / kind.units[unit], kind.smaller(unit)
+        fits = (u for u in units if number * kind.units[u] <= kind.largest)
         meant = next(fits, "")
         if kind.si == ANGLE.si and column.unit is None:
             # All joints of a robot are counted by servos of one kind.
             plain = [c.numbers for c in self.columns.values() if counted(c.numbers)]
             meant = counted(np.concatenate([[], *plain])) or meant
-        theirs, header_unit = column.theirs or name, split_header(column.header)[1]
-        if meant and theirs != name and header_unit is None:
-            both = f"{{{name}: {theirs} [{meant}]}}"
-            reason += f"; state in the setup 'columns: {both}'"
-        elif meant:
-            reason += f"; write the header as '{theirs} [{meant}]'"
-        # Percent of a range look like degrees, and come no farther than 100.
-        if meant == "deg" and np.nanmax(np.abs(column.numbers)) <= 100.0:
-            reason += ", of percent of its range [steps/N@0], N = 72000 / range in deg"
+        reason = f"{values[row]:.6g} {kind.si} looks like the wrong unit"
+        if meant:
+            reason += f"; write the header as '{column.theirs or name} [{meant}]'"
         raise self.error(reason, name, ", ".join(kind.units), row)
 
     def values(self, kinds: Iterable[tuple[str, Kind]]) -> Floats:
@@ -367,19 +339,20 @@ def read_table(
         theirs = (columns[name] for name in names if name in columns)
         names = {*names, *(split_header(header)[0] for header in theirs)}
     cells = read_cells(path, "", progress, names=names)
-    heading, lines = cells.heading, np.frombuffer(cells.lines, np.int64)
-    if not len(lines):
+    heading, given = cells.heading, cells.columns()
+    if not cells.lines:
         raise InputError("the file has a header but no rows", file=cells.file)
-    given, layout = cells.columns(), heading.remark
     ours, row = side_by_side(heading, given)
-    table = Table(cells.file, heading.line or None, {}, lines[row])
-    for column in given if not layout else ():
+    lines = np.frombuffer(cells.lines, np.int64)[row]
+    table = Table(cells.file, heading.line or None, ours, lines)
+    for column in given if not heading.remark else ():
         other = ours[column.theirs]  # The last one of this name.
         same = column is other or column.texts() == other.texts()
         if not same or column.header != other.header:
             both = f"two columns are '{other.theirs}': '{column.header}'"
             raise table.error(f"{both}, '{other.header}'", other.theirs)
     table = replace(table, columns=heading.read(ours)).called(columns)
+    layout = heading.remark
     if not layout and (read := reading(table.columns, Path(cells.file))):
         # The setup names columns as the file does, or as they are called then.
         table = replace(table, columns=read.columns).called(table.missing)
@@ -395,13 +368,12 @@ def _measured_rows(table: Table) -> Table:
         line = table.lines[first]
         remarks.append(f"statistics are left out, from line {line} on")
         table = table.rows(slice(first))
-    for name, column in table.columns.items():
-        if (lost := out_of_sight(name, column)) is not None:
-            count = np.count_nonzero(lost)
-            remarks.append(f"{count} rows are left out as lost ('{name}')")
-            others = {n: c for n, c in table.columns.items() if n != name}
-            table = replace(table, columns=others).rows(np.flatnonzero(~lost))
-            break
+    if (flag := out_of_sight(table.columns)) is not None:
+        name, seen = flag
+        lost = len(table.lines) - len(seen)
+        remarks.append(f"{lost} rows are left out as lost ('{name}')")
+        others = {n: c for n, c in table.columns.items() if n != name}
+        table = replace(table, columns=others).rows(seen)
     if lists := [name for name, column in table.columns.items() if _is_list(column)]:
         remedy = "write a column for each number"
         remarks.append(f"lists in {enumerated(lists)} are not read: {remedy}")
@@ -431,10 +403,10 @@ def with_readings(
     lost = np.any([np.zeros(len(table.lines), bool), *missing.values()], axis=0)
     if not lost.any():
         return table
-    for name in (n for n in table.columns if n in missing and lost.all()):
-        table.refuse(missing[name], NO_READING, name)
     first = int(np.argmax(lost))
     name = next(name for name in missing if missing[name][first])
+    if lost.all():
+        raise table.error(NO_READING, name, row=first)
     cell = table.columns[name].text(first)
     shown = f": '{cell}' in '{name}'" * bool(cell)
     count = f"{np.count_nonzero(lost)} of {len(lost)} {what}"
@@ -462,13 +434,12 @@ class Growing:
     It grows where it is, which takes half the memory of joining parts.
 
     Attributes:
-        most: Different cells up to which it keeps the texts of its numbers.
+        named: Whether it holds names, and keeps the texts of numbers, as 01 and 1.10.
     """
 
     def __init__(self, *, named: bool) -> None:
-        """A column without rows, of names or of anything."""
-        self.most = np.inf if named else TEXTS
-        self.numbers, self.codes = array("d"), array("i")
+        """A column without rows."""
+        self.named, self.numbers, self.codes = named, array("d"), array("i")
         self.words = defaultdict[str, int](count().__next__)
 
     def add(self, cells: Sequence[str] | Floats) -> None:
@@ -478,7 +449,7 @@ class Growing:
             numbers = cells
         else:
             numbers = read_numbers(cells)
-            kept = ~np.isfinite(numbers) | (len(self.words) <= self.most)
+            kept = ~np.isfinite(numbers) | self.named
             codes[kept] = [self.words[cell] for cell in compress(cells, kept)]
         self.numbers.frombytes(numbers.tobytes())
         self.codes.frombytes(codes.tobytes())
@@ -487,14 +458,8 @@ class Growing:
         """The column under its header."""
         (name, unit), words = split_header(header), tuple(self.words)
         numbers = np.frombuffer(self.numbers)
-        codes = np.array(self.codes, np.int64)
         numbers.setflags(write=False)
-        finite = np.isfinite(numbers)
-        # Some of them would be taken for other names than the rest.
-        if len(words) > self.most or (codes[finite] < 0).any():
-            codes[finite] = -1
-        if (codes < 0).all():
-            words, codes = (), np.zeros(0, np.int64)
+        codes = np.array(self.codes if words else (), np.int64)
         return Column(header, unit, numbers, words, codes, name)
 
 
@@ -548,14 +513,12 @@ class Cells:
             number
             for number, line in enumerate(lines, first)
             if line[0] not in OTHER or not (line.isspace() or _is_comment(line))
-            if number > self.heading.line
             if line not in self.head  # Of files behind each other.
         ]
         lines = [lines[number - first] for number in numbers]
-        later, comma = bool(self.lines), self.heading.separator == ","
         self.lines.extend(numbers)
-        # The texts of numbers are for messages and names, and so for small files.
-        fast = later and comma and all(column.most == TEXTS for column in self.grown)
+        comma = self.heading.separator == ","
+        fast = comma and not any(column.named for column in self.grown)
         read = read_lines(lines, len(self.grown)) if fast else None
         if read is not None:
             for column, values in zip(self.grown, read, strict=True):
@@ -564,10 +527,9 @@ class Cells:
         rows = self._rows(numbers, lines)
         if not self.comma and (not comma or any('"' in line for line in lines)):
             self.comma = self._first_comma(numbers, rows)
-        for name, column, cells in zip(
-            self.heading.names, self.grown, zip(*rows, strict=True), strict=False
-        ):
-            column.add(self._with_points(name, cells) if self.comma else cells)
+        for k, cells in enumerate(zip(*rows, strict=True)):
+            name = self.heading.names[k]
+            self.grown[k].add(self._with_points(name, cells) if self.comma else cells)
 
     def _first_comma(self, numbers: Sequence[int], rows: Sequence[list[str]]) -> int:
         """The first line with a decimal comma; 0 for none.
@@ -650,14 +612,10 @@ def read_cells(
         file, start = str(source), read_bytes(source, first=START)
         if start.startswith(PARQUET):
             return _read_parquet(file)
-    kinds = (k for a, b, k in BINARY if start.startswith(a) and b in start)
-    if kind := next(kinds, ""):
+    kinds = (k for sign, k in OTHERS.items() if re.match(sign, start, re.DOTALL))
+    document = file.lower().endswith(DOCUMENTS)
+    if kind := next(kinds, "YAML: write its rows as CSV" * document):
         raise InputError(f"is {kind}", file=file)
-    if file.lower().endswith(DOCUMENTS) or re.match(DOCUMENT, start):
-        raise InputError("is JSON or YAML: write its rows as CSV", file=file)
-    if re.match(PROGRAM, start):
-        reason = "is a program of a controller: write the joints of its points as CSV"
-        raise InputError(f"{reason}, a row for each with its name", file=file)
     wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if wide else ("utf-8-sig", "latin-1"):
         remarks = ("not UTF-8, read as Latin-1",) * (encoding == "latin-1")
@@ -809,15 +767,16 @@ def _is_comment(line: str) -> bool:
 
 def _separator(lines: Sequence[str]) -> str:
     """The separator that cuts the most lines, and half of them, into as many cells."""
-    scores = {",": 0}
-    for mark in SEPARATORS:
+
+    def score(mark: str) -> int:
         counts = Counter(len(cells_of(line, mark)) for line in lines)
         ((width, often),) = counts.most_common(1)
         # A single column may have a space in its name, but not in its numbers.
         rows = mark != " " or len(cells_of(lines[-1], mark)) == width
-        if width > 1 and 2 * often >= len(lines) and rows:
-            scores[mark] = often
-    return max(SEPARATORS, key=lambda mark: scores.get(mark, -1))
+        cuts = width > 1 and 2 * often >= len(lines) and rows
+        return often if cuts else (mark == ",") - 1
+
+    return max(SEPARATORS, key=score)
 
 
 def _is_row(cells: Sequence[str], separator: str) -> bool:
@@ -829,10 +788,9 @@ def _is_row(cells: Sequence[str], separator: str) -> bool:
 
 def _names(width: int) -> list[str]:
     """Names for a header: of an arm with six or seven joints, where they can be."""
-    for joints in (6, 7):
-        if width - joints in (3, 6):
-            values = ["x", "y", "z", "rx", "ry", "rz"][: width - joints]
-            return [f"j{k}" for k in range(1, joints + 1)] + values
+    values = ["x", "y", "z", "rx", "ry", "rz"][: 3 if width < 12 else 6]
+    if width - len(values) in (6, 7):
+        return [f"j{k}" for k in range(1, width - len(values) + 1)] + values
     return [f"column_{k}" for k in range(1, width + 1)]
 
 

@@ -96,14 +96,14 @@ def read_target_file(
         raise table.error("neither targets nor joint positions", allowed=needs)
     q = None
     if has_joints:
-        q = measured_columns.read_positions(table, chain, joint_columns)
-        q = Joints.of(chain).continued(q)
+        given = measured_columns.read_positions(table, chain, joint_columns)
+        q = Joints.of(chain).continued(given)
     if not has_targets:
         return Targets(table, joint_columns, q, None, False)
     spare = measured_columns.spare_columns(table, chain, joints)
     spare = [name for name in spare if name not in joint_columns.names]
     model = (Pose if oriented else Position).declaration.name
-    used, values = measured_columns.read_values(table, model, spare)
+    used, values = measured_columns.read_values(table, model)
     center = np.zeros(3) if base is None else base
     measured_columns.check_spread(table, chain, values[:, :3], center)
     read = {*used, *["time"][:timed]}
@@ -144,7 +144,7 @@ def encode_commands(
 
     Joint columns keep the names and units of the target file, if it has any. For
     targets, a column `row` holds the line number of each; in a motion the other columns
-    stay as they are.
+    hold what they held.
 
     Args:
         targets: The requested targets or motion.

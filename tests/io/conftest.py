@@ -65,7 +65,7 @@ def write(tmp_path: Path) -> Callable[..., Path]:
 def table(write: Callable[..., Path]) -> Callable[..., Table]:
     """The table of a text, as `read_table` reads it from a file."""
 
-    def table(text: str, columns: Mapping[str, str] = {}) -> Table:
-        return read_table(write(text, "a.csv"), columns=columns)
+    def table(text: str, columns: Mapping[str, str] = {}, **more: Any) -> Table:
+        return read_table(write(text, "a.csv"), columns=columns, **more)
 
     return table

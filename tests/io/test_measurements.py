@@ -386,7 +386,7 @@ REFUSED = [
     (f"{J},x,y,z,qx [m],qy,qz,qw\n0,0,0,0,0,0,0,0,0,1", 1, "qx", None),
     (f"{STEPS}0,9,0,1\n0,4097,0,1\n", 3, "elbow", "4097", "turn"),
     ("lift,elbow,wrist,distance\n0,2917,9,1\n", 2, "elbow", "2917", "[steps/4096]"),
-    ("lift,elbow,wrist,distance\n0,-99.9,9,1\n", 2, "elbow", "-99.9", "[steps/N@0]"),
+    ("lift,elbow,wrist,distance\n0,-99.9,9,1\n", 2, "elbow", "-99.9", "[deg]"),
     ("lift,elbow,wrist,distance\n0,700,9,1\n", 2, "elbow", "700", "[steps/1228.8@5"),
     (f"{J},distance,target [m]\n0,0,0,1,1\n", 1, "target", None),
     # Which model?
@@ -432,9 +432,8 @@ REFUSED_BY_MODEL = [
     ("fixed-point", "target\n0,0,0,a\n0,0,0,b\n0.1,0,0,a\n", 3, "target", None, "'b'"),
     ("fixed-point", "target\n0,0,0,x@a\n1e-9,0,0,y@a\n", 2, "target", None, "'a'"),
     # Numbers that cannot be.
-    ("camera", "u,v,target\n0,0,0,1,-2e5,m\n", 2, "v", "-2e5"),
+    ("camera", "u,v,target\n0,0,0,1,-2e5,m\n", 2, "v", "-200000"),
     ("camera", "u,v,target,sigma\n0,0,0,1,1,m,1e-10\n", 2, "sigma", "1e-10"),
-    ("plane-contact", "sigma_x,sigma_y,sigma_z\n0,0,0,1,1,1\n", 1, "sigma_x", None),
     # Gauges.
     ("plane-contact", "dial\n0,0,0,0.5\n", 2, "dial", "0.5", "mm"),
     ("plane-contact", "dial,deviation\n0,0,0,0,0\n", 1, "dial", None, "once"),
@@ -445,9 +444,9 @@ REFUSED_BY_MODEL = [
         for rows, *about in (
             ("0,0,0,0.5,a,\n0.1,0,0,1,a,\n", 2, "distance", "0.5"),
             ("0,0,0,0,a,\n0.1,0,0,1,a,\n0,0,0,0,b,\n", 4, "target", "b"),
-            ("0,0,0,0,a,\n0.1,0,0,1,a,\n0.2,0,0,0.0,a,\n", 4, "distance", "0.0"),
+            ("0,0,0,0,a,\n0.1,0,0,1,a,\n0.2,0,0,0.0,a,\n", 4, "distance", "0"),
             ("0,0,0,0,a,\n0.1,0,0,-1,a,\n", 3, "distance", "-1"),
-            ("0,0,0.5,0,a,\n0.1,0,0,1,a,\n0,0,0.5,1e-6,a,\n", 4, "distance", "1e-6"),
+            ("0,0,0.5,0,a,\n0.1,0,0,1,a,\n0,0,0.5,1e-6,a,\n", 4, "distance", "1e-06"),
             ("0,0,0,0,a,\n0.1,0,0,1,a,\n0.2,0,0,1,a,p\n", 4, "payload", "p"),
             ("0,0,0,,a,\n0.1,0,0,1,a,\n", 3, "distance", "1"),
         )
@@ -455,7 +454,7 @@ REFUSED_BY_MODEL = [
     # Several models in a file.
     (None, "distance,model\n0,0,0,1,posee\n", 2, "model", "posee", "'pose'"),
     (None, f"x,y,z,{BOTH},,,1,,{FAR}1,2,3,4,,position", 3, "distance", "4"),
-    (None, f"u,v,{BOTH},,,,{FAR}1,,,m,camera", 3, "v", ""),
+    (None, f"u,v,{BOTH},,,,{FAR}1,,,m,camera", 2, "distance", ""),
 ]
 REFUSED_BY_MODEL = [(m, f"{J},{text}", *rest) for m, text, *rest in REFUSED_BY_MODEL]
 
@@ -498,7 +497,7 @@ def test_a_number_for_no_reading_is_told(write, chain, sign):
     file = write("\n".join([f"{J},x [mm],y [mm],z [mm]", *rows]))
     told = list[str]()
     assert len(read(file, chain, notice=told.append)) == 6
-    assert f"line 4: '{sign}' in 'x'" in told[0]
+    assert f"line 4: '{repr(float(sign)).removesuffix('.0')}' in 'x'" in told[0]
 
 
 @pytest.mark.parametrize("case", REFUSED + REFUSED_BY_MODEL)

@@ -45,12 +45,10 @@ def spoiled(rng: random.Random) -> list[str]:
 @pytest.mark.parametrize("count", [3, 4096])
 def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, count):
     monkeypatch.setattr(table_module, "LINES", count)
-    # Lines of nothing but decimals have no texts where there are many.
-    monkeypatch.setattr(table_module, "read_lines", lambda *_: None)
     rng = random.Random(1)
     for _ in range(25):
         lines = spoiled(rng)
-        found = table(rng.choice(["\n", "\r\n"]).join([*lines, ""]))
+        found = table(rng.choice(["\n", "\r\n"]).join([*lines, ""]), names=None)
         rows = {
             at: next(csv.reader([line], skipinitialspace='"' in line))
             for at, line in enumerate(lines, start=1)
@@ -79,21 +77,18 @@ def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, cou
             assert caught.value.value == expected[row].strip()
 
 
-def test_numbers_are_texts_as_well(monkeypatch, table):
-    found = table("# c\nname,x [mm]\n 01,1.50\n\n1e0,2.50\n3,7\n")
-    assert found.texts(["name", "note"]) == {"name": ("01", "1e0", "3")}
+def test_numbers_are_texts_in_columns_of_names(table):
+    found = table("# c\ntarget,x [mm]\n 01,1.50\n\n1e0,2.50\n3,7\n")
+    assert found.texts(["target", "note"]) == {"target": ("01", "1e0", "3")}
     some = found.rows(np.array([2, 1]))
-    assert some.texts(["name"]) == {"name": ("3", "1e0")}
-    assert some.columns["x"].texts() == ("7", "2.50")
+    assert some.texts(["target"]) == {"target": ("3", "1e0")}
+    assert some.columns["x"].texts() == ("7", "2.5")
     assert some.numbers("x", LENGTH).tolist() == [7e-3, 2.5e-3]
     error = some.error("too large", "x", row=1)
-    assert (error.line, error.value) == (5, "2.50")
-    # Of many that differ there are the numbers alone, and the other texts.
-    monkeypatch.setattr(table_module, "TEXTS", 2)
-    monkeypatch.setattr(table_module, "LINES", 1)
-    found = table("name,x\n1.10,01\n1.10,02\n1.1,03\n1.1,a\n1.10,04\n")
-    assert found.texts(["name"]) == {"name": ("1.10", "1.10", "1.1", "1.1", "1.10")}
-    assert found.texts(["x"]) == {"x": ("1", "2", "3", "a", "4")}
+    assert (error.line, error.value) == (5, "2.5")
+    found = table("target,x\n1.10,01\n1.10,02\n1.1,03\n1.1,a\n1.10,04\n")
+    assert found.labels("target") == ("1.10", "1.10", "1.1", "1.1", "1.10")
+    assert found.labels("x") == ("1", "2", "3", "a", "4")
 
 
 def test_repeated_names_are_kept_once(table):
@@ -155,7 +150,7 @@ def test_wrong_columns_are_told(table, columns, names):
     assert caught.value.line == 1
     # A wrong unit is mended there, too.
     found, small = table(LOG, {"x": "X (mm)"}), replace(LENGTH, largest=0.5)
-    with refused(InputError, "columns: {x: X (mm) [mm]}", column="X (mm) (x)"):
+    with refused(InputError, "'X (mm) [mm]'", column="X (mm) (x)"):
         found.check("x", found.numbers("x", LENGTH), small)
 
 
@@ -208,7 +203,7 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
     monkeypatch.setattr(table_module, "LINES", count)
     progress: list[float] = []
     data = (end.join(LINES) + end * last).encode(code)
-    found = read_cells(data, "a.csv", progress.append)
+    found = read_cells(data, "a.csv", progress.append, names=None)
     assert (tuple(found.heading.names), found.heading.line) == (("a", "b"), 2)
     assert [*zip(found.lines, rows_of(found), strict=True)] == KEPT
     assert len(found.remarks) == (code == "latin-1")
@@ -254,7 +249,7 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
     ],
 )
 def test_headers(text, header, line, rows):
-    found = read_cells(text.encode(), "a.csv")
+    found = read_cells(text.encode(), "a.csv", names=None)
     names = [name.replace("~", " ") for name in header.split()]
     assert list(found.heading.names) == names
     assert found.heading.line == line

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import combinations, product
+from itertools import product
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import Finding, rms
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import distinct_values
-from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted, split_header
+from calib_pin.io.columns import ANGLE, LENGTH, TURNED, counted, split_header
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
 from calib_pin.io.measurement_errors import SETS
@@ -42,14 +42,7 @@ from calib_pin.kinematics.tree import turns
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Booleans, Observations
 from calib_pin.parameterizations.placement import HAND_SET
-from calib_pin.setup import (
-    STATED,
-    WORLD,
-    CameraSetup,
-    ChainSetup,
-    OrientationSetup,
-    Setup,
-)
+from calib_pin.setup import STATED, WORLD, CameraSetup, ChainSetup, Setup
 from calib_pin.units import steps_of
 from calib_pin.validation.evaluation import error_sizes, registered_robot
 from calib_pin.validation.findings.case import Case, QuickFit, subset
@@ -88,49 +81,20 @@ APART = ("station", "tool", "target")
 FEWEST = 3
 """Joints that are found without their names."""
 
-DATE = 1e11
-"""Numbers from here on are dates with their digits in a row, and no seconds."""
 
 WIDTH = 88
 """Longest line of a comment."""
 
-FRAMES = "\nframes:\n  base: {estimate: true}\n  tool: {estimate: true}"
-"""Lines on what is estimated of frames, by where the instrument stands."""
-
-TEXTS = {
-    "external": "The instrument may stand anywhere, and the target may sit anywhere on "
-    "the tool: both are estimated. State them if you know them.",
-    "internal": "Tool and instrument are estimated; the base link is the frame of "
-    "reference. State 'frames', 'targets' or 'planes' that you know.",
-    "pose": " Poses that a camera has computed are as wrong as the size of its board "
-    "and its focal length: take the corners of its images instead ('detect').",
-    "gauge": " Readings of the gauge count. In 'dial' pushed in is positive; if yours "
-    "counts the other way, name its column 'deviation' under 'columns'.",
-    "zeros": "The zeros of the joints alone: {}. From 100 measurements on try "
-    "placement: six errors at every joint.",
-    "inverted": "The poses are those of the measurement frame in the tool, as a camera "
-    "in the hand sees a board.",
-    "convention": "The way to read the orientation that fits the robot.",
-    "families": "Six errors at every joint, the usual choice. Others: joint-offset for "
-    "zeros alone; transmission, compliance beside it for gears and loads.",
-}
-"""Comments on what is estimated, and on gauges."""
-
-COMMENTS = {
-    "base": "The chain starts here.",
-    "tip": "The link that carries the tool.",
-    "chains": "The links that the names in the column 'chain' stand for.",
-    "model": "Measured: ",
-    "parameters": "",
-    "prior": "Zeros that were set by hand are off by about 5 degrees [rad].",
-    "columns": "Our names of columns, and those of the file with their units.",
-    "reading": "",
-    "board": "The board; its points are known.",
-    "camera": "The camera; a first guess that is estimated, but for the size of the "
-    "images, 'size: [width, height]', which export to camera-info needs.",
-    "distances": "Known distances [m]: they give the robot its size.",
-}
-"""Comments of keys, in the order of the file."""
+EXTERNAL = """\
+# The instrument may stand anywhere, and the target may sit anywhere on the tool: both
+#   are estimated. State them if you know them.
+frames:
+  base: {estimate: true}
+  tool: {estimate: true}"""
+INTERNAL = """\
+# Tool and instrument are estimated; the base link is the frame of reference. State
+#   'frames', 'targets' or 'planes' that you know."""
+"""What is estimated of frames, by where the instrument stands."""
 
 Choose = Callable[[str, Sequence[str], str], str]
 """The choice of a user: of a question, the choices, and the option that says it."""
@@ -192,9 +156,8 @@ class Look:
         if any(map(steps_of, units.values())):
             return "the joints are counted in steps of servos"
         degrees = [self.joints[j].column.numbers for j in units if units[j] == "deg"]
-        if degrees and not np.nansum(np.array(degrees) % 1.0):
-            return "the joints were read in whole degrees"
-        return ""
+        whole = bool(degrees) and not np.nansum(np.array(degrees) % 1.0)
+        return "the joints were read in whole degrees" * whole
 
 
 def first_look(
@@ -220,11 +183,11 @@ def first_look(
     looks, reading = list[Look](), None
     for joints in _joints(robot, _with_camera(setup, columns), columns, choose):
         likely = [k for look in joints for k in readings(look, robot, columns)]
-        direct = [look for look in likely if look.setup.reading == setup.reading]
-        inverted = [look for look in likely if look.setup.reading != setup.reading]
-        tries = [*map(look_at, direct)]
-        if inverted and not best(tries).fits:
-            tries += map(look_at, inverted)
+        tries = list[Look]()
+        for inverted in (False, True):
+            if not inverted or not best(tries).fits:
+                way = (k for k in likely if k.setup.reading.inverted is inverted)
+                tries += map(look_at, way)
         tries = _in_conventions(tries, look_at)
         better = best(tries)
         # Joints are exchanged where that fits, not where nothing does.
@@ -233,16 +196,14 @@ def first_look(
         if reading.fits:
             break
     assert reading is not None
-    question = "of which kind is the distance"
-    models = _answers("model", looks, reading)
-    if reading.setup.model in TOUCHES:
-        question = "did the tool rest in sockets or touch planes or spheres"
-        if not headers.measured(columns).keys() & measured_columns.optional():
-            question = f"no measured values are found: {question}"
-        models = [] if reading.share < AT_REST or setup.model else [*TOUCHES]
-    # What cannot be read as any distance is not asked about.
-    asked = TOUCHES if reading.fault is not None else (*TOUCHES, *DISTANCES)
-    if len(models) > 1 and models[0] in asked:
+    question, models = "of which kind is the distance", list[str]()
+    if reading.setup.model in DISTANCES and reading.fault is None:
+        models = _answers("model", looks, reading)
+    elif reading.setup.model in TOUCHES and not setup.model:
+        question = "no position or distance is found: "
+        question += "did the tool rest in sockets or touch planes or spheres"
+        models = [*TOUCHES] if reading.share >= AT_REST else []
+    if len(models) > 1:
         setup = replace(setup, model=choose(question, models, "--model"))
         return first_look(robot, files, setup, choose, apart)
     if reading.fault is not None:
@@ -262,7 +223,7 @@ def first_look(
     if len(ends) > 1 and reading.share < inf:
         tip = choose("which link was measured", ends, "--tip")
         reading = best([look for look in looks if look.setup.tip == tip])
-    hints = *_thousands(reading, columns), *_names_that_fit(reading, columns, look_at)
+    hints = *_thousands(reading, columns), *_named_apart(reading, columns, look_at)
     reading = replace(reading, remarks=[*reading.remarks, *hints])
     if reading.hand_set:
         prior = {"*.joint-offset.q": round(HAND_SET, 3)}
@@ -285,20 +246,17 @@ def _thousands(look: Look, columns: Sequence[Foreign]) -> Iterator[str]:
         size = abs(column.numbers)
         whole = size % 1.0 == 0.0
         parts, small = size[~whole], size[whole]
-        if not len(parts) or len(small) < FEW * len(size) or size.max() >= 1e3:
-            continue
         # Numbers of so many digits in all have fewer decimals where they are larger.
-        thousands = (parts >= 1.0) & (parts.round(3) == parts)
-        long = parts.round(2) != parts
-        if thousands.all() and long.mean() > 0.5 and small.max(initial=0.0) >= 100.0:
+        thousands = (parts >= 1.0) & (parts < 1e3) & (parts.round(3) == parts)
+        long = parts[parts.round(2) != parts]
+        many = len(small) >= FEW * len(size) and 2 * len(long) > len(parts)
+        if many and thousands.all() and 100.0 <= small.max(initial=0.0) < 1e3:
             first = float(column.numbers[np.argmin(whole)])
             text = f"'{column.name}' has whole numbers and {first:.3f} among them: "
             yield f"{text}if it is {1e3 * first:.0f}, write no mark between thousands"
 
 
-def _names_that_fit(
-    look: Look, columns: Sequence[Foreign], look_at: Try
-) -> Iterator[str]:
+def _named_apart(look: Look, columns: Sequence[Foreign], look_at: Try) -> Iterator[str]:
     """Columns of a few names that nobody reads, and what these may tell apart."""
     setup, used = look.setup, _used_names(look)
     free = [key for key in APART if key not in setup.columns]
@@ -390,10 +348,9 @@ def _joints(
     if not looks:
         reason = "joint positions are needed (the controller's pose hides the branch), "
         reason += "and no columns are found for them; state 'columns' in a setup file"
-        numbered = [one for one in columns if headers.NUMBERED.match(one.words)]
-        if texts := [one for one in numbered if not one.column.numeric]:
-            cell = texts[0].column.text(0)
-            reason += f"; '{texts[0].name}' has no numbers, but '{cell}'"
+        numbered = (one for one in columns if headers.NUMBERED.match(one.words))
+        for one in [one for one in numbered if not one.column.numeric][:1]:
+            reason += f"; '{one.name}' has no numbers, but '{one.column.text(0)}'"
         raise InputError(f"{reason} (joints: {enumerated(joint_names)})")
     yield looks
     # Joints at the end of a chain that stand still may be in units of their own, such
@@ -406,13 +363,8 @@ def _joints(
                 yield [replace(look, joints=few, tips=links)]
     # Columns without names may be those of other joints: ROS writes by the alphabet.
     for look in (look for look in looks if look.order):
-        known, order = [*look.joints], "other than on the robot"
-        others = [sorted(known)]
-        for a, b in combinations(known, 2):
-            others.append([{a: b, b: a}.get(name, name) for name in known])
-        for other in others:
-            joints = zip(other, look.joints.values(), strict=True)
-            yield [replace(look, joints=dict(joints), order=order)]
+        joints = dict(zip(sorted(look.joints), look.joints.values(), strict=True))
+        yield [replace(look, joints=joints, order="by the alphabet")]
 
 
 def _name_parts(link: str) -> list[str]:
@@ -477,25 +429,20 @@ def _one_chain_looks(
         named: Those that are called like joints of the robot, by joint.
     """
     chains = chains_of(robot, setup.base, setup.tip)
-    whole = [chain for chain in chains if named.keys() >= {*chain}]
+    whole = [{*chain} for chain in chains if named.keys() >= {*chain}]
     fullest = max(chains, key=lambda chain: (len({*chain} & named.keys()), -len(chain)))
     missing = [joint for joint in fullest if joint not in named]
-    most = max(map(len, whole), default=0)
-    if len(fullest) - len(missing) >= max(most + 1, FEWEST):
+    if len(fullest) - len(missing) >= max([FEWEST, *(len(c) + 1 for c in whole)]):
         end = chains[fullest][0]
         reason = f"no column for {', '.join(missing)} of the chain to '{end}'"
-        used = {column.name for column in named.values()} | measured_columns.reserved()
-        free = {column.name for column in columns} - used
-        hints = filter(None, (closest(joint, free) for joint in missing))
-        hint = next(hints, advice(Chain(robot, setup.base, end), missing))
-        raise InputError(reason + hint)
+        raise InputError(reason + advice(Chain(robot, setup.base, end), missing))
     if whole:
         # A file may hold those that follow, too.
         follow = {j: mimic.leader for j, mimic in robot.mimics.items()}
         return [
             Look(setup, {j: named[j] for j in named if follow.get(j, j) in chain}, tips)
             for chain, tips in chains.items()
-            if chain in whole and not any({*chain} < {*other} for other in whole)
+            if {*chain} in whole and not any({*chain} < other for other in whole)
         ]
     meant = [k for choices in headers.measured(columns).values() for k in choices]
     looks, ordered = [], [k for k in columns if k.numeric and k not in meant]
@@ -519,16 +466,15 @@ def readings(look: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[L
     setup = replace(setup, tip=setup.tip or next(iter(look.tips), None))
     used = {one.name for one in joints.values()}
     rest = [one for one in columns if one.name not in used]
-    asked = measured_columns.asked_models(setup.model)
-    gauges = {name for model in asked for name in measured_columns.optional(model)}
     others = {*POSITION, *measured_columns.ORIENTED, *measured_columns.optional()}
+    for name in measured_columns.asked_models(setup.model):
+        others -= measured_columns.optional(name).keys()
     names = {
         ours: one
         for ours, (one, *_) in headers.measured(rest).items()
-        if ours not in others or ours in gauges
-        if ours != "time" or (one.column.numeric and one.largest < DATE)
         # Other words divide a file in other ways.
         if ours != "set" or one.name == "set" or {*one.column.words} <= {*SETS}
+        if ours not in others
     }
     inverted = replace(setup.reading, inverted=True)
     setups = [setup, replace(setup, reading=inverted)]
@@ -536,11 +482,12 @@ def readings(look: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[L
         mounts = (replace(camera, mount=mount) for mount in ("hand", "world"))
         setups = [replace(setup, camera=camera) for camera in mounts]
     for spatial, start in product(headers.vectors(rest) or [{}], setups):
-        if start.reading.inverted and not {*spatial} - {*POSITION}:
+        oriented = bool({*spatial} - {*POSITION})
+        if start.reading.inverted and not oriented:
             continue
         models: Sequence[str | None] = [setup.model]
         if setup.model is None and spatial:  # Whatever else is in the file.
-            models = [None if {*spatial} - {*POSITION} else "position"]
+            models = [None if oriented else "position"]
         elif setup.model is None:
             models = DISTANCES if "distance" in names else TOUCHES[:1]
         by_name = {**names, **spatial}
@@ -601,26 +548,20 @@ def with_errors(look: Look, robot: Robot, files: Sequence[Path], apart: bool) ->
         require_motion(data)
         rows, rank = subset(data)
         ready = registered_robot(chains, rows, setup)
-        known = distinct_values(ready.problem)
-        parameters = ready.problem.parameters
+        known, parameters = distinct_values(ready.problem), ready.problem.parameters
         unknown = int(np.sum(parameters.free & parameters.nuisance))
         if known <= unknown:
-            reason = f"{known} numbers are too few: where the instrument and the tool "
-            reason += f"({len(data.target.distinct)} targets) are takes {unknown}"
+            reason = f"{known} numbers are too few for {unknown} of instrument and tool"
             raise InputError(reason, file=files[0])
         errors, share = _errors(ready)
-        quick = QuickFit(ready.problem, ready.theta)
-        case = Case(data, quick, rank, ready.theta)
+        case = Case(data, QuickFit(ready.problem, ready.theta), rank, ready.theta)
         exact = next(computed_values(case), None)
-        far = _far_off(ready)
-        if share >= FITS and len(far) == len(rows) and far.any():
+        if share >= FITS and (far := _far_off(ready, len(rows))).any():
             # Of lost targets that nothing else marks a few are enough to hide a fit.
-            others = _errors(registered_robot(chains, rows.rows(~far), setup))
-            if others[1] < FITS:
-                errors, share = others
-                first = rows.source(int(np.argmax(far)))
-                text = f"{np.count_nonzero(far)} of {len(rows)} measurements"
-                remarks.append(f"far off all others: {text}, the first is {first}")
+            errors, share = _errors(registered_robot(chains, rows.rows(~far), setup))
+            first = rows.source(int(np.argmax(far)))
+            text = f"{np.count_nonzero(far)} of {len(rows)} measurements"
+            remarks.append(f"far off all others: {text}, the first is {first}")
     except CalibPinError as error:
         return replace(look, fault=error, data=None)
     look = replace(look, chains=chains, data=data, errors=errors, share=share)
@@ -651,38 +592,37 @@ def _in_convention(look: Look, look_at: Try) -> Look:
     ways = {block.orientation for block in look.data.blocks} - {""}
     if len(ways) != 1:
         return look
-    setup, tries = look.setup, [look]
+    (way,), setup, tries = ways, look.setup, [look]
     case = Case.of_none(look.chains, look.data, setup)
     for candidate in orientations(case, 1.0 / CLEAR):
         if (held := candidate.reading.orientation) is not None:
             reading = replace(setup.reading, orientation=held)
             tries.append(look_at(replace(look, setup=replace(setup, reading=reading))))
-    off = [k.errors.get("orientation", inf) for k in tries]
-    if min(off) > DROPPED:
+    least = min(k.errors.get("orientation", inf) for k in tries)
+    if least > DROPPED:
         return look
-    close = [k for k, size in zip(tries, off, strict=True) if CLEAR * size <= min(off)]
-    (way,) = ways
+    close = [k for k in tries if CLEAR * k.errors.get("orientation", inf) <= least]
     theirs = [setup.columns.get(name, name) for name in STATED[way]]
     called = all(n in text.lower() for n, text in zip(STATED[way], theirs, strict=True))
     if called and len(close) == 1 and close[0] is look:
         return look
     texts = list[str]()
     for k in close:
-        held = k.setup.reading.orientation or OrientationSetup()
-        text = written({"columns": way, **lines_of(held)})
+        held = k.setup.reading.orientation
+        text = written({"columns": way, **(lines_of(held) if held else {})})
         texts.append(f"'{text}' ({shown(k.errors['orientation'], 'rad')})")
     remark = f"the orientation in {', '.join(theirs)} is taken for {texts[0]}"
     if texts[1:]:
-        remark += f"; others fit about as well: {enumerated(texts[1:])}; if it is "
-        remark += "written so, correct 'reading'"
+        remark += f"; others fit about as well: {enumerated(texts[1:])}"
     return replace(close[0], remarks=[*close[0].remarks, remark])
 
 
-def _far_off(ready: Registered) -> Booleans:
-    """Which errors are far off all others, shape (N,); none where these are many."""
+def _far_off(ready: Registered, count: int) -> Booleans:
+    """Which of so many errors are far off all others; none where these are many."""
     sizes = error_sizes(ready.problem, ready.theta)[0][2]
     far: Booleans = sizes > FAR * np.median(sizes)
-    return far if far.mean() <= FEW else np.zeros_like(far)
+    few = len(far) == count and far.mean() <= FEW
+    return far if few else np.zeros(count, bool)
 
 
 def _errors(ready: Registered) -> tuple[dict[str, float], float]:
@@ -725,7 +665,6 @@ def best(looks: Sequence[Look]) -> Look:
     # Where none is read, the one with the most small units fails for no unit.
     read = (k for k in turned if CLEAR * k.share <= least)
     chosen = next(read, max(looks, key=lambda look: len(look.units)))
-    off = [k.errors["orientation"] for k in seen if "orientation" in k.errors]
     remarks = [*chosen.remarks]
     if chosen.exact is not None:
         remarks.append(chosen.exact.message)
@@ -736,9 +675,6 @@ def best(looks: Sequence[Look]) -> Look:
         size = shown(next(iter(other.errors.values())), "m")
         text = f"the position is that of '{chosen.position}', and "
         remarks.append(f"{text}'{other.position}' fits to {size}: correct 'columns'?")
-    if off and chosen.fits and "orientation" not in chosen.errors:
-        size = shown(min(off), "rad")
-        remarks.append(f"the orientation is not used: it fits the robot to {size} only")
     return replace(chosen, remarks=remarks, computed=sorted(computed))
 
 
@@ -750,34 +686,49 @@ def draft(robot: Robot, look: Look, command: str) -> str:
         look: The reading.
         command: The command line that it comes from.
     """
-    data, document = look.data, setup_document(look.setup)
-    assert data is not None
-    document["model"] = "+".join(data.models)
-    models = [declared(name) for name in data.models]
-    others = enumerated(link for link in look.tips if link != look.setup.tip)
-    why = look.hand_set
-    gauged = any(declared(b.model).contact and b.values.shape[1] for b in data.blocks)
-    more = {
-        "tip": f" The same joints move {others}." * bool(others),
-        "model": "; ".join(m.help for m in models)
-        + "."
-        + TEXTS["pose"] * ("pose" in data.models)
-        + TEXTS["gauge"] * gauged,
-        "reading": TEXTS["inverted" if look.setup.reading.inverted else "convention"],
-        "parameters": TEXTS["zeros"].format(why) if why else TEXTS["families"],
-    }
+    assert look.data is not None
+    document = {**setup_document(look.setup), "model": "+".join(look.data.models)}
     parts = ["\n".join(map(_comment, _head(robot, look, command)))]
-    for key in filter(document.__contains__, COMMENTS):
-        text = _comment(COMMENTS[key] + more.get(key, ""))
-        parts.append(f"{text}\n{_lines(key, document[key], look)}")
-    external = any(m.external for m in models)
-    parts.append(_comment(TEXTS["external" if external else "internal"]))
-    parts[-1] += FRAMES * external
+    for key, comment in _comments(look).items():
+        if key in document:
+            parts.append(f"{_comment(comment)}\n{_lines(key, document[key], look)}")
+    parts.append(INTERNAL)
+    if any(declared(name).external for name in look.data.models):
+        parts[-1] = EXTERNAL
     quantity = next(iter(look.errors))
     unit, usual = ("px", "0.3") if quantity == "pixel" else ("m", "1.0e-4")
     parts[-1] += f"\n# State the noise of the instrument if you know it [{unit}]:"
     parts[-1] += f"\n# noise: {{{quantity}: {usual}}}\n"
     return "\n\n".join(parts)
+
+
+def _comments(look: Look) -> dict[str, str]:
+    """Comments of keys, in the order of the file."""
+    assert look.data is not None
+    blocks, why = look.data.blocks, look.hand_set
+    others = enumerated(link for link in look.tips if link != look.setup.tip)
+    helps = "; ".join(declared(name).help for name in look.data.models)
+    camera = " Corners of images are better than poses computed from them ('detect')."
+    gauge = " In 'dial' pushed in is positive, in 'deviation' it is negative."
+    gauged = any(declared(b.model).contact and b.values.shape[1] for b in blocks)
+    families = f"The zeros of the joints alone: {why}. Others: placement."
+    usual = "Six errors at every joint. Others: joint-offset, transmission, compliance."
+    return {
+        "base": "The chain starts here.",
+        "tip": "The link that carries the tool."
+        + f" The same joints move {others}." * bool(others),
+        "chains": "The links that the names in the column 'chain' stand for.",
+        "model": f"Measured: {helps}."
+        + camera * ("pose" in look.data.models)
+        + gauge * gauged,
+        "parameters": families if why else usual,
+        "prior": "Zeros that were set by hand are off by about 5 degrees [rad].",
+        "columns": "Our names of columns, and those of the file with their units.",
+        "reading": "How the poses are to be read so that they fit the robot.",
+        "board": "The board; its points are known.",
+        "camera": "A first guess; camera-info also needs 'size: [width, height]'.",
+        "distances": "Known distances [m]: they give the robot its size.",
+    }
 
 
 def _head(robot: Robot, look: Look, command: str) -> Iterator[str]:
@@ -787,10 +738,11 @@ def _head(robot: Robot, look: Look, command: str) -> Iterator[str]:
     fits = (f"{shown(k, units.get(n, 'm'), 3)} ({n})" for n, k in look.errors.items())
     text = f"{len(look.data or ())} measurements of {robot.name}. The nominal robot "
     text += f"fits to {', '.join(fits)} rms with this setup"
-    text += f": {100 * look.share:.2g} % of its motion" * (look.share < inf)
-    no_fit = ". That is NO fit: a column has another meaning, or these are not "
-    no_fit += "measurements of this robot. Correct what is wrong below."
-    yield text + ("." if look.fits else no_fit)
+    text += f": {100 * look.share:.2g} % of its motion" * (look.share < inf) + "."
+    if not look.fits:
+        text += " That is NO fit: a column has another meaning, or these are not "
+        text += "measurements of this robot. Correct what is wrong below."
+    yield text
     if look.computed:
         names = enumerated(look.computed)
         yield f"The controller computed {names} from the joints: others are taken."
@@ -798,13 +750,13 @@ def _head(robot: Robot, look: Look, command: str) -> Iterator[str]:
 
 def _lines(key: str, value: Any, look: Look) -> str:
     """A key as it stands in the file, columns each on a line of its own."""
-    if isinstance(value, str) or key != "columns":
+    if key != "columns":
         return yaml_text({key: value})
-    order = f"# Joints are known by the order alone, {look.order}.\n" * bool(look.order)
-    lines = [f"{order}columns:"]
+    lines = [f"# Joints are known by the order alone, {look.order}."] * bool(look.order)
+    lines.append("columns:")
     for ours, theirs in value.items():
         comment = "  # (unit by its numbers)" * (ours in look.units)
-        lines.append(f"  {_lines(ours, theirs, look)}{comment}")
+        lines.append(f"  {yaml_text({ours: theirs})}{comment}")
     return "\n".join(lines)
 
 

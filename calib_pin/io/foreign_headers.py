@@ -212,9 +212,8 @@ def require_units(columns: Iterable[Foreign]) -> None:
 
 def _with_axes(columns: Sequence[Foreign]) -> list[Foreign]:
     """The same, elements of vectors of three called by their axes."""
-    threes = [family for family in families(columns) if len(family) == 3]
     named = dict[str, str]()
-    for three in threes:
+    for three in (family for family in families(columns) if len(family) == 3):
         for axis, one in zip("xyz", three, strict=True):
             if match := ELEMENT.fullmatch(one.words):
                 named[one.name] = f"{match[1]} {axis}"
@@ -278,16 +277,15 @@ def with_turns(columns: Sequence[Foreign]) -> tuple[Foreign, ...]:
     named = dict[str, str]()
     for k, z in enumerate(columns):
         words, beside = _parts(z.words), columns[k + 1 : k + 5]
-        rest = [re.findall(r"[^\W_]+", one.words) for one in beside]
-        rest = [[part for part in parts if part not in words] for parts in rest]
-        names = [" ".join(parts) for parts in rest]
+        parts = (re.findall(r"[^\W_]+", one.words) for one in beside)
+        names = [" ".join(p for p in of if p not in words) for of in parts]
         ours = ANGLES.get(" ".join(names[:3]), ())
         if len(beside) == 4 and all(map(NUMBERED.match, names)):
             norms = np.linalg.norm([one.column.numbers for one in beside], axis=0)
             if (abs(norms - 1.0) < 1e-2).mean() > 0.5:
                 ours = ELEMENTS.get(" ".join(names), STATED["quaternion"])
-        plain = [one.unit or one.column.unit or "deg" for one in beside[: len(ours)]]
-        if "z" in words and {*plain} <= ANGLE.units.keys():
+        plain = {one.unit or one.column.unit or "deg" for one in beside[: len(ours)]}
+        if "z" in words and plain <= ANGLE.units.keys():
             stem = " ".join(word for word in words if word != "z")
             turns = zip(beside, ours, strict=False)
             named |= {one.name: f"{stem} {name}" for one, name in turns}
@@ -301,13 +299,16 @@ def vectors(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:
     One that never moves, while others do, is none. Behind each is the position alone.
     """
     options, result = _choices(columns), list[dict[str, Foreign]]()
-    for stem in (stems := options.get("x", {})):
+    stems = options.get("x", {})
+    for stem in stems:
         position = {axis: options[axis][stem] for axis in POSITION if axis in options}
         beside = PLACES.sub("", stem).strip()
         for names in (names for names in STATED.values() if names[0] in options):
-            ways = {TURNS.sub("", stem).strip(): stem for stem in options[names[0]]}
-            likely = [beside] if beside in ways else [*ways][: len(stems) == 1]
-            turned = {name: options[name][ways[likely[0]]] for name in names if likely}
+            ways = {TURNS.sub("", other).strip(): other for other in options[names[0]]}
+            # The only orientation is that of the only position.
+            alone = next(iter(ways.values())) if len(stems) == 1 else None
+            way = ways.get(beside, alone)
+            turned = {name: options[name][way] for name in names if way is not None}
             if any(column.moves for column in turned.values()):
                 result.append(position | turned)
                 break
@@ -398,15 +399,15 @@ def joints_by_name(
     is a measured one.
     """
     words = {joint: _parts(_split_words(joint)) for joint in joints}
-    matches = dict[str, Foreign]()
+    # The longest name that is there: the elbow of the left arm is no other elbow.
+    longest = sorted(joints, key=lambda joint: len(words[joint]), reverse=True)
+    matches = {one.name: one for one in columns if one.name in words}
     # Of several the likeliest, with the fewest other words.
     for one in sorted(columns, key=lambda k: (_likelihood(k), len(_parts(k.words)))):
         header = _parts(one.words)
-        named = [j for j, name in words.items() if one.numeric and _holds(header, name)]
-        # The longest: the elbow of the left arm is no other elbow.
-        for joint in sorted(named, key=lambda joint: len(words[joint]))[-1:]:
+        named = (joint for joint in longest if _holds(header, words[joint]))
+        if one.numeric and (joint := next(named, None)):
             matches.setdefault(joint, one)
-    matches |= {one.name: one for one in columns if one.name in words}
     return {joint: matches[joint] for joint in joints if joint in matches}
 
 
@@ -432,10 +433,11 @@ def families(columns: Sequence[Foreign]) -> list[list[Foreign]]:
         if column.numeric and (match := NUMBERED.match(column.words)):
             key = match[1].strip(" _-."), match[3].strip(" _-.")
             groups[key][int(match[2])] = column
-    whole = [
-        (re.split(r"[ _.\-]", stem)[-1], [family[k] for k in sorted(family)])
-        for (stem, _), family in groups.items()
-        if len(family) > 1 and max(family) - min(family) == len(family) - 1
-    ]
-    whole.sort(key=lambda f: (not JOINTED.fullmatch(f[0]), _likelihood(f[1][0])))
-    return [family for _, family in whole]
+
+    def order(key: tuple[str, str]) -> tuple[bool, int]:
+        noun = re.split(r"[ _.\-]", key[0])[-1]
+        first = groups[key][min(groups[key])]
+        return not JOINTED.fullmatch(noun), _likelihood(first)
+
+    whole = [k for k, of in groups.items() if 1 < len(of) == max(of) - min(of) + 1]
+    return [[groups[k][n] for n in sorted(groups[k])] for k in sorted(whole, key=order)]

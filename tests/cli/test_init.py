@@ -311,7 +311,7 @@ def test_orientations_as_controllers_write_them(run, names, convention, first, h
     setup = read_setup("setup.yaml")
     ours, theirs = first.split(": ")
     assert setup.model == "pose" and setup.columns[ours].split(" [")[0] == theirs
-    assert "computed are as wrong" in Path("setup.yaml").read_text()
+    assert "poses computed from them" in Path("setup.yaml").read_text()
     held = setup.reading.orientation
     assert hold == (held and held.hold) and "not used" not in result.err
     said = hold is not None or ours not in theirs.lower()
@@ -436,7 +436,7 @@ def test_faults_of_a_file_are_told_and_not_those_of_a_unit(measured, fails, run)
     fails(INIT, "too few")
     cells = [[f"{k:.6f}" for k in row] for row in rows.tolist()]
     write("foreign.csv", "J1,J2,J3,J4,J5,J6,Hz,V,D", cells)
-    fails(INIT, "no measured values are found")
+    fails(INIT, "no position or distance is found")
     cells = [[*row, ("new", "old")[k % 2]] for k, row in enumerate(cells)]
     write("foreign.csv", "J1,J2,J3,J4,J5,J6,X,Y,Z,Set", cells)
     assert "columns ignored: Set" in run(INIT).err

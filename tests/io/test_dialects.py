@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from benchmarks.layouts import WRITERS, Job, job
-from calib_pin import plugins
 from calib_pin.errors import InputError
 from calib_pin.io.columns import ANGLE, LENGTH, Column
 from calib_pin.io.dialects import DIALECTS, Dialect, Reading
@@ -20,6 +19,7 @@ from calib_pin.io.foreign_headers import foreign, measured, with_our_names
 from calib_pin.io.measured_columns import TIME, read_quaternions
 from calib_pin.io.table import read_table
 from calib_pin.kinematics.spatial import from_quaternion, so3_exp, to_quaternion
+from calib_pin.plugins import register
 from tests.shared import refused
 
 
@@ -293,7 +293,7 @@ def test_of_two_topics_and_poses_of_controllers(table):
     assert found.numbers("y", LENGTH).tolist() == [0.5]
 
 
-def test_a_dialect_of_another_package(table, monkeypatch):
+def test_a_dialect_of_another_package(table):
     class Shouting(Dialect):
         """A file of capitals."""
 
@@ -301,8 +301,7 @@ def test_a_dialect_of_another_package(table, monkeypatch):
             low = {name.lower(): column for name, column in columns.items()}
             return Reading(low, "loud") if all(map(str.isupper, columns)) else None
 
-    added = {"calib_pin.dialects": {"shouting": Shouting}}
-    monkeypatch.setattr(plugins, "_registered", added)
+    register("dialects", "shouting", Shouting)
     found = table("X,Y\n1,2\n")
     assert list(found.columns) == ["x", "y"] and found.remarks == ("read as loud",)
     assert list(table("X,y\n1,2\n").columns) == ["X", "y"]

@@ -27,7 +27,7 @@ from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import Finding, rms
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import distinct_values
-from calib_pin.io.columns import ANGLE, LENGTH, TURNED, counted, split_header
+from calib_pin.io.columns import ANGLE, LENGTH, TURNED, closest, counted, split_header
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
 from calib_pin.io.measurement_errors import SETS
@@ -435,7 +435,11 @@ def _one_chain_looks(
     if len(fullest) - len(missing) >= max([FEWEST, *(len(c) + 1 for c in whole)]):
         end = chains[fullest][0]
         reason = f"no column for {', '.join(missing)} of the chain to '{end}'"
-        raise InputError(reason + advice(Chain(robot, setup.base, end), missing))
+        used = {column.name for column in named.values()} | measured_columns.reserved()
+        free = {column.name for column in columns} - used
+        hints = filter(None, (closest(joint, free) for joint in missing))
+        hint = next(hints, advice(Chain(robot, setup.base, end), missing))
+        raise InputError(reason + hint)
     if whole:
         # A file may hold those that follow, too.
         follow = {j: mimic.leader for j, mimic in robot.mimics.items()}

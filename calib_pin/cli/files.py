@@ -151,7 +151,7 @@ class Subject(NamedTuple):
 
 
 def open_subject(asked: OfCalibration, *also: str) -> Subject:
-    """What a command is for.
+    """The robot or calibration that a command is for.
 
     A calibration is without the errors of its own measurements, of which there may be
     many. Beside it the setup file may state the further keys `also`.
@@ -381,5 +381,5 @@ def check_outputs(
             "is a folder, not a file": path.is_dir(),
             "exists already; --force replaces it": exists(path) and not force,
         }
-        if wrong := [reason for reason, found in faults.items() if found]:
+        if wrong := [reason for reason, applies in faults.items() if applies]:
             raise OptionError(wrong[0], file=path)

@@ -49,10 +49,10 @@ def identify(asked: Identify) -> int:
     blocks = identified(result, fitted=bool(asked.measurements), details=asked.details)
 
     def document() -> Json:
-        # A fit has found more than this.
-        found = plain(Identification(**same(result, Identification)))
-        stated = {"verdict": {"status": verdict, "reason": reason}, "findings": faults}
-        return merged(format_keys("calib-pin/identification"), found, stated)
+        # A fit knows more than this.
+        known = plain(Identification(**same(result, Identification)))
+        about = {"verdict": {"status": verdict, "reason": reason}, "findings": faults}
+        return merged(format_keys("calib-pin/identification"), known, about)
 
     asked.show(document, chain(doubts, findings(faults, reason), blocks))
     return 2 if doubts else 0

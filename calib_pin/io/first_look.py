@@ -94,7 +94,7 @@ frames:
 INTERNAL = """\
 # Tool and instrument are estimated; the base link is the frame of reference. State
 #   'frames', 'targets' or 'planes' that you know."""
-"""What is estimated of frames, by where the instrument stands."""
+"""Lines on what is estimated of frames, by where the instrument stands."""
 
 Choose = Callable[[str, Sequence[str], str], str]
 """The choice of a user: of a question, the choices, and the option that says it."""

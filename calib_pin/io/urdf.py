@@ -30,7 +30,7 @@ from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import ChainSetup, Setup
 
 _GAP = re.compile(r"\s+(?=[^\W\d]\w*:=)")
-"""What is before an argument of a xacro file, as ROS writes them."""
+"""The blanks before an argument of a xacro file, as ROS writes them."""
 _EXAMPLE = "example:"
 _DESCRIPTION = "robot_description"
 """Stands for the file of a robot that is given as text, as ROS calls it."""

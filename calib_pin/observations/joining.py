@@ -275,8 +275,8 @@ class _Motion:
         """The offset with which readings are smooth functions of the way."""
         ends = [(start, end) for (_, start), (end, _) in pairwise(self.standstills)]
         for _ in range(30):
-            found = (self._motion_part(readings, ahead, *motion) for motion in ends)
-            parts = [part for part in found if part is not None]
+            each = (self._motion_part(readings, ahead, *motion) for motion in ends)
+            parts = [part for part in each if part is not None]
             if not parts:
                 return None
             slopes, weights, values, dof = np.array(parts).T
@@ -345,9 +345,9 @@ class _Motion:
             time = readings.time - other
             common = (time > starts[0] - longest) & (time < ends[-1] + longest)
             if common.mean() >= MOSTLY:
-                found = counted(other)
-                if found.max() >= max(MOSTLY * count, counts.max() + 1):
-                    zone, counts = other, found
+                more = counted(other)
+                if more.max() >= max(MOSTLY * count, counts.max() + 1):
+                    zone, counts = other, more
         if not counts.max():
             spans = [f"{t[0]:.1f} to {t[-1]:.1f} s" for t in (self.grid, readings.time)]
             text = "joints are of {}, readings of {}".format(*spans)

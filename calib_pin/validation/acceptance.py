@@ -230,10 +230,8 @@ def acceptance(
     tested_poses = [k for k in np.argsort(numbers) if len(visits[k]) >= LEAST]
     if not tested_poses:
         most = max(map(len, visits), default=0)
-        found = (
-            f"{counted(len(first), 'pose')}, at most {counted(most, 'visit')} of one"
-        )
-        reason = f"no pose was visited {LEAST} times: {found}"
+        reason = f"no pose was visited {LEAST} times: {counted(len(first), 'pose')}, "
+        reason += f"at most {counted(most, 'visit')} of one"
         raise InputError(reason, allowed="repeated poses, as of 'plan --accept'")
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []

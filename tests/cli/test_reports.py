@@ -161,4 +161,4 @@ def test_missing_meshes_are_noted_once(here, run, opened):
     result = run("view meshes.urdf --port 5")
     assert result.status == 0
     assert result.err.count("\n") == 1
-    assert "2 meshes" in result.err and "--package-dir" in result.err
+    assert "1.stl, 2.stl" in result.err and "--package-dir" in result.err

@@ -88,9 +88,9 @@ def registered_if_moved(
         )
         part: ModelErrors | None
         part = errors_of_registered(fitted, nominal, calibrated, positions[rows])
-        part, found = _if_moved(fitted, part, nominal, calibrated, station)
+        part, moved = _if_moved(fitted, part, nominal, calibrated, station)
         parts += [part] if part is not None else []
-        findings += found
+        findings += moved
     return parts, findings
 
 

@@ -75,7 +75,7 @@ def with_sigma(size: float, sigma: float, unit: str) -> str:
     """A size with its standard deviation.
 
     Examples:
-        >>> with_sigma(1.234e-3, 2.5e-5, "m")
+        >>> with_sigma(1.234e-3, 2.1e-5, "m")
         '1.2 +- 0.02 mm'
     """
     return f"{shown(size, unit).split()[0]} +- {shown(sigma, unit, 1)}"

@@ -158,8 +158,7 @@ def test_vectors_end_where_the_robot_has_its_point(panda, calibrated, measured_r
         to_base = arm.error.base.inverse()
         measured = rows.only.values[:, :3] @ to_base.rotation.T + to_base.translation
         predicted = (to_base.homogeneous @ arm.poses(rows.q))[:, :3, 3]
-        found = errors.points - errors.vectors
-        np.testing.assert_allclose(found, measured, atol=1e-12)
+        np.testing.assert_allclose(errors.points - errors.vectors, measured, atol=1e-12)
         np.testing.assert_allclose(errors.points, predicted, atol=1e-12)
         lengths = np.linalg.norm(predicted - measured, axis=1)
         np.testing.assert_allclose(errors.sizes["position"], lengths, atol=1e-12)

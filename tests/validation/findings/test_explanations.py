@@ -78,15 +78,11 @@ def said(found: Explanation | None) -> list[str]:
     return sorted(fault.code for fault in found.faults) if found else []
 
 
-def reverse(q: Floats) -> None:
-    q[:, 1] *= -1.0
-
-
 def couple_reverse_and_offset(q: Floats) -> None:
     q[:, 2] = -q[:, 2] + q[:, 1] + np.pi / 2.0
 
 
-def scale(factor: float, *columns: int) -> Callable[[Floats], None]:
+def times(factor: float, *columns: int) -> Callable[[Floats], None]:
     def change(q: Floats) -> None:
         q[:, columns] *= factor
 
@@ -101,9 +97,9 @@ def scale(factor: float, *columns: int) -> Callable[[Floats], None]:
             {"joint-coupled", "joint-offset", "joint-reversed"},
         ),
         # Degrees and millimeters that were read as radians and meters, and back.
-        *((scale(180.0 / np.pi, *j), {"joint-degrees"}) for j in [(1,), (0, 1, 2)]),
-        *((scale(np.pi / 180.0, *j), {"joint-degrees"}) for j in [(1,), (0, 1, 2)]),
-        *((scale(factor, 3), {"joint-degrees"}) for factor in (1e3, 1e-3)),
+        *((times(180.0 / np.pi, *j), {"joint-degrees"}) for j in [(1,), (0, 1, 2)]),
+        *((times(np.pi / 180.0, *j), {"joint-degrees"}) for j in [(1,), (0, 1, 2)]),
+        *((times(factor, 3), {"joint-degrees"}) for factor in (1e3, 1e-3)),
     ],
 )
 def test_what_is_wrong_is_found(
@@ -131,7 +127,7 @@ def test_without_a_measurement_frame(arm: Chains) -> None:
     wire = {"w": AnchorSetup((1.5, 0.2, 0.4), estimate=False)}
     setup = Setup(anchors=wire, tool_frame=TOOL, parameters=("joint-offset",))
     job, _ = simulated("point-distance", setup, 40, seed=7, robot=arm, noise=5e-5)
-    wrong = misread(job.data, reverse)
+    wrong = misread(job.data, times(-1.0, 1))
     case = case_of(arm, wrong, replace(setup, tool_frame=FrameSetup()))
     assert said(explained(case)) == ["joint-reversed"]
 
@@ -157,7 +153,7 @@ def test_lines_have_the_names_of_the_columns(arm: Chains, rows: Observations) ->
 
 
 def test_refusals_say_what_explains_them(arm: Chains, rows: Observations) -> None:
-    wrong = misread(rows, reverse)
+    wrong = misread(rows, times(-1.0, 1))
     with (
         pytest.raises(InputError, match=r"'j1'.*sign: -1.*hidden"),
         findings.explained(arm, wrong, SETUP),

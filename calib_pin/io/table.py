@@ -297,6 +297,9 @@ class Table:
         reason = f"{values[row]:.6g} {kind.si} looks like the wrong unit"
         if meant:
             reason += f"; write the header as '{column.theirs or name} [{meant}]'"
+        # Percent of a range look like degrees, and come no farther than 100.
+        if meant == "deg" and np.nanmax(np.abs(column.numbers)) <= 100.0:
+            reason += ", of percent of its range [steps/N@0], N = 72000 / range in deg"
         raise self.error(reason, name, ", ".join(kind.units), row)
 
     def values(self, kinds: Iterable[tuple[str, Kind]]) -> Floats:

@@ -386,7 +386,7 @@ REFUSED = [
     (f"{J},x,y,z,qx [m],qy,qz,qw\n0,0,0,0,0,0,0,0,0,1", 1, "qx", None),
     (f"{STEPS}0,9,0,1\n0,4097,0,1\n", 3, "elbow", "4097", "turn"),
     ("lift,elbow,wrist,distance\n0,2917,9,1\n", 2, "elbow", "2917", "[steps/4096]"),
-    ("lift,elbow,wrist,distance\n0,-99.9,9,1\n", 2, "elbow", "-99.9", "[deg]"),
+    ("lift,elbow,wrist,distance\n0,-99.9,9,1\n", 2, "elbow", "-99.9", "[steps/N@0]"),
     ("lift,elbow,wrist,distance\n0,700,9,1\n", 2, "elbow", "700", "[steps/1228.8@5"),
     (f"{J},distance,target [m]\n0,0,0,1,1\n", 1, "target", None),
     # Which model?

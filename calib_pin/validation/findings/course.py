@@ -307,7 +307,9 @@ class Trial(QuickFit):
             cuts: Places among these where it has other sides already.
         """
         (Q, r), row = self.unexplained, self.problem.layout.row
-        order = np.concatenate([np.flatnonzero(row == k) for k in rows])
+        place = np.full(len(self.problem.data), len(rows))
+        place[rows] = np.arange(len(rows))
+        order = np.argsort(place[row], kind="stable")[: np.sum(place[row] < len(rows))]
         B, first = columns[order], np.flatnonzero(np.diff(row[order], prepend=-1))
         B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
 

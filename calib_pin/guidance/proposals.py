@@ -85,6 +85,7 @@ class Proposals:
     srdf: Path | None
     package_dirs: Sequence[Path]
     _known: tuple[Workspace, Candidates] | None = None
+    _degrees: bool | None = None
     _together: tuple[Floats, Indices] | None = None
 
     def check(self, chains: Chains, setup: Setup) -> None:
@@ -194,11 +195,12 @@ class Proposals:
 
     def _proposal(self, fitted: Fitted, q: Floats, target: str, count: int) -> Proposal:
         """A configuration in the names, units and signs of the measurement file."""
-        chains, joints, degrees = fitted.chains, fitted.setup.joints, False
-        if self.file is not None:
+        chains, joints = fitted.chains, fitted.setup.joints
+        if self._degrees is None and self.file is not None:  # As its header stays.
             given = read_table(self.file, columns=fitted.setup.columns).columns.items()
             turned = {name for name, column in given if column.unit == "deg"}
-            degrees = not turned.isdisjoint((*chains.joints, *joints))
+            self._degrees = not turned.isdisjoint((*chains.joints, *joints))
+        degrees = bool(self._degrees)
         table = encode_configurations(
             chains, q[None], [target], joints=joints, degrees=degrees
         )

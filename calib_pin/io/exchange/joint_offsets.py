@@ -67,10 +67,10 @@ def unknown_offsets(exported: Exported) -> dict[str, str]:
     return unknown
 
 
-def doubts(exported: Exported) -> tuple[str, ...]:
-    """A sentence about offsets that are not known, if there are any."""
+def doubts(unknown: Mapping[str, str]) -> tuple[str, ...]:
+    """A sentence about offsets that are not known, if there are any, by column."""
     about = "not known by themselves, only with the other values of the calibration"
-    names = [f"{name} ({why})" for name, why in unknown_offsets(exported).items()]
+    names = [f"{name} ({why})" for name, why in unknown.items()]
     return (f"{about}: {enumerated(names)}",) if names else ()
 
 
@@ -100,7 +100,7 @@ def offsets_table(exported: Exported, _: Path | None) -> Encoded:
         sign = "-1" if joint in exported.reverses else "+1"
         rows.append((joint, column, shown, sigma, unit, steps, status, exact, si, sign))
     table = dict(zip(HEADERS.split(), zip(*rows, strict=True), strict=True))
-    remarks = doubts(exported)
+    remarks = doubts(unknown)
     if beside := [part for part in exported.parts if part != base.OFFSETS]:
         remarks += (f"{CLOSEST}: {enumerated(beside)}",)
     comments = [*USE, *exported.reverses.values(), *remarks]
@@ -168,7 +168,7 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
         PARTS_OF_RANGE,
         f"whole steps leave up to {rounded:.3f} deg of a joint",
         *seams,
-        *doubts(exported),
+        *doubts(unknown_offsets(exported)),
     )
     data = json.dumps(motors, indent=4).encode() + b"\n"
     return Encoded(data, remarks, replace(errors, offsets=offsets).poses)
@@ -253,7 +253,7 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
         _correct(document, added, errors)
     indent(root)
     head = document.data[: document.places[root][1]]
-    remarks = doubts(exported)
+    remarks = doubts(unknown_offsets(exported))
     if outside:
         remarks += (f"{OUTSIDE} {enumerated(outside)}",)
     return Encoded(head + tostring(root, "utf-8") + b"\n", remarks, fit.poses)

@@ -61,6 +61,7 @@ from calib_pin.setup import (
     OrientationSetup,
     ReadingSetup,
 )
+from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.alternatives import (
     FITTED,
     NEIGHBORS,
@@ -95,9 +96,8 @@ MOST = 3
 
 DEGREE = np.pi / 180.0
 
-UNITS = {"rad": ("deg", DEGREE, 2.0 * np.pi), "m": ("mm", 1e-3, 10.0)}
-"""Units in which joints may be written as well, by the one of the positions, their
-size, and the largest position that joints have."""
+REACH = {"rad": 2.0 * np.pi, "m": 10.0}
+"""Largest positions that joints have, by their unit."""
 
 FEWEST, TARGETS, GROUPS = 3, 20, 5
 """Fewest measurements of a target that contradict together, or points of a board, and
@@ -189,17 +189,18 @@ def _units_of_joints(case: Case) -> Iterator[Alternative]:
     degrees, where any wrong joint looks better, and larger ones turns in radians.
     """
     largest = np.abs(case.data.q).max(axis=0)
-    for si, (unit, size, reach) in UNITS.items():
+    for si, reach in REACH.items():
+        unit, factor = DISPLAY[si]
         members = np.array([case.unit(joint) == si for joint in case.data.joints])
-        small = (largest > 0.0) & (largest < size * reach)
-        for factor, possible, words in (
-            (size, largest > reach, f"are in {unit}"),
-            (1.0 / size, small, f"are in {si}, and were read as {unit}"),
+        small = (largest > 0.0) & (factor * largest < reach)
+        for times, possible, words in (
+            (1.0 / factor, largest > reach, f"are in {unit}"),
+            (factor, small, f"are in {si}, and were read as {unit}"),
         ):
             columns = np.flatnonzero(members & possible).tolist()
             names = tuple(case.data.joints[j] for j in columns)
             for group in dict.fromkeys([*((name,) for name in names), names]):
-                read = ReadingSetup(converted=(ConvertedSetup(factor, joints=group),))
+                read = ReadingSetup(converted=(ConvertedSetup(times, joints=group),))
                 text = f"the positions of {enumerated(group)} {words}"
                 if group:
                     yield Alternative("joint-degrees", text, f"unit in {si}", read)
